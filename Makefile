@@ -1,0 +1,57 @@
+# Two commands: `make demo` shows the tool at work, `make test` proves it. Both do their own set-up.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready-dev
+READY_BENCH := $(VENV)/.ready-bench
+# Exact versions, so that the sample logs and the test results are the same on every machine.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
+
+.PHONY: demo test lint format bench sample-logs clean help
+
+help:
+	@echo 'make demo         propagate the sample logs and show how close they come to the truth'
+	@echo 'make test         run the tests'
+	@echo 'make lint         ruff and mypy'
+	@echo 'make format       let ruff format the code'
+	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
+	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
+	@echo 'make clean        remove everything that was made here'
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo 'quatprop needs Python 3.11 or newer: make PYTHON=/path/to/python3'; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python
+	$(INSTALL) --editable '.[dev]'
+	@touch $@
+
+$(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python
+	$(INSTALL) --editable '.[dev,bench]'
+	@touch $@ $(READY)
+
+demo: $(READY)
+	@PATH="$(CURDIR)/$(BIN):$$PATH" sh sample_logs/demo.sh
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY_BENCH)
+	$(BIN)/python tests/bench
+
+sample-logs: $(READY)
+	$(BIN)/python sample_logs/generate.py
+
+clean:
+	rm -rf $(VENV) .demo .bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

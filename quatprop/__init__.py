@@ -1,0 +1,1 @@
+"""quatprop turns recorded gyroscope logs into attitude."""

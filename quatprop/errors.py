@@ -1,0 +1,240 @@
+"""Every error quatprop raises on purpose, in one hierarchy.
+
+::
+
+    QuatpropError                      exit code 2: wrong usage or unreadable input
+    ├── UsageError                     the options contradict each other or the log
+    ├── SeriesError                    arrays that are not the series they claim to be
+    ├── LogError                       a log that cannot be used as asked
+    │   ├── UnreadableLogError         missing, empty, not permitted, not a file
+    │   ├── UnknownFormatError         no reader recognises the content
+    │   ├── UnsupportedLogError        recognised, but a feature of it is not
+    │   ├── DamagedLogError            recognised, but nothing can be saved
+    │   ├── SchemaError                a message definition that cannot be used
+    │   ├── MessageError               a message that does not fit its definition
+    │   ├── NoRatesError               nothing in the log carries body rates
+    │   ├── NoSuchTopicError           the topic asked for is not there, or has no rates
+    │   ├── AmbiguousTopicError        several topics carry rates and none was chosen
+    │   ├── UndeclaredError            unit, column or time that only the user can know
+    │   └── TimelineError              stamps or rates that the chosen policy refuses
+    └── OutputError                    the result cannot be written where it was asked for
+
+Constructors take facts and compose the sentence: where, what, and the way out. Text that comes
+from a file goes through :func:`quoted`, so that it cannot command the terminal.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+MAX_LISTED = 12
+"""How many names an error lists before it says "and N more"."""
+
+
+def quoted(text: object) -> str:
+    """Return `text` in quotes, with everything unprintable escaped.
+
+    Parameters
+    ----------
+    text
+        A name that comes from a file or a user; topic names may hold terminal escapes.
+
+    Returns
+    -------
+    str
+        The text between single quotes, on one line.
+
+    Examples
+    --------
+    >>> quoted("/imu")
+    "'/imu'"
+    """
+    return "'" + plain(text) + "'"
+
+
+def plain(text: object) -> str:
+    """Return `text` on one line with everything unprintable escaped, without quotes."""
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode()
+        for character in str(text)
+    )
+
+
+def listed(names: Iterable[object]) -> str:
+    """Return names quoted and separated by commas, cut after :data:`MAX_LISTED`."""
+    every = [quoted(name) for name in names]
+    if len(every) <= MAX_LISTED:
+        return ", ".join(every)
+    return ", ".join(every[:MAX_LISTED]) + f" and {len(every) - MAX_LISTED} more"
+
+
+class QuatpropError(Exception):
+    """Base of every error that is meant for the user: one sentence, no traceback."""
+
+
+class UsageError(QuatpropError):
+    """The options contradict each other or ask for something that does not exist."""
+
+
+class SeriesError(QuatpropError, ValueError):
+    """Arrays that are not the series they claim to be (shape, dtype, length)."""
+
+
+class LogError(QuatpropError):
+    """A log that cannot be used as asked.
+
+    Parameters
+    ----------
+    path
+        The log.
+    reason
+        What is wrong and, after a semicolon, the way out.
+    """
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(f"{plain(path)}: {reason}")
+        self.path = path
+        self.reason = reason
+
+
+class UnreadableLogError(LogError):
+    """The file is missing, empty, not permitted, or not a file at all."""
+
+
+class UnknownFormatError(LogError):
+    """No reader recognises the content.
+
+    Parameters
+    ----------
+    path
+        The log.
+    kinds
+        The kinds that ``--from`` accepts.
+    """
+
+    def __init__(self, path: Path | str, kinds: Iterable[str]) -> None:
+        super().__init__(
+            path,
+            "neither its content nor its suffix is that of a log this version reads; "
+            f"if you know its kind, say --from {'|'.join(kinds)}",
+        )
+
+
+class UnsupportedLogError(LogError):
+    """The log is recognised, but uses a feature that this version does not read."""
+
+
+class DamagedLogError(LogError):
+    """The log is recognised, but damaged so that nothing can be saved."""
+
+
+class SchemaError(LogError):
+    """A message definition cannot be used to find the wanted fields."""
+
+
+class MessageError(LogError):
+    """A message does not fit its definition."""
+
+
+class NoRatesError(LogError):
+    """Nothing in the log carries body rates.
+
+    Parameters
+    ----------
+    path
+        The log.
+    seen
+        What it holds instead: topics with their types, or columns.
+    what
+        ``"topics"`` or ``"columns"``.
+    """
+
+    def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
+        names = listed(seen)
+        way_out = (
+            "name the field with --topic and --rate-field"
+            if what == "topics"
+            else "name the columns with --rate-cols and --time-col"
+        )
+        held = f"its {what} are {names}" if names else f"it has no {what} with messages"
+        super().__init__(
+            path,
+            f"no body rates found; {held}; {way_out}" if names else f"no body rates found; {held}",
+        )
+
+
+class NoSuchTopicError(LogError):
+    """The topic asked for is not in the log, or carries no rates.
+
+    Parameters
+    ----------
+    path
+        The log.
+    topic
+        The topic asked for.
+    available
+        The topics that could be asked for.
+    """
+
+    def __init__(self, path: Path | str, topic: str, available: Iterable[str]) -> None:
+        names = listed(available)
+        choices = f"choose one of {names}" if names else "no topic of this log does"
+        super().__init__(path, f"no topic {quoted(topic)} that carries body rates; {choices}")
+
+
+class AmbiguousTopicError(LogError):
+    """Several topics carry rates and none was chosen.
+
+    Parameters
+    ----------
+    path
+        The log.
+    candidates
+        The topics that carry rates.
+    """
+
+    def __init__(self, path: Path | str, candidates: Iterable[str]) -> None:
+        super().__init__(
+            path, f"several topics carry body rates: {listed(candidates)}; choose one with --topic"
+        )
+
+
+class UndeclaredError(LogError):
+    """Something that only the user can know is not said anywhere.
+
+    Parameters
+    ----------
+    path
+        The log.
+    unknown
+        What is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'".
+    option
+        The option that declares it, such as ``--rate-unit rad/s|deg/s``.
+    """
+
+    def __init__(self, path: Path | str, unknown: str, option: str) -> None:
+        super().__init__(path, f"{unknown} is not declared; say it with {option}")
+
+
+class TimelineError(LogError):
+    """Stamps or rates that the chosen policy refuses."""
+
+
+class OutputError(QuatpropError):
+    """The result cannot be written where it was asked for.
+
+    Parameters
+    ----------
+    path
+        The target.
+    reason
+        What is wrong and, after a semicolon, the way out.
+    """
+
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(f"{plain(path)}: {reason}")
+        self.path = path

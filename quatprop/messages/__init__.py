@@ -1,0 +1,1 @@
+"""Message bytes to columns: what a schema says, done for a whole block at once."""

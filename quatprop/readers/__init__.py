@@ -1,0 +1,1 @@
+"""Containers and tables: one file a format, one line of :data:`READERS` each."""

@@ -1,0 +1,201 @@
+"""What a reader gives: channels of message blocks, or a table of columns.
+
+A container knows where the bytes of each message are and when it was recorded; what the bytes
+mean is the business of :mod:`quatprop.messages`. A table has its columns already.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from numpy.typing import NDArray
+
+    from quatprop.selection import Selection
+    from quatprop.series import GyroSeries
+
+NO_BOUND = int(np.iinfo(np.int64).min)
+"""`not_before_ns` of a block that promises nothing about the blocks after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One topic as one message type, however many connections or files carry it.
+
+    Parameters
+    ----------
+    topic
+        The name it was published under.
+    type_name
+        Message type as the log spells it, ROS names normalised to ``package/msg/Name``.
+    encoding
+        How the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``...
+    schema_encoding
+        How the definition is written: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
+        ``"jsonschema"``, ``"protobuf"``, or ``""`` where the log carries none.
+    schema
+        The definition as the log carries it; empty where it carries none.
+    count
+        Messages in the log where the container says so without reading them. Not part of a
+        channel's identity.
+    """
+
+    topic: str
+    type_name: str
+    encoding: str
+    schema_encoding: str = ""
+    schema: bytes = b""
+    count: int | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBlock:
+    """Messages of one channel that lie in one buffer, usually a chunk.
+
+    Message ``k`` is ``data[starts[k]:ends[k]]``.
+
+    Parameters
+    ----------
+    data
+        The buffer, shape ``(B,)``, uint8.
+    starts, ends
+        Where each message begins and ends, shape ``(N,)``, int64.
+    log_ns, publish_ns
+        When each was recorded and published, shape ``(N,)``, int64 ns. Containers that know no
+        publish time give the log time twice.
+    not_before_ns
+        No later block of this iteration holds a message with an earlier log time.
+    """
+
+    data: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    log_ns: NDArray[np.int64]
+    publish_ns: NDArray[np.int64]
+    not_before_ns: int = NO_BOUND
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Something of a damaged log that could not be read.
+
+    Parameters
+    ----------
+    place
+        Where, in words a user can check: "chunk at byte 4096", "line 17".
+    reason
+        Why it could not be read.
+    messages
+        How many messages or rows are lost with it, where that is known.
+    """
+
+    place: str
+    reason: str
+    messages: int | None = None
+
+
+class Log(Protocol):
+    """What message logs and tables have in common.
+
+    Attributes
+    ----------
+    kind
+        The key in :data:`quatprop.readers.READERS`.
+    path
+        The file or folder.
+    losses
+        What could not be read; grows while the log is read.
+    """
+
+    kind: str
+    path: Path
+    losses: list[Loss]
+
+    def close(self) -> None:
+        """Release files and temporary copies."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None: ...
+
+
+class MessageLog(Log, Protocol):
+    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag."""
+
+    def channels(self) -> list[Channel]:
+        """Return every channel, in order of topic, with or without rates."""
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, chunk after chunk.
+
+        Within a block messages are in the container's order. Blocks come so that
+        `not_before_ns` rises as early as it can; :func:`quatprop.readers.merge.in_time` turns
+        them into time order.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class TableColumns:
+    """Which columns of a table are the time and the rates, and in what units.
+
+    Parameters
+    ----------
+    rate
+        Positions of the x, y and z rate columns.
+    rate_unit
+        ``"rad/s"`` or ``"deg/s"``.
+    time
+        Positions of the time column; of seconds and nanoseconds where they are two; empty where
+        rows are counted at `sample_rate`.
+    time_unit
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
+    sample_rate
+        Rows a second, Hz, where there is no time column.
+    dialect
+        The convention that was recognised, such as ``"EuRoC"``, or ``""`` where options said all.
+    """
+
+    rate: tuple[int, int, int]
+    rate_unit: str
+    time: tuple[int, ...]
+    time_unit: str = "ns"
+    sample_rate: float | None = None
+    dialect: str = ""
+
+
+class TableLog(Log, Protocol):
+    """Rows of named or numbered columns: CSV, Parquet, Feather."""
+
+    def columns(self) -> list[str]:
+        """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+
+    def choose(self, selection: Selection) -> TableColumns:
+        """Return which columns hold time and rates, from the options and the header.
+
+        Raises
+        ------
+        NoRatesError
+            No columns look like body rates and the options name none.
+        UndeclaredError
+            A unit or the time is said neither by the header nor by an option.
+        """
+
+    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
+        """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch."""
