@@ -1,1 +1,104 @@
-"""quatprop turns recorded gyroscope logs into attitude."""
+"""quatprop turns recorded gyroscope logs into attitude.
+
+It reads body-rate samples, multiplies up the exact constant-rate steps, and writes unit
+quaternions. The conventions below hold in every module; equation numbers are those of the article
+"Quaternion kinematics and angular velocity" (PhysicsLibrary, object 1105, version 3) [1]_.
+
+Conventions
+-----------
+Frames
+    Right-handed and orthonormal: the body frame B, in which the gyroscope is fixed, and the
+    reference frame I.
+Quaternion
+    Hamilton: ij = k. Mathematics is scalar first, q = w + x i + y j + z k (eq. 1).
+Attitude
+    ``q = q_I_B`` maps body to reference: v_I = q v_B q* (eqs. 2 and 3). q and -q are the same
+    attitude; two attitudes are compared by the geodesic angle between them.
+Angular rate
+    One vector, resolved in the body frame (eq. 12: q' = 1/2 q w_B, multiplied on the right) or in
+    the reference frame (eq. 16: q' = 1/2 w_I q, multiplied on the left), with w_I = R(q) w_B
+    (eq. 5).
+Step
+    dq = cos(abs(w) dt / 2) + w / abs(w) sin(abs(w) dt / 2), exact for a rate that is constant over
+    dt (eq. 35); q[k+1] = q[k] dq[k] for body rates (eq. 36), q[k+1] = dq[k] q[k] for inertial ones.
+    N samples give N attitudes, and the first is q0.
+Layout
+    Scalar first or scalar last is an order of columns in a file. Inside there is one layout, and
+    it is in the name: ``wxyz``.
+
+Data types
+----------
+t_ns
+    Stamps, shape ``(N,)``, int64, nanoseconds; time never passes through a float.
+rate
+    Angular rates, shape ``(N, 3)``, float64, rad/s.
+rotvec
+    Rotation vectors, shape ``(N, 3)``, float64, rad: axis times angle.
+wxyz
+    Attitudes, shape ``(..., 4)``, float64, unit length.
+
+References
+----------
+.. [1] "Quaternion kinematics and angular velocity", PhysicsLibrary, object 1105, 2026.
+
+Examples
+--------
+Half a turn about z in one second, sampled at 4 Hz:
+
+>>> import numpy as np
+>>> import quatprop
+>>> t_ns = np.arange(5) * 250_000_000
+>>> rate = np.tile([0.0, 0.0, np.pi], (5, 1))
+>>> quatprop.attitudes(t_ns, rate)[-1].round(12).tolist()
+[0.0, 0.0, 0.0, 1.0]
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from quatprop.errors import QuatpropError
+    from quatprop.job import Job, run
+    from quatprop.propagate import attitudes, propagate
+    from quatprop.readers import open_log
+    from quatprop.selection import Selection
+    from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.timeline import Policy
+
+__all__ = [
+    "AttitudeSeries",
+    "GyroSeries",
+    "Job",
+    "Policy",
+    "QuatpropError",
+    "Selection",
+    "attitudes",
+    "open_log",
+    "propagate",
+    "run",
+]
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "AttitudeSeries": "quatprop.series",
+    "GyroSeries": "quatprop.series",
+    "Job": "quatprop.job",
+    "Policy": "quatprop.timeline",
+    "QuatpropError": "quatprop.errors",
+    "Selection": "quatprop.selection",
+    "attitudes": "quatprop.propagate",
+    "open_log": "quatprop.readers",
+    "propagate": "quatprop.propagate",
+    "run": "quatprop.job",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: ``quatprop --help`` needs none of them."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'quatprop' has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOME[name]), name)

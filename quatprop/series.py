@@ -14,12 +14,17 @@ import numpy as np
 from quatprop.errors import SeriesError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from numpy.typing import NDArray
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+
+BLOCK = 131_072
+"""Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +59,50 @@ class GyroSeries:
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+
+def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
+    """Cut a stream of samples at fixed sample indices, wherever its batches ended.
+
+    What is computed block by block is then the same to the bit however the samples arrived.
+
+    Parameters
+    ----------
+    batches
+        Samples in order; empty batches are passed over.
+    size
+        Samples in every block but the last.
+
+    Yields
+    ------
+    GyroSeries
+        Blocks of `size` samples; the last may be shorter, none is empty.
+    """
+    held: list[GyroSeries] = []
+    count = 0
+    for batch in batches:
+        start = 0
+        while count + len(batch) - start >= size:
+            stop = start + size - count
+            yield _joined([*held, _part(batch, start, stop)])
+            held, count, start = [], 0, stop
+        if start < len(batch):
+            held.append(_part(batch, start, len(batch)))
+            count += len(batch) - start
+    if count:
+        yield _joined(held)
+
+
+def _part(series: GyroSeries, start: int, stop: int) -> GyroSeries:
+    return GyroSeries(series.t_ns[start:stop], series.rate[start:stop])
+
+
+def _joined(parts: list[GyroSeries]) -> GyroSeries:
+    if len(parts) == 1:
+        return parts[0]
+    return GyroSeries(
+        np.concatenate([part.t_ns for part in parts]), np.concatenate([part.rate for part in parts])
+    )
 
 
 @dataclass(frozen=True, slots=True)

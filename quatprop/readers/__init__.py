@@ -1,1 +1,165 @@
-"""Containers and tables: one file a format, one line of :data:`READERS` each."""
+"""Containers and tables: one file a format, one line of :data:`READERS` each.
+
+The kind of a log is told by its content first and by its suffix second; what neither tells is
+refused, with the option that settles it.
+"""
+
+from __future__ import annotations
+
+import stat
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError, quoted
+
+if TYPE_CHECKING:
+    from quatprop.readers.base import MessageLog, TableLog
+
+HEAD_BYTES = 4096
+"""How much of a file is looked at to tell its kind."""
+
+
+class Reader(NamedTuple):
+    """How one kind of log is told and opened.
+
+    Parameters
+    ----------
+    load
+        ``"module:Class"``, imported when a log of this kind is opened.
+    magic
+        What its content may begin with; empty where only the suffix tells.
+    suffixes
+        Suffixes that tell it where the content does not.
+    """
+
+    load: str
+    magic: tuple[bytes, ...]
+    suffixes: tuple[str, ...]
+
+
+READERS: dict[str, Reader] = {
+    "mcap": Reader("quatprop.readers.mcap:McapLog", (b"\x89MCAP",), (".mcap",)),
+    "bag": Reader("quatprop.readers.rosbag1:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active")),
+    "db3": Reader("quatprop.readers.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
+    "rosbag2": Reader("quatprop.readers.rosbag2:Rosbag2Log", (), ()),
+    "parquet": Reader("quatprop.readers.arrow:ParquetLog", (b"PAR1",), (".parquet",)),
+    "feather": Reader(
+        "quatprop.readers.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow")
+    ),
+    "csv": Reader("quatprop.readers.csv:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
+}
+"""Every kind of log, in the order in which ``--from`` lists them."""
+
+PACKED = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2", b"\x1f\x8b": "gz"}
+"""What a whole file that was compressed begins with."""
+
+
+def open_log(path: str | Path, kind: str | None = None) -> MessageLog | TableLog:
+    """Open a log of any kind.
+
+    Parameters
+    ----------
+    path
+        A file, a ROS 2 bag folder, or ``"-"`` for CSV on stdin.
+    kind
+        A key of :data:`READERS`; None means: told by the content, then by the suffix.
+
+    Returns
+    -------
+    MessageLog or TableLog
+        The open log; close it, or use it as a context manager.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file is missing, empty or not permitted.
+    UnknownFormatError
+        Neither content nor suffix tells the kind.
+    LogError
+        The log is recognised but cannot be opened.
+    """
+    if str(path) == "-":
+        if kind not in (None, "csv"):
+            raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
+        return _open("csv", sys.stdin.buffer)
+    path = Path(path)
+    head = _head(path)
+    packing = next((name for magic, name in PACKED.items() if head.startswith(magic)), None)
+    if packing is not None and kind != "csv":
+        return _open_packed(path, kind)
+    return _open(kind or _kind(path, head), path)
+
+
+def _open(kind: str, source: object) -> MessageLog | TableLog:
+    module, _, name = READERS[kind].load.partition(":")
+    log: MessageLog | TableLog = getattr(import_module(module), name)(source)
+    return log
+
+
+def _kind(path: Path, head: bytes) -> str:
+    if path.is_dir():
+        return "rosbag2"
+    for kind, reader in READERS.items():
+        if head.startswith(reader.magic):
+            return kind
+    suffix = path.suffix.lower()
+    for kind, reader in READERS.items():
+        if suffix in reader.suffixes:
+            return kind
+    if _is_text(head):
+        return "csv"
+    raise UnknownFormatError(path, READERS)
+
+
+def _is_text(head: bytes) -> bool:
+    """Tell text from binary: UTF-8 (a character may be cut at the end) without control bytes."""
+    if any(byte < 0x20 and byte not in b"\t\r\n\f" for byte in head):
+        return False
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        return error.start > len(head) - 4
+    return True
+
+
+def _head(path: Path) -> bytes:
+    """Return the first bytes of a file; a folder has none."""
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            return b""
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError as error:
+        raise UnreadableLogError(path, _os_reason(path, error)) from error
+    if not head:
+        raise UnreadableLogError(path, "the file is empty; was the recording closed?")
+    return head
+
+
+def _os_reason(path: Path, error: OSError) -> str:
+    match error:
+        case FileNotFoundError() if "://" in str(path):
+            return "object-store addresses are not read by this version; download the log first"
+        case FileNotFoundError():
+            return "no such file or folder; check the path"
+        case PermissionError():
+            return "no permission to read it; check its owner and mode"
+        case _:
+            return f"it cannot be read: {quoted(error.strerror or error)}"
+
+
+def _open_packed(path: Path, kind: str | None) -> MessageLog | TableLog:
+    """Open a log inside a file that was compressed as a whole, through a temporary copy."""
+    from quatprop.readers.compression import unpacked_copy
+
+    copy = unpacked_copy(path)
+    try:
+        inner = path.with_suffix("") if path.suffix else path
+        log = _open(kind or _kind(inner, _head(copy.path)), copy.path)
+    except BaseException:
+        copy.close()
+        raise
+    return log

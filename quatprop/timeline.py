@@ -1,0 +1,361 @@
+"""What the time stamps are allowed to do, and what is done about it.
+
+A recorder promises nothing: stamps repeat, step back and leap, rates are missing. Every such
+event is counted and located here; whether it is an error is the user's policy. Nothing is
+repaired silently: what a policy changed stands in the counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from quatprop.errors import TimelineError, plain
+from quatprop.series import GyroSeries, reblock
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+GAP_FACTOR = 10
+"""A gap is an interval longer than this many median intervals, unless told otherwise."""
+
+MEDIAN_WINDOW = 65_536
+"""The median interval is that of the first so many intervals: exact, and flat in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What to do about each kind of event.
+
+    Parameters
+    ----------
+    on_backwards
+        Stamps earlier than one before: ``"error"``; ``"drop"`` the samples; ``"sort"`` all samples
+        by stamp (holds the log in memory); ``"keep"`` them, for looking only.
+    on_nonfinite
+        Rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"`` the last
+        finite rate; ``"keep"`` them, for looking only.
+    on_gap
+        Intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
+        ``"error"``; ``"zero"`` takes the rate across as zero.
+    max_gap_ns
+        The longest interval that is no gap, ns; None means :data:`GAP_FACTOR` median intervals.
+    """
+
+    on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
+    on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
+    on_gap: Literal["hold", "zero", "error"] = "hold"
+    max_gap_ns: int | None = None
+
+
+OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
+"""Change nothing, count everything."""
+
+
+@dataclass(slots=True)
+class Event:
+    """How often something happened, and where first.
+
+    Parameters
+    ----------
+    count
+        Occurrences.
+    first_index
+        Sample index of the first, counted from 0 as read.
+    first_ns
+        Its stamp, ns.
+    """
+
+    count: int = 0
+    first_index: int | None = None
+    first_ns: int | None = None
+
+    def add(self, where: NDArray[np.intp], start: int, t_ns: NDArray[np.int64]) -> None:
+        """Count the sample positions `where` of a batch that starts at index `start`."""
+        if len(where) and self.first_index is None:
+            self.first_index = start + int(where[0])
+            self.first_ns = int(t_ns[where[0]])
+        self.count += len(where)
+
+
+@dataclass(slots=True)
+class Counts:
+    """What was seen on the timeline; complete when the last batch has passed.
+
+    Parameters
+    ----------
+    read, used
+        Samples that came in and that went on.
+    first_ns, last_ns
+        Stamps of the first and last sample that went on.
+    median_dt_ns
+        Median of the first :data:`MEDIAN_WINDOW` positive intervals, ns.
+    min_dt_ns, max_dt_ns
+        Extreme intervals between samples that went on, ns.
+    max_rate
+        Largest finite magnitude of the angular rate, rad/s.
+    turned
+        Angle turned on the way, rad: the sum of abs(w) dt with the rate at each interval's start.
+    gap_limit_ns
+        Intervals longer than this were counted as gaps.
+    duplicates, backwards, nonfinite, gaps
+        Stamps equal to the one before; earlier than one before; rates not finite; long intervals.
+        A gap is located by the sample after it.
+    """
+
+    read: int = 0
+    used: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    median_dt_ns: int | None = None
+    min_dt_ns: int | None = None
+    max_dt_ns: int | None = None
+    max_rate: float = 0.0
+    turned: float = 0.0
+    gap_limit_ns: int | None = None
+    duplicates: Event = field(default_factory=Event)
+    backwards: Event = field(default_factory=Event)
+    nonfinite: Event = field(default_factory=Event)
+    gaps: Event = field(default_factory=Event)
+
+    @property
+    def span_ns(self) -> int:
+        """Time from the first sample to the last, ns."""
+        return 0 if self.first_ns is None or self.last_ns is None else self.last_ns - self.first_ns
+
+    @property
+    def dropped(self) -> int:
+        """Samples that were read but did not go on."""
+        return self.read - self.used
+
+
+class Timeline:
+    """Applies a policy to a stream of samples and counts what it sees.
+
+    Parameters
+    ----------
+    policy
+        What to do about each kind of event.
+    path
+        The log, for errors.
+    """
+
+    def __init__(self, policy: Policy, path: Path | str) -> None:
+        self.policy = policy
+        self.path = path
+        self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
+        self._latest: int | None = None
+        self._held: NDArray[np.float64] | None = None
+        self._last_magnitude = np.float64(0.0)
+
+    def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the samples that go on, in batches.
+
+        Parameters
+        ----------
+        batches
+            Samples in the order of the log.
+
+        Yields
+        ------
+        GyroSeries
+            Samples that keep the policy; stamps never decrease unless the policy keeps that.
+
+        Raises
+        ------
+        TimelineError
+            An event that the policy calls an error.
+        """
+        finite = (self._finite(batch) for batch in self._located(batches))
+        if self.policy.on_backwards == "sort":
+            ordered: Iterable[GyroSeries] = self._sorted(finite)
+        else:
+            ordered = (self._forward(batch) for batch in finite)
+        # Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
+        for batch in reblock(self._with_gap_limit(ordered)):
+            self._measure(batch)
+            yield batch
+
+    def _located(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        for batch in batches:
+            if len(batch):
+                yield batch
+                self.counts.read += len(batch)
+
+    def _finite(self, batch: GyroSeries) -> GyroSeries:
+        """Find rates that are not finite, and drop or fill them."""
+        # The sum is finite where all are: one pass for the common case.
+        if np.isfinite(batch.rate.sum()):
+            self._held = batch.rate[-1]
+            return batch
+        good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
+        event = self.counts.nonfinite
+        event.add(np.flatnonzero(~good), self.counts.read, batch.t_ns)
+        if self.policy.on_nonfinite == "error" and event.count:
+            raise TimelineError(
+                self.path,
+                f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is not finite; "
+                "choose --on-nonfinite drop|hold",
+            )
+        if self.policy.on_nonfinite == "drop":
+            return GyroSeries(batch.t_ns[good], batch.rate[good])
+        if self.policy.on_nonfinite == "hold":
+            return self._hold(batch, good)
+        return batch
+
+    def _hold(self, batch: GyroSeries, good: NDArray[np.bool_]) -> GyroSeries:
+        before = np.zeros(3) if self._held is None else self._held
+        rows = np.concatenate([before[None], batch.rate])
+        latest_good = np.maximum.accumulate(np.where(good, np.arange(1, len(rows)), 0))
+        rate = rows[latest_good]
+        self._held = rate[-1]
+        return GyroSeries(batch.t_ns, rate)
+
+    def _forward(self, batch: GyroSeries) -> GyroSeries:
+        """Find stamps that are earlier than one before, and drop them."""
+        t_ns = batch.t_ns
+        if not len(t_ns):
+            return batch
+        latest = int(t_ns[0]) if self._latest is None else self._latest
+        if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
+            self._latest = int(t_ns[-1])
+            return batch
+        reached = np.maximum.accumulate(np.maximum(t_ns, latest))
+        # While looking, a backward step is one that goes back from its neighbour; a policy that
+        # drops must drop everything up to the point where the clock has caught up again.
+        if self.policy.on_backwards == "keep":
+            back = np.diff(t_ns, prepend=latest) < 0
+            self._latest = int(t_ns[-1])
+        else:
+            back = t_ns < reached
+            self._latest = int(reached[-1])
+        event = self.counts.backwards
+        event.add(np.flatnonzero(back), self.counts.read, t_ns)
+        if self.policy.on_backwards == "error":
+            first = int(np.flatnonzero(back)[0])
+            earlier = int(reached[first])
+            raise TimelineError(
+                self.path,
+                f"time steps back by {duration_text(earlier - int(t_ns[first]))} at sample "
+                f"{event.first_index} (t = {event.first_ns} ns); "
+                "choose --on-backwards drop|sort, or another --clock",
+            )
+        if self.policy.on_backwards == "keep":
+            return batch
+        return GyroSeries(t_ns[~back], batch.rate[~back])
+
+    def _sorted(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        whole = list(batches)
+        if not whole:
+            return
+        t_ns = np.concatenate([batch.t_ns for batch in whole])
+        rate = np.concatenate([batch.rate for batch in whole])
+        back = np.flatnonzero(t_ns < np.maximum.accumulate(t_ns))
+        self.counts.backwards.add(back, 0, t_ns)
+        order = np.argsort(t_ns, kind="stable")
+        yield GyroSeries(t_ns[order], rate[order])
+
+    def _with_gap_limit(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Hold the first samples back until the median interval is known."""
+        window: list[GyroSeries] = []
+        held = 0
+        stream = iter(batches)
+        for batch in stream:
+            window.append(batch)
+            held += len(batch)
+            if held > MEDIAN_WINDOW:
+                break
+        if not held:
+            return
+        intervals = np.diff(np.concatenate([batch.t_ns for batch in window])[: MEDIAN_WINDOW + 1])
+        positive = intervals[intervals > 0]
+        if len(positive):
+            self.counts.median_dt_ns = int(np.median(positive))
+            if self.counts.gap_limit_ns is None:
+                self.counts.gap_limit_ns = GAP_FACTOR * self.counts.median_dt_ns
+        yield from window
+        yield from stream
+
+    def _measure(self, batch: GyroSeries) -> None:
+        counts, t_ns = self.counts, batch.t_ns
+        magnitude = np.sqrt(np.einsum("ij,ij->i", batch.rate, batch.rate))
+        if not np.isfinite(magnitude.sum()):
+            magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
+        if counts.last_ns is None:
+            counts.first_ns = int(t_ns[0])
+            intervals, ruling, ends = np.diff(t_ns), magnitude[:-1], t_ns[1:]
+        else:
+            intervals = np.diff(t_ns, prepend=np.int64(counts.last_ns))
+            ruling, ends = np.append(self._last_magnitude, magnitude[:-1]), t_ns
+        counts.max_rate = max(counts.max_rate, float(magnitude.max()))
+        counts.turned += float(ruling @ intervals) * 1e-9
+        if len(intervals):
+            self._measure_intervals(intervals, ends)
+        self._last_magnitude = magnitude[-1]
+        counts.last_ns = int(t_ns[-1])
+        counts.used += len(batch)
+
+    def _measure_intervals(self, intervals: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+        """Count duplicates and gaps among intervals that end at the stamps `ends`."""
+        counts = self.counts
+        shortest, longest = int(intervals.min()), int(intervals.max())
+        counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
+        counts.max_dt_ns = max(longest, longest if counts.max_dt_ns is None else counts.max_dt_ns)
+        start = max(counts.used, 1)
+        if shortest <= 0:
+            counts.duplicates.add(np.flatnonzero(intervals == 0), start, ends)
+        limit = counts.gap_limit_ns
+        if limit is None or longest <= limit:
+            return
+        counts.gaps.add(np.flatnonzero(intervals > limit), start, ends)
+        if self.policy.on_gap == "error":
+            raise TimelineError(
+                self.path,
+                f"a gap ends at sample {counts.gaps.first_index} (t = {counts.gaps.first_ns} ns), "
+                f"longer than {duration_text(limit)}; choose --on-gap hold|zero or a longer "
+                "--max-gap",
+            )
+
+
+def remarks(counts: Counts, policy: Policy) -> list[str]:
+    """Return one sentence for every event that a reader of the result should know of.
+
+    Parameters
+    ----------
+    counts
+        What was seen.
+    policy
+        What was done about it.
+    """
+    done = {
+        "duplicates": "kept: a step of zero time turns nothing",
+        "backwards": {"drop": "dropped", "sort": "sorted"}.get(policy.on_backwards, "kept"),
+        "nonfinite": {"drop": "dropped", "hold": "replaced by the rate before"}.get(
+            policy.on_nonfinite, "kept"
+        ),
+        "gaps": "taken as no rotation" if policy.on_gap == "zero" else "propagated across",
+    }
+    limit = duration_text(counts.gap_limit_ns or 0)
+    what = {
+        "duplicates": ("repeated stamp", "repeated stamps"),
+        "backwards": ("stamp that steps back", "stamps that step back"),
+        "nonfinite": ("rate that is not finite", "rates that are not finite"),
+        "gaps": (f"interval longer than {limit}", f"intervals longer than {limit}"),
+    }
+    said = []
+    for name, words in what.items():
+        event: Event = getattr(counts, name)
+        if event.count:
+            said.append(
+                f"{event.count} {words[event.count > 1]} ({done[name]}), "
+                f"first at sample {event.first_index}, t = {event.first_ns} ns"
+            )
+    if counts.used > 1 and counts.span_ns == 0:
+        said.append(f"all stamps are {plain(counts.first_ns)} ns: time does not pass; try --clock")
+    return said

@@ -1,0 +1,182 @@
+"""What the timeline counts, refuses, drops, sorts and holds."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quatprop.errors import TimelineError
+from quatprop.series import GyroSeries
+from quatprop.timeline import OBSERVE, Policy, Timeline, remarks
+
+MS = 1_000_000
+
+
+def gyro(t_ms, rate=None):
+    """Return a series with stamps in ms and, unless given, a rate of (1, 2, 2) rad/s."""
+    t_ns = np.array(t_ms, dtype=np.int64) * MS
+    if rate is None:
+        rate = np.tile([1.0, 2.0, 2.0], (len(t_ns), 1))
+    return GyroSeries(t_ns, np.asarray(rate, dtype=np.float64))
+
+
+def applied(policy, *batches):
+    """Return stamps in ms, rates and counts after a policy."""
+    timeline = Timeline(policy, "log.csv")
+    out = list(timeline.apply(batches))
+    stamps = np.concatenate([batch.t_ns for batch in out]) // MS if out else np.zeros(0, np.int64)
+    rates = np.concatenate([batch.rate for batch in out]) if out else np.zeros((0, 3))
+    return stamps.tolist(), rates, timeline.counts
+
+
+def test_a_clean_timeline_passes_unchanged():
+    """Samples in order go through, measured: span, intervals, largest rate, angle turned."""
+    stamps, rates, counts = applied(Policy(), gyro([0, 10, 20]), gyro([30, 45]))
+    assert stamps == [0, 10, 20, 30, 45]
+    assert (rates == [1.0, 2.0, 2.0]).all()
+    assert (counts.read, counts.used, counts.span_ns) == (5, 5, 45 * MS)
+    assert (counts.min_dt_ns, counts.median_dt_ns, counts.max_dt_ns) == (10 * MS, 10 * MS, 15 * MS)
+    assert counts.max_rate == 3.0
+    assert counts.turned == pytest.approx(3.0 * 0.045, rel=1e-15)
+    assert remarks(counts, Policy()) == []
+
+
+def test_an_empty_log_counts_nothing():
+    """No batches, and batches without samples, give nothing and no error."""
+    assert applied(Policy())[2].used == 0
+    assert applied(Policy(), gyro([]), gyro([]))[2].first_ns is None
+
+
+def test_duplicates_are_kept_and_counted_across_batches():
+    """Repeated stamps stay, also where a batch ends between them."""
+    stamps, _, counts = applied(Policy(), gyro([0, 10, 10]), gyro([10, 20]))
+    assert stamps == [0, 10, 10, 10, 20]
+    assert (counts.duplicates.count, counts.duplicates.first_index) == (2, 2)
+    assert counts.duplicates.first_ns == 10 * MS
+    (said,) = remarks(counts, Policy())
+    assert said == (
+        "2 repeated stamps (kept: a step of zero time turns nothing), "
+        "first at sample 2, t = 10000000 ns"
+    )
+
+
+@pytest.mark.parametrize("batches", [([0, 10, 5, 20],), ([0, 10], [5, 20])])
+def test_a_backward_step_is_an_error_by_default(batches):
+    """The error says how far, where, and which options settle it; also at a batch's start."""
+    with pytest.raises(
+        TimelineError,
+        match=r"^log\.csv: time steps back by 5 ms at sample 2 \(t = 5000000 ns\); "
+        r"choose --on-backwards drop\|sort, or another --clock$",
+    ):
+        applied(Policy(), *map(gyro, batches))
+
+
+def test_drop_waits_until_the_clock_has_caught_up():
+    """Every sample earlier than the latest stamp reached is dropped, and counted."""
+    stamps, _, counts = applied(
+        Policy(on_backwards="drop"), gyro([0, 10, 20, 5, 15]), gyro([18, 20, 30])
+    )
+    assert stamps == [0, 10, 20, 20, 30]
+    assert (counts.backwards.count, counts.backwards.first_index, counts.dropped) == (3, 3, 3)
+
+
+def test_sort_orders_all_samples_and_is_stable():
+    """Sorting keeps the order of equal stamps and loses nothing."""
+    first, second = gyro([10, 0], np.array([[1.0, 0, 0], [2.0, 0, 0]])), gyro([0], [[3.0, 0, 0]])
+    stamps, rates, counts = applied(Policy(on_backwards="sort"), first, second)
+    assert stamps == [0, 0, 10]
+    assert rates[:, 0].tolist() == [2.0, 3.0, 1.0]
+    assert counts.dropped == 0
+    assert counts.backwards.count == 2
+
+
+def test_looking_changes_nothing():
+    """The observing policy lets everything pass and counts it all."""
+    rate = np.ones((4, 3))
+    rate[1, 2] = np.nan
+    stamps, rates, counts = applied(OBSERVE, gyro([0, 10, 5, 20], rate))
+    assert stamps == [0, 10, 5, 20]
+    assert np.isnan(rates[1, 2])
+    assert (counts.backwards.count, counts.nonfinite.count) == (1, 1)
+    assert counts.max_rate == pytest.approx(np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_rate_that_is_not_finite_is_an_error_by_default(bad):
+    """The error names the sample, its stamp and the options."""
+    rate = np.ones((3, 3))
+    rate[2, 0] = bad
+    with pytest.raises(
+        TimelineError,
+        match=r"^log\.csv: the rate of sample 5 \(t = 20000000 ns\) is not finite; "
+        r"choose --on-nonfinite drop\|hold$",
+    ):
+        applied(Policy(), gyro([-20, -10, 0]), gyro([0, 10, 20], rate))
+
+
+def test_dropped_rates_are_lost_and_counted():
+    """Dropping removes the sample with its stamp."""
+    rate = np.ones((3, 3))
+    rate[1] = np.nan
+    stamps, _, counts = applied(Policy(on_nonfinite="drop"), gyro([0, 10, 20], rate))
+    assert stamps == [0, 20]
+    assert (counts.nonfinite.count, counts.dropped) == (1, 1)
+
+
+def test_held_rates_repeat_the_last_finite_one_across_batches():
+    """Holding fills with the rate before, also from the batch before; the stamps stay."""
+    first = gyro([0, 10], [[1, 2, 3], [4, 5, 6]])
+    second = gyro([20, 30, 40], [[np.nan] * 3, [7, np.inf, 7], [8, 8, 8]])
+    stamps, rates, counts = applied(Policy(on_nonfinite="hold"), first, second)
+    assert stamps == [0, 10, 20, 30, 40]
+    assert rates.tolist() == [[1, 2, 3], [4, 5, 6], [4, 5, 6], [4, 5, 6], [8, 8, 8]]
+    assert (counts.nonfinite.count, counts.dropped) == (2, 0)
+
+
+def test_gaps_are_intervals_over_ten_medians():
+    """Ten medians are no gap; more is one, located by the sample after it."""
+    _, _, counts = applied(Policy(), gyro([0, 10, 20, 30, 130, 231, 241, 251, 261]))
+    assert (counts.gap_limit_ns, counts.gaps.count, counts.gaps.first_index) == (100 * MS, 1, 5)
+    assert remarks(counts, Policy()) == [
+        "1 interval longer than 100 ms (propagated across), first at sample 5, t = 231000000 ns"
+    ]
+
+
+def test_a_gap_can_be_an_error():
+    """With --on-gap error the first interval over --max-gap is refused."""
+    with pytest.raises(
+        TimelineError,
+        match=r"^log\.csv: a gap ends at sample 2 \(t = 40000000 ns\), longer than 20 ms; "
+        r"choose --on-gap hold\|zero or a longer --max-gap$",
+    ):
+        applied(Policy(on_gap="error", max_gap_ns=20 * MS), gyro([0, 10, 40, 50]))
+
+
+def test_time_that_does_not_pass_is_remarked():
+    """Stamps that are all equal turn nothing, and that is said."""
+    _, _, counts = applied(Policy(), gyro([0, 0, 0]))
+    assert remarks(counts, Policy())[-1] == "all stamps are 0 ns: time does not pass; try --clock"
+
+
+@given(
+    st.lists(st.integers(-50, 50), max_size=60),
+    st.lists(st.integers(0, 60), max_size=6),
+    st.sampled_from(["drop", "sort", "keep"]),
+)
+def test_what_comes_out_does_not_depend_on_batches(stamps, cuts, on_backwards):
+    """Stamps, rates and counts are the same however the log was cut into batches."""
+    policy = Policy(on_backwards=on_backwards, on_nonfinite="hold")
+    rate = np.arange(3.0 * len(stamps)).reshape(-1, 3)
+    rate[1::7] = np.nan
+    whole = gyro(stamps, rate)
+    edges = [0, *sorted(min(cut, len(stamps)) for cut in cuts), len(stamps)]
+    parts = [
+        GyroSeries(whole.t_ns[start:stop], whole.rate[start:stop])
+        for start, stop in pairwise(edges)
+    ]
+    together, apart = applied(policy, whole), applied(policy, *parts)
+    assert together[0] == apart[0]
+    assert np.array_equal(together[1], apart[1], equal_nan=True)
+    assert together[2] == apart[2]

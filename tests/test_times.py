@@ -1,0 +1,78 @@
+"""Durations and instants as users write them."""
+
+import re
+
+import pytest
+
+from quatprop.errors import UsageError
+from quatprop.times import Instant, duration_ns, duration_text, instant
+
+
+@pytest.mark.parametrize(
+    ("text", "ns"),
+    [
+        ("20ms", 20_000_000),
+        ("0.5s", 500_000_000),
+        ("1m30s", 90_000_000_000),
+        ("1.5us", 1_500),
+        ("7ns", 7),
+        ("2h", 7_200_000_000_000),
+        (".25s", 250_000_000),
+        ("1700000000.123456789s", 1_700_000_000_123_456_789),
+    ],
+)
+def test_durations_are_exact(text, ns):
+    """A duration is exact to the nanosecond, however many digits it has."""
+    assert duration_ns(text) == ns
+
+
+@pytest.mark.parametrize("text", ["", "5", "s", "5 s", "5x", "-5s", "1m 30s", "1e3s", "s5"])
+def test_what_is_no_duration_is_refused(text):
+    """A number without a unit is refused, with examples of what to write."""
+    with pytest.raises(
+        UsageError,
+        match=re.escape(
+            f"'{text}' is not a duration; write a number with a unit, such as 20ms, 0.5s or 1m30s"
+        ),
+    ):
+        duration_ns(text)
+
+
+def test_finer_than_a_nanosecond_is_refused():
+    """Half a nanosecond would have to be rounded, so it is refused."""
+    with pytest.raises(UsageError, match=r"^'1\.5ns' is finer than a nanosecond; round it$"):
+        duration_ns("1.5ns")
+
+
+@pytest.mark.parametrize(
+    ("ns", "text"),
+    [(0, "0 ns"), (999, "999 ns"), (1_500, "1.5 us"), (20_000_000, "20 ms"), (-3 * 10**9, "-3 s")],
+)
+def test_durations_read_well(ns, text):
+    """A duration is shown in the largest unit it fills."""
+    assert duration_text(ns) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("+10s", Instant(10_000_000_000, "first")),
+        ("1m30s", Instant(90_000_000_000, "first")),
+        ("-30s", Instant(-30_000_000_000, "last")),
+        ("1403715523912140000", Instant(1_403_715_523_912_140_000, "clock")),
+        ("1970-01-01T00:00:01Z", Instant(1_000_000_000, "clock")),
+        ("2001-09-09T01:46:40.000000001Z", Instant(1_000_000_000_000_000_001, "clock")),
+        ("2001-09-09T03:46:40+02:00", Instant(1_000_000_000_000_000_000, "clock")),
+        ("1969-12-31T23:59:59.5Z", Instant(-500_000_000, "clock")),
+    ],
+)
+def test_instants(text, expected):
+    """An instant is RFC 3339, integer ns, or counted from the first or the last sample."""
+    assert instant(text) == expected
+
+
+@pytest.mark.parametrize("text", ["yesterday", "2001-09-09", "1.5", "2001-13-09T03:46:40Z"])
+def test_what_is_no_instant_is_refused(text):
+    """Anything else is refused."""
+    with pytest.raises(UsageError, match=f"^'{re.escape(text)}' is not a time"):
+        instant(text)
