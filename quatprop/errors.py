@@ -100,6 +100,11 @@ class LogError(QuatpropError):
         self.path = path
         self.reason = reason
 
+    def move_to(self, path: Path | str) -> None:
+        """Name another file: the one the user knows, where a copy of it was read."""
+        self.path = path
+        self.args = (f"{plain(path)}: {self.reason}",)
+
 
 class UnreadableLogError(LogError):
     """The file is missing, empty, not permitted, or not a file at all."""

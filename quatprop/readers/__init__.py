@@ -8,17 +8,33 @@ from __future__ import annotations
 
 import stat
 import sys
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError, quoted
+from quatprop.errors import (
+    DamagedLogError,
+    LogError,
+    UnknownFormatError,
+    UnreadableLogError,
+    UnsupportedLogError,
+    quoted,
+)
+from quatprop.readers.base import Loss
+from quatprop.readers.compression import CompressionError, UnpackedCopy, file_compression
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from quatprop.readers.base import MessageLog, TableLog
 
 HEAD_BYTES = 4096
 """How much of a file is looked at to tell its kind."""
+
+
+_CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
+"""Bytes that no text has."""
 
 
 class Reader(NamedTuple):
@@ -52,12 +68,12 @@ READERS: dict[str, Reader] = {
 }
 """Every kind of log, in the order in which ``--from`` lists them."""
 
-PACKED = {b"\x28\xb5\x2f\xfd": "zstd", b"\x04\x22\x4d\x18": "lz4", b"BZh": "bz2", b"\x1f\x8b": "gz"}
-"""What a whole file that was compressed begins with."""
 
+@contextmanager
+def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog | TableLog]:
+    """Open a log of any kind for the length of a ``with`` block.
 
-def open_log(path: str | Path, kind: str | None = None) -> MessageLog | TableLog:
-    """Open a log of any kind.
+    A log inside a file that was packed as a whole is unpacked into a temporary copy.
 
     Parameters
     ----------
@@ -66,10 +82,10 @@ def open_log(path: str | Path, kind: str | None = None) -> MessageLog | TableLog
     kind
         A key of :data:`READERS`; None means: told by the content, then by the suffix.
 
-    Returns
-    -------
+    Yields
+    ------
     MessageLog or TableLog
-        The open log; close it, or use it as a context manager.
+        The open log.
 
     Raises
     ------
@@ -80,22 +96,53 @@ def open_log(path: str | Path, kind: str | None = None) -> MessageLog | TableLog
     LogError
         The log is recognised but cannot be opened.
     """
-    if str(path) == "-":
-        if kind not in (None, "csv"):
-            raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
-        return _open("csv", sys.stdin.buffer)
-    path = Path(path)
-    head = _head(path)
-    packing = next((name for magic, name in PACKED.items() if head.startswith(magic)), None)
-    if packing is not None and kind != "csv":
-        return _open_packed(path, kind)
-    return _open(kind or _kind(path, head), path)
+    with ExitStack() as stack:
+        if str(path) == "-":
+            if kind not in (None, "csv"):
+                raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
+            log = _open("csv", sys.stdin.buffer)
+            stack.enter_context(log)
+            yield log
+            return
+        path = Path(path)
+        head = _head(path)
+        packing = file_compression(head)
+        if not packing:
+            log = _open(kind or _kind(path, head), path)
+            stack.enter_context(log)
+            yield log
+            return
+        copy = stack.enter_context(_unpacked(path))
+        inside = path.with_suffix("") if path.suffix else path
+        with _told_of(path):
+            log = _open(kind or _kind(inside, _head(copy.path)), copy.path)
+            stack.enter_context(log)
+            if copy.damage:
+                log.losses.append(Loss("end of the file", copy.damage))
+            yield log
 
 
 def _open(kind: str, source: object) -> MessageLog | TableLog:
     module, _, name = READERS[kind].load.partition(":")
     log: MessageLog | TableLog = getattr(import_module(module), name)(source)
     return log
+
+
+def _unpacked(path: Path) -> UnpackedCopy:
+    try:
+        return UnpackedCopy(path)
+    except CompressionError as error:
+        raise DamagedLogError(path, f"{error.reason}; unpack it by hand to see more") from error
+
+
+@contextmanager
+def _told_of(path: Path) -> Iterator[None]:
+    """Let errors name the file the user knows, not the temporary copy."""
+    try:
+        yield
+    except LogError as error:
+        error.move_to(path)
+        raise
 
 
 def _kind(path: Path, head: bytes) -> str:
@@ -115,7 +162,7 @@ def _kind(path: Path, head: bytes) -> str:
 
 def _is_text(head: bytes) -> bool:
     """Tell text from binary: UTF-8 (a character may be cut at the end) without control bytes."""
-    if any(byte < 0x20 and byte not in b"\t\r\n\f" for byte in head):
+    if set(head) & _CONTROL:
         return False
     try:
         head.decode()
@@ -149,17 +196,3 @@ def _os_reason(path: Path, error: OSError) -> str:
             return "no permission to read it; check its owner and mode"
         case _:
             return f"it cannot be read: {quoted(error.strerror or error)}"
-
-
-def _open_packed(path: Path, kind: str | None) -> MessageLog | TableLog:
-    """Open a log inside a file that was compressed as a whole, through a temporary copy."""
-    from quatprop.readers.compression import unpacked_copy
-
-    copy = unpacked_copy(path)
-    try:
-        inner = path.with_suffix("") if path.suffix else path
-        log = _open(kind or _kind(inner, _head(copy.path)), copy.path)
-    except BaseException:
-        copy.close()
-        raise
-    return log
