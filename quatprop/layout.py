@@ -1,0 +1,69 @@
+"""How four quaternion components are laid out in storage; nothing about what they mean.
+
+Inside quatprop there is one layout, ``wxyz``. Others exist only at the edge: in the columns of a
+file. A layout is an order of the same four numbers, never another rotation: conjugates and the
+JPL convention are not layouts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from quatprop.errors import UsageError, listed, quoted
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """An order of the four components.
+
+    Parameters
+    ----------
+    name
+        The name that is recorded: ``"scalar-first"`` or ``"scalar-last"``.
+    order
+        For each stored place, the component of ``wxyz`` that stands there.
+    """
+
+    name: str
+    order: tuple[int, int, int, int]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the stored columns, in order.
+
+        Examples
+        --------
+        >>> layout_named("scalar-last").columns
+        ('qx', 'qy', 'qz', 'qw')
+        """
+        return tuple(("qw", "qx", "qy", "qz")[component] for component in self.order)
+
+
+SCALAR_FIRST = Layout("scalar-first", (0, 1, 2, 3))
+SCALAR_LAST = Layout("scalar-last", (1, 2, 3, 0))
+
+LAYOUTS = {
+    "scalar-first": SCALAR_FIRST,
+    "scalar-last": SCALAR_LAST,
+    "wxyz": SCALAR_FIRST,
+    "xyzw": SCALAR_LAST,
+}
+"""Every name a layout goes by."""
+
+
+def layout_named(name: str) -> Layout:
+    """Return the layout of that name.
+
+    Raises
+    ------
+    UsageError
+        There is none.
+
+    Examples
+    --------
+    >>> layout_named("xyzw").name
+    'scalar-last'
+    """
+    if name not in LAYOUTS:
+        raise UsageError(f"no layout {quoted(name)}; choose one of {listed(LAYOUTS)}")
+    return LAYOUTS[name]

@@ -1,0 +1,258 @@
+"""Nothing half-written, and one clear sentence for every place that cannot be written to."""
+
+import os
+import re
+import stat
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quatprop.errors import OutputError
+from quatprop.series import AttitudeSeries
+from quatprop.writers import kind_of, open_writer
+from quatprop.writers.atomic import Replacement, replacing
+
+KINDS = ["csv", "parquet"]
+
+
+def attitudes(n=3):
+    """Return a short series of identity attitudes."""
+    return AttitudeSeries(np.arange(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+
+
+def write(target, kind=None):
+    """Write and commit a short series."""
+    with open_writer(target, kind) as writer:
+        writer.write(attitudes())
+        writer.commit({})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_failed_run_leaves_the_old_file_and_nothing_else(tmp_path, kind):
+    """An exception before the commit leaves the old bytes and no stray file."""
+    target = tmp_path / f"a.{kind}"
+    target.write_bytes(b"old")
+
+    def fail_midway():
+        with open_writer(target) as writer:
+            writer.write(attitudes())
+            raise RuntimeError("midway")
+
+    with pytest.raises(RuntimeError, match="midway"):
+        fail_midway()
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_old_file_stands_until_the_commit(tmp_path, kind):
+    """While a run is under way, readers of the target see the old file whole."""
+    target = tmp_path / f"a.{kind}"
+    target.write_bytes(b"old")
+    with open_writer(target) as writer:
+        writer.write(attitudes())
+        assert target.read_bytes() == b"old"
+        writer.commit({})
+    assert target.read_bytes() != b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
+    """The umask rules, as for a file made by any other program."""
+    before = os.umask(0o027)
+    try:
+        write(tmp_path / "a.csv")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.csv").stat().st_mode) == 0o640
+
+
+def test_a_replaced_file_keeps_its_permissions(tmp_path):
+    """A file that was private stays private."""
+    target = tmp_path / "a.csv"
+    target.touch(mode=0o600)
+    write(target)
+    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+
+
+def test_a_link_stays_a_link(tmp_path):
+    """Of a symbolic link, the file behind it is replaced, also one that is not there yet."""
+    (tmp_path / "folder").mkdir()
+    link = tmp_path / "link.csv"
+    link.symlink_to(Path("folder") / "real.csv")
+    write(link)
+    assert link.is_symlink()
+    assert (tmp_path / "folder" / "real.csv").read_bytes().startswith(b"t_ns,")
+
+
+def test_a_named_pipe_is_written_to(tmp_path):
+    """A pipe gets the data and is still a pipe; without a suffix it gets CSV."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    got = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
+    reader.start()
+    write(pipe)
+    reader.join(timeout=10)
+    assert got == [b"t_ns,qw,qx,qy,qz\n0,1,0,0,0\n1,1,0,0,0\n2,1,0,0,0\n"]
+    assert pipe.is_fifo()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_device_is_written_to(kind):
+    """The null device takes everything and stays a device."""
+    write("/dev/null", kind)
+    assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_full_disk_is_one_sentence(kind):
+    """A target without room is an error that names it."""
+    with pytest.raises(
+        OutputError, match=r"^/dev/full: cannot be written: No space left on device$"
+    ):
+        write("/dev/full", kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_closed_pipe_stays_a_broken_pipe(kind):
+    """That the reader has gone is not an output error: the command line ends quietly."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        with pytest.raises(BrokenPipeError):
+            write(f"/dev/fd/{writing}", kind)
+    finally:
+        os.close(writing)
+
+
+def test_a_file_behind_a_descriptor_keeps_what_it_has(tmp_path):
+    """An open file is appended to through its descriptor, not replaced."""
+    path = tmp_path / "log.txt"
+    path.write_bytes(b"before\n")
+    with path.open("ab") as stream:
+        inode = path.stat().st_ino
+        write(f"/dev/fd/{stream.fileno()}")
+    assert path.read_bytes().startswith(b"before\nt_ns,")
+    assert path.stat().st_ino == inode
+
+
+def test_a_folder_is_refused(tmp_path):
+    """A target that is a folder is refused before anything is written."""
+    target = tmp_path / "there.csv"
+    target.mkdir()
+    with pytest.raises(
+        OutputError, match=f"^{re.escape(str(target))}: is a folder; name a file in it$"
+    ):
+        write(target)
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    """A target in a folder that does not exist names the folder."""
+    folder = tmp_path / "none"
+    with pytest.raises(
+        OutputError,
+        match=f"^{re.escape(str(folder))}/a.csv: there is no folder {re.escape(str(folder))}; "
+        "create it first$",
+    ):
+        write(folder / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("mode", "sentence"),
+    [
+        (os.W_OK, "writing to this file is not permitted; choose another"),
+        (os.W_OK | os.X_OK, "writing in the folder {folder} is not permitted; choose another"),
+    ],
+)
+def test_missing_permission_is_refused(tmp_path, monkeypatch, mode, sentence):
+    """A file or folder without write permission is refused before anything is written."""
+    # Tests may run as root, to whom everything is permitted: the system's answer is set here.
+    monkeypatch.setattr(os, "access", lambda _path, asked: asked != mode)
+    target = tmp_path / "a.csv"
+    target.write_bytes(b"old")
+    words = re.escape(sentence.format(folder=tmp_path))
+    with pytest.raises(OutputError, match=f"^{re.escape(str(target))}: {words}$"):
+        write(target)
+    assert target.read_bytes() == b"old"
+
+
+def test_an_unknown_suffix_lists_the_known_ones(tmp_path):
+    """A suffix that tells nothing is refused with what would help."""
+    target = tmp_path / "a.xyz"
+    with pytest.raises(
+        OutputError,
+        match=f"^{re.escape(str(target))}: the suffix does not tell the output format; "
+        r"use one of \.csv, \.parquet, \.pq or say --to csv\|parquet$",
+    ):
+        write(target)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_kind_is_refused(tmp_path):
+    """A kind that does not exist is refused with those that do."""
+    with pytest.raises(OutputError, match=r": no output kind 'xls'; choose 'csv', 'parquet'$"):
+        write(tmp_path / "a.csv", "xls")
+
+
+def test_binary_kinds_do_not_go_to_stdout():
+    """Parquet on standard output is refused."""
+    with pytest.raises(
+        OutputError, match=r"^-: standard output takes CSV only; name a file for this kind$"
+    ):
+        write("-", "parquet")
+
+
+@pytest.mark.parametrize(
+    ("target", "kind"),
+    [("a.csv", "csv"), ("A.CSV", "csv"), ("a.b.parquet", "parquet"), ("a.pq", "parquet")],
+)
+def test_the_suffix_tells_the_kind(target, kind):
+    """Suffixes are told in either case."""
+    assert kind_of(target) == kind
+
+
+def test_a_kind_overrules_the_suffix(tmp_path):
+    """``--to`` is believed, whatever the name says."""
+    write(tmp_path / "a.csv", "parquet")
+    assert (tmp_path / "a.csv").read_bytes()[:4] == b"PAR1"
+
+
+def test_small_files_are_replaced_whole(tmp_path):
+    """A block of writes replaces a file at its end; a block that fails leaves it as it was."""
+    target = tmp_path / "report.json"
+    with replacing(target) as file:
+        file.write(b"{}\n")
+        assert not target.exists()
+
+    def fail_midway():
+        with replacing(target) as file:
+            file.write(b"half")
+            raise RuntimeError("midway")
+
+    with pytest.raises(RuntimeError, match="midway"):
+        fail_midway()
+    assert target.read_bytes() == b"{}\n"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_takes_its_place_only_when_committed(tmp_path):
+    """A library that makes its own folder makes it aside, under its own name."""
+    target = tmp_path / "bag"
+    with Replacement(target) as replacement:
+        replacement.path.mkdir()
+        assert replacement.path.name == "bag"
+        assert not target.exists()
+        replacement.commit()
+    assert target.is_dir()
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_that_is_not_committed_vanishes(tmp_path):
+    """Leaving without a commit removes everything that was made aside."""
+    with Replacement(tmp_path / "bag") as replacement:
+        replacement.path.mkdir()
+        (replacement.path / "half").touch()
+    assert list(tmp_path.iterdir()) == []
