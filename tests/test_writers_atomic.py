@@ -241,7 +241,7 @@ def test_small_files_are_replaced_whole(tmp_path):
 def test_a_folder_takes_its_place_only_when_committed(tmp_path):
     """A library that makes its own folder makes it aside, under its own name."""
     target = tmp_path / "bag"
-    with Replacement(target) as replacement:
+    with Replacement(target, folder=True) as replacement:
         replacement.path.mkdir()
         assert replacement.path.name == "bag"
         assert not target.exists()
@@ -256,3 +256,14 @@ def test_a_folder_that_is_not_committed_vanishes(tmp_path):
         replacement.path.mkdir()
         (replacement.path / "half").touch()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, Path.touch])
+def test_a_folder_replaces_nothing(tmp_path, make):
+    """Where something is already, a folder is refused."""
+    target = tmp_path / "bag"
+    make(target)
+    words = f"^{re.escape(str(target))}: exists already; remove it or choose another name$"
+    with pytest.raises(OutputError, match=words):
+        Replacement(target, folder=True)
+    assert list(tmp_path.iterdir()) == [target]

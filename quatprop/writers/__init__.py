@@ -34,20 +34,20 @@ class Format:
     ----------
     suffixes
         File name endings that mean this format.
-    writer
-        ``module:class``, imported when it is needed.
+    opener
+        ``module:function`` of a target and a layout, imported when it is needed.
     text
         Whether it may go to stdout.
     """
 
     suffixes: tuple[str, ...]
-    writer: str
+    opener: str
     text: bool = False
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": Format((".csv",), "quatprop.writers.csv:CsvWriter", text=True),
-    "parquet": Format((".parquet", ".pq"), "quatprop.writers.parquet:ParquetWriter"),
+    "csv": Format((".csv",), "quatprop.writers.csv:attitudes", text=True),
+    "parquet": Format((".parquet", ".pq"), "quatprop.writers.parquet:attitudes"),
 }
 """Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
 
@@ -84,7 +84,7 @@ def open_writer(
     if is_stdout(target) and not chosen.text:
         raise OutputError(target, "standard output takes CSV only; name a file for this kind")
     order = layout_named(layout)
-    module, _, name = chosen.writer.partition(":")
+    module, _, name = chosen.opener.partition(":")
     writer: AttitudeWriter = getattr(import_module(module), name)(target, order)
     return writer
 

@@ -149,6 +149,9 @@ class Replacement:
     ----------
     target
         Where the file or folder shall be.
+    folder
+        It will be a folder. An old file is replaced; a folder only comes to be where nothing is,
+        because replacing one cannot be done in one step.
 
     Attributes
     ----------
@@ -158,11 +161,13 @@ class Replacement:
     Raises
     ------
     OutputError
-        As for :class:`Output`.
+        As for :class:`Output`; or the folder is there already.
     """
 
-    def __init__(self, target: Path | str) -> None:
+    def __init__(self, target: Path | str, *, folder: bool = False) -> None:
         self.target = target
+        if folder and os.path.lexists(target):
+            raise OutputError(target, "exists already; remove it or choose another name")
         self._place = checked_place(target)
         self._folder = _beside(self._place)
         with reported(target):

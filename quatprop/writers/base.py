@@ -1,4 +1,4 @@
-"""What every writer of attitude series gives."""
+"""What every writer gives: attitudes in, a file out; beneath it tables of columns."""
 
 from __future__ import annotations
 
@@ -6,27 +6,18 @@ from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from types import TracebackType
     from typing import Any, Self
 
+    from numpy.typing import NDArray
+
+    from quatprop.layout import Layout
     from quatprop.series import AttitudeSeries
 
 
-class AttitudeWriter(ABC):
-    """Takes batches of attitudes in order; what is not committed leaves no trace."""
-
-    @abstractmethod
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the target is otherwise gone.
-        BrokenPipeError
-            Whoever read the output has gone.
-        """
+class Uncommitted(ABC):
+    """A context manager that leaves no trace of what was not committed."""
 
     @abstractmethod
     def commit(self, provenance: Mapping[str, Any]) -> None:
@@ -35,7 +26,7 @@ class AttitudeWriter(ABC):
         Parameters
         ----------
         provenance
-            How the attitudes came about: convention, layout, method, q0, source, counts,
+            How the content came about: convention, layout, method, q0, source, counts,
             versions; JSON-ready. Kept in the file where the format has room for it.
 
         Raises
@@ -58,3 +49,55 @@ class AttitudeWriter(ABC):
         trace: TracebackType | None,
     ) -> None:
         self.abort()
+
+
+class AttitudeWriter(Uncommitted):
+    """Takes batches of attitudes in order."""
+
+    @abstractmethod
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the target is otherwise gone.
+        BrokenPipeError
+            Whoever read the output has gone.
+        """
+
+
+class Table(Uncommitted):
+    """A file of named columns: int64 stamps ``t_ns`` first, float64 after it."""
+
+    @abstractmethod
+    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows: stamps and as many columns as were named, all of one length."""
+
+
+class AttitudeTable(AttitudeWriter):
+    """Attitudes as a table: the stamps and four components in the order of a layout.
+
+    Parameters
+    ----------
+    table
+        A table with the columns of `layout`.
+    layout
+        Order of the components.
+    """
+
+    def __init__(self, table: Table, layout: Layout) -> None:
+        self._table = table
+        self._order = layout.order
+
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch."""
+        self._table.write(series.t_ns, [series.wxyz[:, place] for place in self._order])
+
+    def commit(self, provenance: Mapping[str, Any]) -> None:
+        """Finish the file and put it in its place."""
+        self._table.commit(provenance)
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._table.abort()

@@ -1,7 +1,7 @@
-"""Attitude series as CSV: ``t_ns`` and four components, one header line, no quotes.
+"""Tables as CSV: one header line, no quotes, a newline after every row.
 
 Each number is the shortest decimal that reads back as the same float64. CSV has no room for
-provenance; the columns' names tell the layout.
+provenance; the names of the columns tell the layout.
 """
 
 from __future__ import annotations
@@ -12,50 +12,51 @@ import pyarrow as pa
 import pyarrow.csv
 
 from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import AttitudeTable, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
+    from numpy.typing import NDArray
+
     from quatprop.layout import Layout
-    from quatprop.series import AttitudeSeries
 
 
-class CsvWriter(AttitudeWriter):
-    """Write attitudes as CSV.
+def attitudes(target: Path | str, layout: Layout) -> AttitudeTable:
+    """Open a CSV file of attitudes; ``"-"`` is stdout."""
+    return AttitudeTable(CsvTable(target, layout.columns), layout)
+
+
+class CsvTable(Table):
+    """Write columns as CSV.
 
     Parameters
     ----------
     target
         A path, or ``"-"`` for stdout.
-    layout
-        Order of the four components.
+    names
+        Names of the float64 columns that follow ``t_ns``.
     """
 
-    def __init__(self, target: Path | str, layout: Layout) -> None:
-        self._layout = layout
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
+        self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
         self._output = Output(target)
-        names = ("t_ns", *layout.columns)
-        self._schema = pa.schema(
-            [(name, pa.int64() if name == "t_ns" else pa.float64()) for name in names]
-        )
         with reported(target):
             # pyarrow would put the names in quotes.
-            self._output.stream.write((",".join(names) + "\n").encode())
+            self._output.stream.write((",".join(self._schema.names) + "\n").encode())
             self._csv = pyarrow.csv.CSVWriter(
                 self._output.stream,
                 self._schema,
                 write_options=pyarrow.csv.WriteOptions(include_header=False),
             )
 
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch."""
-        columns = [series.t_ns, *(series.wxyz[:, place] for place in self._layout.order)]
-        batch = pa.record_batch([pa.array(column) for column in columns], schema=self._schema)
+    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows."""
+        arrays = [pa.array(column) for column in (t_ns, *columns)]
         with reported(self._output.target):
-            self._csv.write_batch(batch)
+            self._csv.write_batch(pa.record_batch(arrays, schema=self._schema))
 
     def commit(self, provenance: Mapping[str, Any]) -> None:  # noqa: ARG002  # no room for it
         """Finish the file and put it in its place."""

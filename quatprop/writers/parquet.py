@@ -1,4 +1,4 @@
-"""Attitude series as Parquet: ``t_ns`` int64, four float64 components, provenance beside them.
+"""Tables as Parquet: ``t_ns`` int64, float64 columns, provenance beside them.
 
 Attitudes change little from sample to sample: their sign, exponent and leading bits repeat, their
 trailing bits are noise. Byte-stream-split brings the bytes that repeat together, and a light zstd
@@ -17,42 +17,45 @@ import pyarrow as pa
 import pyarrow.parquet
 
 from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import AttitudeTable, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
+    from numpy.typing import NDArray
+
     from quatprop.layout import Layout
-    from quatprop.series import AttitudeSeries
 
 ROW_GROUP = 1 << 18
-"""Rows in a group: 10 MiB in memory, and the bytes never depend on the batches handed in."""
+"""Rows in a group: 10 MiB of attitudes, at fixed rows wherever a batch happened to end."""
 
 METADATA_KEY = b"quatprop"
 """Key of the file's metadata that holds the provenance, as JSON."""
 
 
-class ParquetWriter(AttitudeWriter):
-    """Write attitudes as Parquet.
+def attitudes(target: Path | str, layout: Layout) -> AttitudeTable:
+    """Open a Parquet file of attitudes."""
+    return AttitudeTable(ParquetTable(target, layout.columns), layout)
+
+
+class ParquetTable(Table):
+    """Write columns as Parquet.
 
     Parameters
     ----------
     target
         A path.
-    layout
-        Order of the four components.
+    names
+        Names of the float64 columns that follow ``t_ns``.
     """
 
-    def __init__(self, target: Path | str, layout: Layout) -> None:
-        self._layout = layout
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
+        self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
         self._output = Output(target)
-        self._schema = pa.schema(
-            [("t_ns", pa.int64()), *((name, pa.float64()) for name in layout.columns)]
-        )
         self._t_ns = np.empty(ROW_GROUP, np.int64)
-        self._columns = np.empty((4, ROW_GROUP), np.float64)
+        self._columns = np.empty((len(names), ROW_GROUP), np.float64)
         self._filled = 0
         with reported(target):
             self._parquet = pyarrow.parquet.ParquetWriter(
@@ -63,19 +66,19 @@ class ParquetWriter(AttitudeWriter):
                 use_dictionary=False,
                 column_encoding={
                     "t_ns": "DELTA_BINARY_PACKED",
-                    **dict.fromkeys(layout.columns, "BYTE_STREAM_SPLIT"),
+                    **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
                 },
             )
 
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch."""
+    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows."""
         done = 0
-        while done < len(series):
-            take = min(len(series) - done, ROW_GROUP - self._filled)
+        while done < len(t_ns):
+            take = min(len(t_ns) - done, ROW_GROUP - self._filled)
             rows, place = slice(done, done + take), slice(self._filled, self._filled + take)
-            self._t_ns[place] = series.t_ns[rows]
-            for column, component in zip(self._columns, self._layout.order, strict=True):
-                column[place] = series.wxyz[rows, component]
+            self._t_ns[place] = t_ns[rows]
+            for kept, column in zip(self._columns, columns, strict=True):
+                kept[place] = column[rows]
             self._filled += take
             done += take
             if self._filled == ROW_GROUP:
@@ -100,10 +103,9 @@ class ParquetWriter(AttitudeWriter):
 
     def _write_group(self) -> None:
         rows = slice(0, self._filled)
-        group = pa.record_batch(
-            [pa.array(self._t_ns[rows]), *(pa.array(column[rows]) for column in self._columns)],
-            schema=self._schema,
-        )
+        arrays = [pa.array(self._t_ns[rows]), *(pa.array(kept[rows]) for kept in self._columns)]
         with reported(self._output.target):
-            self._parquet.write_batch(group, row_group_size=ROW_GROUP)
+            self._parquet.write_batch(
+                pa.record_batch(arrays, schema=self._schema), row_group_size=ROW_GROUP
+            )
         self._filled = 0
