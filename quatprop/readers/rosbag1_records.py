@@ -1,0 +1,286 @@
+"""ROS 1 bag format 2.0: records, and the messages of a chunk as columns.
+
+A bag is a sequence of records: a header of ``name=value`` fields, then data, each with its length
+before it. A chunk is a record whose data are records again, and is followed by index data that
+say where in it the messages of each connection are.
+
+References
+----------
+ROS wiki, "Bags/Format/2.0".
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import BinaryIO
+
+    from numpy.typing import NDArray
+
+    Buffer = bytes | memoryview
+
+OP_MESSAGE = 2
+OP_BAG_HEADER = 3
+OP_INDEX_DATA = 4
+OP_CHUNK = 5
+OP_CHUNK_INFO = 6
+OP_CONNECTION = 7
+
+MAX_HEADER = 1 << 20
+"""Bytes that a record header may have; real ones have less than a thousand."""
+
+_HEAD = 512
+"""Bytes that are read for a header before its length is known."""
+
+INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
+
+_LENGTH = struct.Struct("<I")
+_NS = 1_000_000_000
+
+
+class MalformedRecordError(ValueError):
+    """Bytes that are not a record; caught by the readers, which know the place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Where a record is and what its header says.
+
+    Parameters
+    ----------
+    start, data, end
+        Where the record begins, where its data begin, and where it ends.
+    fields
+        The values of its header.
+    """
+
+    start: int
+    data: int
+    end: int
+    fields: dict[bytes, bytes]
+
+    def number(self, name: bytes, size: int = 4) -> int:
+        """Return an unsigned number of `size` bytes from the header."""
+        value = self.fields.get(name, b"")
+        if len(value) != size:
+            raise MalformedRecordError(f"its field {name.decode()} is missing or damaged")
+        return int.from_bytes(value, "little")
+
+    def time(self, name: bytes) -> int:
+        """Return a time from the header, ns."""
+        both = self.number(name, 8)
+        return (both & 0xFFFFFFFF) * _NS + (both >> 32)
+
+    @property
+    def op(self) -> int:
+        """What kind of record it is."""
+        return self.number(b"op", 1)
+
+
+class MessageColumns(NamedTuple):
+    """Where messages lie in a chunk, shapes ``(N,)``, and when they were recorded, ns."""
+
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    log_ns: NDArray[np.int64]
+
+
+class RecordFile:
+    """Reads records from a bag without believing a length beyond its end.
+
+    Parameters
+    ----------
+    file
+        The open bag.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.size = file.seek(0, 2)
+
+    def at(self, start: int, size: int) -> bytes:
+        """Return `size` bytes, fewer at the end of the file."""
+        start = min(start, self.size)
+        try:
+            self._file.seek(start)
+            return self._file.read(min(size, self.size - start))
+        except OSError as error:
+            # A worn card fails at one place; the rest of the bag is still good.
+            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+
+    def record(self, start: int) -> Record:
+        """Return the record at `start`; it may end beyond the file.
+
+        Raises
+        ------
+        MalformedRecordError
+            There is none.
+        """
+        head = self.at(start, _HEAD)
+        size = int.from_bytes(head[:4], "little") + 8
+        if size > MAX_HEADER:
+            raise MalformedRecordError("there is no record")
+        return record_at(head if size <= len(head) else self.at(start, size), 0, start)
+
+
+def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
+    """Return the record at `at` of a buffer that begins at `origin`; its data may be beyond it.
+
+    Raises
+    ------
+    MalformedRecordError
+        There is none.
+    """
+    header_end = _header_end(data, at)
+    if header_end + 4 > len(data):
+        raise MalformedRecordError("its record is cut off")
+    fields = {
+        name: bytes(data[begin:end]) for name, begin, end in _fields(data, at + 4, header_end)
+    }
+    begin = origin + header_end + 4
+    return Record(origin + at, begin, begin + _LENGTH.unpack_from(data, header_end)[0], fields)
+
+
+def _header_end(data: Buffer, at: int) -> int:
+    """Return where the header at `at` ends; it is whole."""
+    end = at + 4
+    if end <= len(data):
+        end += _LENGTH.unpack_from(data, at)[0]
+    if end > len(data):
+        raise MalformedRecordError("its record is cut off")
+    return end
+
+
+def data_fields(data: bytes) -> dict[bytes, bytes]:
+    """Return the fields of a connection record's data, which are those of a header."""
+    return {name: data[value:end] for name, value, end in _fields(data, 0, len(data))}
+
+
+def _fields(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield name, begin and end of the value of each field of a header."""
+    while at < stop:
+        end = _header_end(data, at)  # a field has its length before it as a header has
+        name, equals, _ = bytes(data[at + 4 : min(end, stop)]).partition(b"=")
+        if end > stop or not equals:
+            raise MalformedRecordError("its header is damaged")
+        yield name, at + 5 + len(name), end
+        at = end
+
+
+def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
+    """Return the index entries of each connection from the records that follow a chunk.
+
+    What is not index data, or not whole, ends the reading: its messages are then found by
+    walking the chunk.
+    """
+    entries: dict[int, NDArray[np.void]] = {}
+    at = 0
+    while at < len(data):
+        try:
+            record = record_at(data, at)
+            if record.op != OP_INDEX_DATA or record.number(b"ver") != 1:
+                break
+            conn, count = record.number(b"conn"), record.number(b"count")
+        except MalformedRecordError:
+            break
+        if record.end - record.data != count * INDEX_ENTRY.itemsize or record.end > len(data):
+            break
+        entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
+        at = record.end
+    return entries
+
+
+def indexed_messages(
+    data: NDArray[np.uint8], offsets: NDArray[np.int64], conn: int
+) -> MessageColumns | None:
+    """Find the messages of one connection that the index points to.
+
+    All headers are compared with the first, so that an index that lies is found out.
+
+    Parameters
+    ----------
+    data
+        The unpacked chunk, shape ``(B,)``.
+    offsets
+        Where the index says their records begin, shape ``(N,)``, ascending.
+    conn
+        Number of the connection.
+
+    Returns
+    -------
+    MessageColumns or None
+        None where anything there is not a message of this connection.
+    """
+    if len(offsets) == 0:
+        return None
+    first, last = int(offsets[0]), int(offsets[-1])
+    layout = _message_layout(data.data, first)
+    if layout is None or last + layout.itemsize > len(data):
+        return None
+    # An overlapping view makes the gather one copy of a few bytes for each message; what follows
+    # then works in a small array, not all over the chunk.
+    size = layout.itemsize
+    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
+    headers = every[offsets].view(layout)
+    if not (
+        (headers["length"] == size - 8).all()
+        and (headers["op"] == OP_MESSAGE).all()
+        and (headers["conn"] == conn).all()
+    ):
+        return None
+    starts = offsets + size
+    ends = starts + headers["size"]
+    if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
+        return None
+    log_ns = headers["sec"].astype(np.int64)
+    log_ns *= _NS
+    log_ns += headers["nsec"]
+    return MessageColumns(starts, ends, log_ns)
+
+
+def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
+    """Return where the fields of the message header at `at` are, relative to it."""
+    try:
+        header_end = _header_end(data, at)
+        places = {name: (begin - at, end - begin) for name, begin, end in
+                  _fields(data, at + 4, header_end)}  # fmt: skip
+        (op, op_size), (conn, conn_size), (time, time_size) = (
+            places[name] for name in (b"op", b"conn", b"time")
+        )
+    except (MalformedRecordError, KeyError):
+        return None
+    if (op_size, conn_size, time_size) != (1, 4, 8):
+        return None
+    size = header_end + 4 - at
+    return np.dtype(
+        {
+            "names": ["length", "op", "conn", "sec", "nsec", "size"],
+            "formats": ["<u4", "u1", "<u4", "<u4", "<u4", "<u4"],
+            "offsets": [0, op, conn, time, time + 4, size - 4],
+            "itemsize": size,
+        }
+    )
+
+
+def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
+    """Yield the records of an unpacked chunk, one after another.
+
+    Raises
+    ------
+    MalformedRecordError
+        The chunk is damaged there, or ends within a record.
+    """
+    view = data.data
+    at = 0
+    while at < len(data):
+        record = record_at(view, at)
+        if record.end > len(data):
+            raise MalformedRecordError("its last record is cut off")
+        yield record
+        at = record.end
