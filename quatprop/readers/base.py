@@ -170,6 +170,8 @@ class TableColumns:
         Rows a second, Hz, where there is no time column.
     dialect
         The convention that was recognised, such as ``"EuRoC"``, or ``""`` where options said all.
+    rate_scale
+        What stored rates are multiplied by to be in `rate_unit`.
     """
 
     rate: tuple[int, int, int]
@@ -178,6 +180,7 @@ class TableColumns:
     time_unit: str = "ns"
     sample_rate: float | None = None
     dialect: str = ""
+    rate_scale: float = 1.0
 
 
 class TableLog(Log, Protocol):

@@ -1,0 +1,230 @@
+"""Tables of text: CSV and its relatives, from a file or a stream."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
+from quatprop.readers import columns as choosing
+from quatprop.readers.base import Loss
+from quatprop.readers.csv_rows import MISFITS, BlockParser, RowParser, Rows
+from quatprop.readers.decimal_time import StampRangeError, counted
+from quatprop.readers.headers import HEAD_BYTES, sniff
+from quatprop.readers.text_blocks import LineCounter, TextStream, blocks, pieces
+from quatprop.series import GyroSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import TracebackType
+    from typing import Self
+
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import TableColumns
+    from quatprop.readers.headers import Layout
+    from quatprop.readers.text_blocks import Block
+    from quatprop.selection import Selection
+
+_PIECE_BYTES = 1 << 16
+_STDIN = Path("-")
+
+
+class CsvLog:
+    """A text table.
+
+    Parameters
+    ----------
+    source
+        The file, or an open binary stream such as stdin, which can be read only once. Both may
+        be packed with gzip, zstd, bz2 or lz4.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file cannot be read, or is empty.
+    UnsupportedLogError
+        It is not a text of one table.
+    """
+
+    kind = "csv"
+
+    def __init__(self, source: Path | BinaryIO) -> None:
+        self.path = source if isinstance(source, Path) else _STDIN
+        self.losses: list[Loss] = []
+        self._file = None if isinstance(source, Path) else source
+        self._text: TextStream | None = self._open()
+        self._head = self._text.read(HEAD_BYTES)
+        if self._file is None:
+            self._text.close()
+        if not self._head:
+            raise UnreadableLogError(self.path, "it is empty; was the recording closed?")
+        self._layout = sniff(self._head, self.path)
+        self._known_losses: int | None = None
+
+    def columns(self) -> list[str]:
+        """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+        return list(self._layout.names)
+
+    def choose(self, selection: Selection) -> TableColumns:
+        """Return which columns hold time and rates; see :func:`quatprop.readers.columns.choose`."""
+        return choosing.choose(self.path, self._layout.names, selection, self._layout.notes)
+
+    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
+        """Yield the chosen columns as rates in rad/s and stamps in ns, block after block.
+
+        Rows that do not fit are left out and told in :attr:`losses`.
+
+        Raises
+        ------
+        UnsupportedLogError
+            Most rows do not fit.
+        """
+        text = self._restarted()
+        again = self._open_rows if self._file is None else None
+        lines = LineCounter(self._layout.line, again)
+        scan = _Scan(self._layout, columns, lines, self.losses)
+        try:
+            for block in blocks(text):
+                series = scan.read(block)
+                scan.refuse_mostly_lost(self.path)
+                if len(series):
+                    yield series
+            if text.damage:
+                self.losses.append(Loss("end of the file", text.damage))
+        finally:
+            lines.close()
+            if self._file is None:
+                text.close()
+
+    def close(self) -> None:
+        """Release what was read; a stream is left to its owner."""
+        self._text = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None:
+        self.close()
+
+    def _open(self) -> TextStream:
+        try:
+            return TextStream(self.path.open("rb") if self._file is None else self._file)
+        except OSError as error:
+            raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
+
+    def _open_rows(self) -> TextStream:
+        text = self._open()
+        text.read(self._layout.body)
+        return text
+
+    def _restarted(self) -> TextStream:
+        """Return the text from its first row on, and forget what an earlier reading lost."""
+        if self._known_losses is None:
+            self._known_losses = len(self.losses)
+        del self.losses[self._known_losses :]
+        if self._file is None:
+            return self._open_rows()
+        text, self._text = self._text, None
+        if text is None:
+            raise UsageError("stdin can be read only once; save it to a file first")
+        text.unread(self._head[self._layout.body :])
+        return text
+
+
+class _Scan:
+    """One reading of a table: what it has to remember from block to block."""
+
+    def __init__(
+        self, layout: Layout, columns: TableColumns, lines: LineCounter, losses: list[Loss]
+    ) -> None:
+        self._columns = columns
+        self._block_parser = BlockParser(layout, columns)
+        self._row_parser = RowParser(layout, columns)
+        self._lines = lines
+        self._losses = losses
+        self._count = 0
+        self._lost = 0
+
+    def read(self, block: Block) -> GyroSeries:
+        """Return the rows of a block that fit."""
+        try:
+            parts = [self._block_parser.parse(block.data, quoted=block.quoted)]
+        except MISFITS:
+            parts = list(self._damaged(block))
+        series = [self._series(rows) for rows in parts]
+        self._lines.passed(block)
+        if len(series) == 1:
+            return series[0]
+        return GyroSeries(
+            np.concatenate([one.t_ns for one in series]),
+            np.concatenate([one.rate for one in series]),
+        )
+
+    def refuse_mostly_lost(self, path: Path) -> None:
+        """Refuse a table of which more rows were lost than read."""
+        if 2 * self._lost > self._count:
+            first = self._losses[-1]
+            raise UnsupportedLogError(
+                path,
+                f"{self._lost} of its first {self._count} rows do not fit ({first.place}: "
+                f"{first.reason}); check the columns and units, or whether it is one table",
+            )
+
+    def _damaged(self, block: Block) -> Iterator[Rows]:
+        """Read a block in which something does not fit, piece by piece."""
+        line = self._lines.at(block.offset)
+        for piece in pieces(bytes(block.data), _PIECE_BYTES):
+            try:
+                rows = self._block_parser.parse(piece, quoted=b'"' in piece)
+            except MISFITS:
+                rows = self._row_parser.parse(piece, line)
+                self._note(rows.lost)
+            yield rows
+            line += piece.count(b"\n")
+
+    def _note(self, lost: tuple[tuple[int, str], ...]) -> None:
+        if not lost:
+            return
+        self._lost += len(lost)
+        first, reason = lost[0]
+        if len(lost) == 1:
+            self._losses.append(Loss(f"line {first}", reason, 1))
+        else:
+            place = f"{len(lost)} of lines {first} to {lost[-1][0]}"
+            self._losses.append(Loss(place, f"the first: {reason}", len(lost)))
+
+    def _series(self, rows: Rows) -> GyroSeries:
+        t_ns = rows.t_ns
+        if t_ns is None:
+            t_ns = self._counted(rows.total)
+            t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
+        self._count += rows.total
+        return GyroSeries(t_ns, _in_rad_s(rows.rate, self._columns))
+
+    def _counted(self, total: int) -> NDArray[np.int64]:
+        sample_rate = self._columns.sample_rate or 1.0
+        try:
+            return counted(self._count, total, sample_rate)
+        except StampRangeError:
+            raise UsageError(
+                f"at a sample rate of {sample_rate} Hz the times of {self._count + total} rows "
+                "do not fit in int64 ns; check --sample-rate"
+            ) from None
+
+
+def _in_rad_s(rate: NDArray[np.float64], columns: TableColumns) -> NDArray[np.float64]:
+    """Return rates in rad/s, in place."""
+    if columns.rate_scale != 1.0:
+        rate *= columns.rate_scale
+    if columns.rate_unit == "deg/s":
+        rate *= np.pi / 180
+    return rate

@@ -1,0 +1,245 @@
+"""Rows of text to columns of numbers: whole blocks at pyarrow's speed, damaged places by hand."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from quatprop.errors import plain, quoted
+from quatprop.readers import decimal_time
+from quatprop.readers.headers import COMMENTS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import TableColumns
+    from quatprop.readers.headers import Layout
+
+MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
+"""What :class:`BlockParser` raises for a block in which something does not fit."""
+
+_NOT_A_NUMBER = {
+    "",
+    "nan",
+    "-nan",
+    "+nan",
+    "na",
+    "n/a",
+    "#n/a",
+    "null",
+    "none",
+    "1.#qnan",
+    "1.#ind",
+}
+
+
+class Rows(NamedTuple):
+    """Rows that could be read.
+
+    Parameters
+    ----------
+    t_ns
+        Stamps, shape ``(N,)``, int64, ns; None for a table without time.
+    rate
+        Rates as stored, shape ``(N, 3)``, float64; NaN where a cell is empty.
+    total
+        Rows kept and lost.
+    kept
+        Which of them were kept, shape ``(N,)``, int64; None where all were.
+    lost
+        Line number and reason of each row that was lost.
+    """
+
+    t_ns: NDArray[np.int64] | None
+    rate: NDArray[np.float64]
+    total: int
+    kept: NDArray[np.int64] | None = None
+    lost: tuple[tuple[int, str], ...] = ()
+
+
+class _Wanted:
+    """The columns to read of a table, in the order time, rates."""
+
+    def __init__(self, layout: Layout, columns: TableColumns) -> None:
+        self.layout = layout
+        self.units = (columns.time_unit, "ns")[: len(columns.time)]
+        self.time = columns.time
+        self.rate = columns.rate
+
+
+class BlockParser(_Wanted):
+    """Reads whole blocks, all rows at once.
+
+    Parameters
+    ----------
+    layout
+        How the table is laid out.
+    columns
+        Which columns to read.
+    """
+
+    def __init__(self, layout: Layout, columns: TableColumns) -> None:
+        super().__init__(layout, columns)
+        self._names = [str(k) for k in range(len(layout.names))]
+        self._spare = 0
+
+    def parse(self, data: bytes | memoryview, *, quoted: bool) -> Rows:
+        """Return all rows of a block.
+
+        Raises
+        ------
+        ArrowInvalid
+            A row does not have the right number of columns, or a cell is not a number.
+        StampRangeError
+            A stamp does not fit in int64 ns.
+        """
+        if self.layout.delimiter == " ":
+            data = squeezed(data)
+        try:
+            return self._parse(data, self._spare, quoted)
+        except MISFITS:
+            if self._spare or not self.time:
+                raise
+        rows = self._parse(data, decimal_time.SPARE_PLACES, quoted)
+        self._spare = decimal_time.SPARE_PLACES  # stamps finer than ns, here and likely further on
+        return rows
+
+    def _parse(self, data: bytes | memoryview, spare: int, quoted: bool) -> Rows:
+        types = {str(k): pa.float64() for k in self.rate}
+        for k, unit in zip(self.time, self.units, strict=True):
+            types[str(k)] = decimal_time.decimal_type(unit, spare)
+        table = arrow_csv.read_csv(
+            pa.BufferReader(pa.py_buffer(data)),
+            read_options=arrow_csv.ReadOptions(column_names=self._names),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=self.layout.delimiter, newlines_in_values=quoted
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types,
+                include_columns=list(types),
+                decimal_point=self.layout.decimal,
+            ),
+        )
+        rate = np.empty((table.num_rows, len(self.rate)))
+        for axis, k in enumerate(self.rate):
+            rate[:, axis] = table.column(str(k)).to_numpy()
+        return Rows(self._stamps(table), rate, table.num_rows)
+
+    def _stamps(self, table: pa.Table) -> NDArray[np.int64] | None:
+        if not self.time:
+            return None
+        columns = [table.column(str(k)) for k in self.time]
+        if any(column.null_count for column in columns):
+            raise pa.ArrowInvalid("a row without a time")
+        return decimal_time.total(map(decimal_time.from_decimals, columns, self.units))
+
+
+class RowParser(_Wanted):
+    """Reads the rows of a damaged place one by one, and says which do not fit.
+
+    Parameters
+    ----------
+    layout
+        How the table is laid out.
+    columns
+        Which columns to read.
+    """
+
+    def parse(self, data: bytes, line: int) -> Rows:
+        """Return the rows that fit.
+
+        Parameters
+        ----------
+        data
+            Whole records.
+        line
+            Number of the first line.
+        """
+        stamps: list[int] = []
+        rates: list[list[float]] = []
+        kept: list[int] = []
+        lost: list[tuple[int, str]] = []
+        count = 0
+        for place, cells in self._records(data, line):
+            if self._is_no_row(cells):
+                continue
+            try:
+                stamp, rate = self._row(cells)
+            except ValueError as error:
+                lost.append((place, str(error)))
+            else:
+                stamps.append(stamp)
+                rates.append(rate)
+                kept.append(count)
+            count += 1
+        return Rows(
+            np.array(stamps, np.int64) if self.time else None,
+            np.array(rates, np.float64).reshape(-1, len(self.rate)),
+            count,
+            np.array(kept, np.int64),
+            tuple(lost),
+        )
+
+    def _records(self, data: bytes, line: int) -> list[tuple[int, list[str]]]:
+        if self.layout.delimiter == " ":
+            data = squeezed(data)
+        text = io.StringIO(data.decode(errors="replace"), newline="")
+        reader = csv.reader(text, delimiter=self.layout.delimiter)
+        records = []
+        while True:
+            place = line + reader.line_num
+            try:
+                records.append((place, next(reader)))
+            except csv.Error:
+                records.append((place, ["?"]))
+            except StopIteration:
+                return records
+
+    def _is_no_row(self, cells: list[str]) -> bool:
+        """Tell blank lines, comments and repeated headers."""
+        shown = [cell.strip() for cell in cells]
+        return (
+            not any(shown)
+            or shown[0].startswith(COMMENTS)
+            or shown == [name.strip() for name in self.layout.names]
+        )
+
+    def _row(self, cells: list[str]) -> tuple[int, list[float]]:
+        names = self.layout.names
+        if len(cells) != len(names):
+            raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
+        rate = [self._number(cells[k], names[k]) for k in self.rate]
+        parts = zip(self.time, self.units, strict=True)
+        return sum(self._stamp(cells[k], unit, names[k]) for k, unit in parts), rate
+
+    def _number(self, cell: str, name: str) -> float:
+        if cell.strip().lower() in _NOT_A_NUMBER:
+            return np.nan
+        try:
+            return float(self._pointed(cell))
+        except ValueError:
+            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a number") from None
+
+    def _stamp(self, cell: str, unit: str, name: str) -> int:
+        try:
+            return decimal_time.from_text(self._pointed(cell), unit)
+        except decimal_time.StampRangeError:
+            raise ValueError(
+                f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns"
+            ) from None
+        except ValueError:
+            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a time") from None
+
+    def _pointed(self, cell: str) -> str:
+        return cell.replace(",", ".") if self.layout.decimal == "," else cell
+
+
+def squeezed(data: bytes | memoryview) -> bytes:
+    """Return rows that are separated by runs of blanks with one space for each run."""
+    return re.sub(rb"(?m)^ | (?=\r?$)", b"", re.sub(rb"[ \t]+", b" ", data))

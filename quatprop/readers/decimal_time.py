@@ -1,0 +1,198 @@
+"""Time stamps of tables as int64 nanoseconds, exactly: never through float64.
+
+A decimal number of seconds with 9 places *is* a count of nanoseconds once the point is left out.
+So a column is read as decimal128 at the scale at which the unscaled integer counts nanoseconds,
+and the integers are taken out of its buffer.
+"""
+
+from __future__ import annotations
+
+from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+
+PLACES = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Decimal places at which a number of each unit counts nanoseconds."""
+
+SPARE_PLACES = 9
+"""Further places for stamps finer than a nanosecond, such as floats printed in full."""
+
+_DIGITS = 38
+_LIMITS = np.iinfo(np.int64)
+_EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
+_ROOM = 2**62
+
+
+class StampRangeError(ValueError):
+    """A stamp that int64 nanoseconds cannot hold."""
+
+
+def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
+    """Return the column type whose unscaled integers are nanoseconds / 10**spare.
+
+    pyarrow refuses text of more digits than the precision, but does not check that the number
+    still fits once it has the places of the type. Precision + scale = 38 makes sure that it does.
+    """
+    scale = PLACES[unit] + spare
+    return pa.decimal128(_DIGITS - scale, scale)
+
+
+def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
+    """Return a decimal128 column as nanoseconds, rounded half to even.
+
+    Parameters
+    ----------
+    column
+        Numbers of `unit`, without nulls.
+    unit
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(N,)``, int64, ns.
+
+    Raises
+    ------
+    StampRangeError
+        A stamp does not fit.
+    """
+    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    stamps = [_unscaled(_rounded(chunk, PLACES[unit])) for chunk in chunks]
+    return np.concatenate([np.empty(0, np.int64), *stamps])
+
+
+def _rounded(chunk: pa.Array, places: int) -> pa.Array:
+    """Return decimals of exactly so many places."""
+    if chunk.type.scale == places:
+        return chunk
+    wide = chunk.view(pa.decimal128(_DIGITS, chunk.type.scale))
+    try:
+        if chunk.type.scale > places:
+            wide = pc.round(wide, ndigits=places, round_mode="half_to_even")
+        return wide.cast(pa.decimal128(_DIGITS, places))
+    except pa.ArrowInvalid as error:
+        raise StampRangeError from error
+
+
+def _unscaled(chunk: pa.Array) -> Int64:
+    words = np.frombuffer(chunk.buffers()[1], np.int64).reshape(-1, 2)
+    words = words[chunk.offset : chunk.offset + len(chunk)]
+    low, high = words[:, 0], words[:, 1]
+    if np.any(high != low >> 63):
+        raise StampRangeError
+    return low
+
+
+def from_text(text: str, unit: str) -> int:
+    """Return one number as nanoseconds, rounded half to even.
+
+    Raises
+    ------
+    ValueError
+        The text is not a finite number, or (StampRangeError) out of range.
+
+    Examples
+    --------
+    >>> from_text("0.30000000000000004", "s")
+    300000000
+    """
+    try:
+        scaled = _EXACT.multiply(Decimal(text.strip()), Decimal(10 ** PLACES[unit]))
+        stamp = int(scaled.to_integral_value(context=_EXACT))
+    except (InvalidOperation, OverflowError) as error:
+        raise ValueError(text) from error
+    if not _LIMITS.min <= stamp <= _LIMITS.max:
+        raise StampRangeError(text)
+    return stamp
+
+
+def from_integers(values: Int64, unit: str) -> Int64:
+    """Return whole numbers of `unit` as nanoseconds, shape ``(N,)``, int64."""
+    factor = 10 ** PLACES[unit]
+    largest = _LIMITS.max // factor
+    if len(values) and (values.max() > largest or values.min() < -largest):
+        raise StampRangeError
+    stamps: Int64 = values * factor
+    return stamps
+
+
+def from_floats(values: NDArray[np.float64], unit: str) -> Int64:
+    """Return finite floats as nanoseconds: their exact value, rounded half to even.
+
+    Whole and fractional part are scaled apart, so that the only rounding is the last one.
+    """
+    factor = 10 ** PLACES[unit]
+    whole = np.floor(values)
+    if np.any(np.abs(values) >= _LIMITS.max // factor):
+        raise StampRangeError
+    fraction = (values - whole) * factor
+    nanos = np.rint(fraction)
+    # A product that lands on a half may have been rounded onto it.
+    for row in np.flatnonzero(np.abs(fraction - nanos) == 0.5):  # noqa: PLR2004  # the half
+        nanos[row] = round(Fraction(float(values[row] - whole[row])) * factor)
+    stamps: Int64 = whole.astype(np.int64) * factor + nanos.astype(np.int64)
+    return stamps
+
+
+def total(parts: Iterable[Int64]) -> Int64:
+    """Return the sum of the parts of a stamp, each in nanoseconds, shape ``(N,)``, int64."""
+    first, *others = parts
+    for other in others:
+        together = first + other
+        if np.any((first ^ together) & (other ^ together) < 0):
+            raise StampRangeError
+        first = together
+    return first
+
+
+def counted(first: int, count: int, sample_rate: float) -> Int64:
+    """Return the stamps of rows that come at a steady rate, without drift.
+
+    Parameters
+    ----------
+    first
+        Number of the first row, from 0.
+    count
+        How many rows.
+    sample_rate
+        Rows a second, Hz; its shortest decimal is taken as exact.
+
+    Returns
+    -------
+    ndarray
+        Row number / rate rounded half to even, shape ``(count,)``, int64, ns.
+
+    Raises
+    ------
+    StampRangeError
+        The last stamp does not fit.
+
+    Examples
+    --------
+    >>> counted(2, 2, 3.0)
+    array([ 666666667, 1000000000])
+    """
+    period = Fraction(10**9) / Fraction(repr(sample_rate))
+    if (first + count) * period > _LIMITS.max:
+        raise StampRangeError
+    begin, step = divmod(first * period.numerator, period.denominator)
+    whole, part = divmod(period.numerator, period.denominator)
+    # Object arithmetic is exact for any rate; common rates fit in int64.
+    small = (count + 1) * max(period.denominator, 1) < _ROOM
+    rows = np.arange(count, dtype=np.int64 if small else object)
+    carry, rest = np.divmod(step + rows * part, period.denominator)
+    stamps = begin + rows * whole + carry
+    up = (2 * rest > period.denominator) | ((2 * rest == period.denominator) & (stamps % 2 == 1))
+    return np.asarray(stamps + up, dtype=np.int64)
