@@ -1,0 +1,162 @@
+"""A motion as a gyroscope samples it: stamps, noise, bias; and the truth at the same stamps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import UsageError
+from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.simulate.product import hamilton
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from fractions import Fraction
+
+    from numpy.typing import NDArray
+
+    from quatprop.simulate.motion import Motion
+
+START_NS = 1_700_000_000_000_000_000
+"""First stamp unless told: 2023-11-14T22:13:20Z. Fixed, so that logs come out alike."""
+
+BATCH = 1 << 16
+"""Samples made at a time."""
+
+NOISE_DECIMALS = 9
+"""Noise is rounded to 1e-9 rad/s: its far tails go through a logarithm, which need not agree to
+the last place between machines."""
+
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Gyroscope:
+    """How samples are taken.
+
+    Parameters
+    ----------
+    sample_rate
+        Samples a second, Hz. Sample k is taken at the whole ns at or before ``k / sample_rate``,
+        and its stamp is true.
+    samples
+        How many.
+    start_ns
+        First stamp, ns.
+    noise
+        Angular random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
+        standard deviation ``noise * sqrt(sample_rate)``.
+    bias
+        Added to the rate, rad/s.
+    seed
+        Of the noise.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+
+    sample_rate: Fraction
+    samples: int
+    start_ns: int = START_NS
+    noise: float = 0.0
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.sample_rate <= 0 or self.samples < 1:
+            raise UsageError("a log needs at least one sample, at a rate above zero")
+        if BATCH * _NS_PER_S * self.sample_rate.denominator > np.iinfo(np.int64).max:
+            raise UsageError(
+                f"a sample rate of {float(self.sample_rate)} Hz has too many digits to keep its "
+                "stamps exact; give it to three decimals"
+            )
+        if not np.isfinite([self.noise, *self.bias]).all() or self.noise < 0:
+            raise UsageError("noise and bias must be finite, and the noise not negative")
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of a sample's noise, rad/s."""
+        return self.noise * math.sqrt(self.sample_rate)
+
+
+def record(
+    motion: Motion, gyroscope: Gyroscope, q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
+    """Yield what the gyroscope says and what is true, batch after batch.
+
+    Parameters
+    ----------
+    motion
+        What the body does.
+    gyroscope
+        How it is sampled.
+    q0
+        True attitude at the first sample, body -> reference, wxyz; made unit length.
+
+    Yields
+    ------
+    measured, truth
+        Series of the same stamps.
+
+    Raises
+    ------
+    UsageError
+        q0 is no attitude.
+    """
+    if not 0 < np.linalg.norm(q0) < np.inf:
+        raise UsageError("q0 must be four finite numbers W,X,Y,Z, not all zero")
+    random = np.random.default_rng(gyroscope.seed)
+    first = np.array(q0, np.float64)
+    for begin in range(0, gyroscope.samples, BATCH):
+        elapsed = elapsed_ns(begin, min(begin + BATCH, gyroscope.samples), gyroscope.sample_rate)
+        rate, wxyz = motion(elapsed)
+        if gyroscope.noise:
+            noise = random.standard_normal(rate.shape) * gyroscope.deviation
+            rate = rate + np.round(noise, NOISE_DECIMALS)
+        t_ns = elapsed + gyroscope.start_ns
+        yield (
+            GyroSeries(t_ns, rate + np.array(gyroscope.bias)),
+            AttitudeSeries(t_ns, _unit(hamilton(first, wxyz))),
+        )
+
+
+def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
+    """Return how many samples are taken before a duration has passed, at least one.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> samples_in(20_000_000_000, Fraction(100))
+    2000
+    """
+    return max(1, math.ceil(duration_ns * sample_rate / _NS_PER_S))
+
+
+def elapsed_ns(begin: int, end: int, sample_rate: Fraction) -> NDArray[np.int64]:
+    """Return when samples `begin` to `end` are taken, ns since sample 0, rounded down.
+
+    Exact for any index: an index in 64-bit ns times a rate would overflow in the end, so the
+    batch's first sample is placed in unbounded integers and the others relative to it.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> elapsed_ns(0, 4, Fraction(30))
+    array([        0,  33333333,  66666666, 100000000])
+    """
+    interval, unit = _NS_PER_S * sample_rate.denominator, sample_rate.numerator
+    whole, rest = divmod(begin * interval, unit)
+    return whole + (rest + np.arange(end - begin, dtype=np.int64) * interval) // unit
+
+
+def _unit(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows of unit length, and zeros without a sign."""
+    w, x, y, z = wxyz.T
+    length = np.sqrt(w * w + x * x + y * y + z * z)
+    unit: NDArray[np.float64] = wxyz / length[:, None] + 0.0
+    return unit

@@ -1,0 +1,227 @@
+"""Motions whose attitude and body rate are both known, each from its own formula.
+
+A motion is a function of time: elapsed ns in, body rate and attitude out. Convention: ``wxyz`` is
+body -> reference, so that ``q' = 1/2 q w_B`` (source article, equation 12); rates are resolved in
+the body frame, in rad/s. The attitude at time zero is the identity: the reference frame is the
+body frame at the first sample.
+
+Nothing here comes from the propagation that these motions are there to test.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from quatprop.errors import UsageError, listed, quoted
+from quatprop.simulate import phase
+from quatprop.simulate.product import hamilton, running_product, step
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+    Int64 = NDArray[np.int64]
+
+NS_PER_S = 1e9
+
+
+class Motion(Protocol):
+    """Body rate and attitude as functions of time, called with ever later times."""
+
+    def __call__(self, elapsed_ns: Int64) -> tuple[Float64, Float64]:
+        """Return rate and attitude at times since the first sample.
+
+        Parameters
+        ----------
+        elapsed_ns
+            Shape ``(N,)``, int64, ns.
+
+        Returns
+        -------
+        rate, wxyz
+            Shapes ``(N, 3)``, rad/s, and ``(N, 4)``.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What the motions can be told; each takes what concerns it.
+
+    Parameters
+    ----------
+    frequency
+        Turns a second, Hz: of the spin, of the coning, of the precession of a tumbling body.
+    axis
+        Axis of the spin in the body, any length but zero.
+    angle
+        Degrees: half-angle of the cone, or nutation angle of a tumbling body.
+    spin_frequency
+        Turns a second of a tumbling body about its own axis.
+    walk
+        Strength of the random walk of the rate, rad/s/sqrt(s).
+    seed
+        Of the random walk.
+    """
+
+    frequency: Fraction = Fraction(1, 2)
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    angle: Fraction = Fraction(10)
+    spin_frequency: Fraction = Fraction(1, 5)
+    walk: float = 0.1
+    seed: int = 0
+
+
+def motion_named(name: str, shape: Shape) -> Motion:
+    """Return the motion of that name.
+
+    Raises
+    ------
+    UsageError
+        There is none, or it cannot have that shape.
+    """
+    if name not in MOTIONS:
+        raise UsageError(f"no motion {quoted(name)}; choose one of {listed(MOTIONS)}")
+    return MOTIONS[name](shape)
+
+
+def spin(axis: tuple[float, float, float], frequency: Fraction) -> Motion:
+    """Return a constant rate about a body axis: ``q = cos(w t / 2) + u sin(w t / 2)``.
+
+    Parameters
+    ----------
+    axis
+        Body axis, any length but zero.
+    frequency
+        Turns a second.
+
+    Raises
+    ------
+    UsageError
+        The axis has no direction.
+
+    References
+    ----------
+    Source article, equations 32 and 37.
+    """
+    length = math.sqrt(math.fsum(part * part for part in axis))
+    if not (0.0 < length < math.inf):
+        raise UsageError("the axis of a spin needs a direction; give three numbers, not all zero")
+    unit = np.array(axis) / length
+    rate = 2 * math.pi * float(frequency) * unit
+
+    def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:
+        cosine, sine = phase.of_time(elapsed_ns, frequency / 2)
+        parts = (cosine, *(part * sine for part in unit))
+        return np.tile(rate, (len(elapsed_ns), 1)), np.stack(parts, axis=1)
+
+    return motion
+
+
+def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -> Motion:
+    """Return a regular precession: ``q = Rz(f) Rx(n) Rz(s)``, f and s growing steadily.
+
+    The body's z axis keeps the angle n to a fixed axis, goes round it with ``f' = 2 pi
+    frequency`` and the body turns about it with ``s' = 2 pi spin_frequency``. The Euler angles
+    3-1-3 give, with c and s_n cosine and sine of n/2::
+
+        q = [c cos((f+s)/2), s_n cos((f-s)/2), s_n sin((f-s)/2), c sin((f+s)/2)]
+        w_B = [f' sin(n) sin(s), f' sin(n) cos(s), f' cos(n) + s']
+
+    Two motions of the textbooks are of this kind. A free symmetric body tumbles so when its
+    transverse and axial moments of inertia are as ``A / C = 1 + s' / (f' cos n)``. And with
+    ``s' = -f'`` it is classical coning: the body axis goes round a cone of half-angle n while the
+    body does not turn about it, and the z rate ``-f' (1 - cos n)`` is what gyroscopes at rest
+    about that axis are known to show.
+
+    Parameters
+    ----------
+    angle
+        n, degrees.
+    frequency
+        Turns a second of the precession.
+    spin_frequency
+        Turns a second of the body about its own axis.
+
+    References
+    ----------
+    Goldstein, Poole, Safko, Classical Mechanics, 3rd ed., sections 4.9 (rates of the Euler angles)
+    and 5.6 (free symmetric body). Bortz, A New Mathematical Formulation for Strapdown Inertial
+    Navigation, IEEE Trans. AES-7, 1971 (coning).
+    """
+    half_cosine, half_sine = phase.of_degrees(angle / 2)
+    full_cosine, full_sine = phase.of_degrees(angle)
+    precessing = 2 * math.pi * float(frequency)
+    axial = precessing * full_cosine + 2 * math.pi * float(spin_frequency)
+    transverse = precessing * full_sine
+    # The attitude starts at Rx(n): the conjugate in front makes it the reference.
+    begin = np.array([half_cosine, -half_sine, 0.0, 0.0])
+
+    def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:
+        sum_cosine, sum_sine = phase.of_time(elapsed_ns, (frequency + spin_frequency) / 2)
+        gap_cosine, gap_sine = phase.of_time(elapsed_ns, (frequency - spin_frequency) / 2)
+        spin_cosine, spin_sine = phase.of_time(elapsed_ns, spin_frequency)
+        wxyz = np.stack(
+            (
+                half_cosine * sum_cosine,
+                half_sine * gap_cosine,
+                half_sine * gap_sine,
+                half_cosine * sum_sine,
+            ),
+            axis=1,
+        )
+        rate = np.stack(
+            (transverse * spin_sine, transverse * spin_cosine, np.full(len(wxyz), axial)), axis=1
+        )
+        return rate, hamilton(begin, wxyz)
+
+    return motion
+
+
+class RandomWalk:
+    """A rate that wanders, constant from each sample to the next.
+
+    The attitude is the product of the exact steps (source article, equation 36) in extended
+    precision where the machine has it.
+
+    Parameters
+    ----------
+    walk
+        Strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis.
+    seed
+        Of the random numbers.
+    """
+
+    def __init__(self, walk: float, seed: int) -> None:
+        self._walk = walk
+        self._random = np.random.default_rng(seed)
+        self._elapsed_ns = np.int64(0)
+        self._rate = np.zeros(3)
+        self._wxyz = np.array([1, 0, 0, 0], np.longdouble)
+
+    def __call__(self, elapsed_ns: Int64) -> tuple[Float64, Float64]:
+        """Return rate and attitude; times go on from the last call."""
+        dt = np.diff(elapsed_ns, prepend=self._elapsed_ns) / NS_PER_S
+        wander = self._random.standard_normal((len(dt), 3)) * (self._walk * np.sqrt(dt))[:, None]
+        rate = np.cumsum(np.vstack((self._rate, wander)), axis=0)
+        steps = step(rate[:-1].astype(np.longdouble) * dt[:, None])
+        steps[0] = hamilton(self._wxyz, steps[0])
+        wxyz = running_product(steps)
+        self._elapsed_ns, self._rate, self._wxyz = elapsed_ns[-1], rate[-1], wxyz[-1]
+        return rate[1:], wxyz.astype(np.float64)
+
+
+MOTIONS: Mapping[str, Callable[[Shape], Motion]] = {
+    "rest": lambda _shape: spin((0.0, 0.0, 1.0), Fraction(0)),
+    "spin": lambda shape: spin(shape.axis, shape.frequency),
+    "coning": lambda shape: precession(shape.angle, shape.frequency, -shape.frequency),
+    "tumbling": lambda shape: precession(shape.angle, shape.frequency, shape.spin_frequency),
+    "random-walk": lambda shape: RandomWalk(shape.walk, shape.seed),
+}
+"""Every motion that can be simulated."""

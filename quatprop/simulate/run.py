@@ -1,0 +1,120 @@
+"""One simulated recording: the log and, beside it, the truth."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop.simulate.gyroscope import record
+from quatprop.simulate.logs import log_kind_of, open_log_writer
+from quatprop.simulate.motion import motion_named
+from quatprop.writers import open_writer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from quatprop.simulate.gyroscope import Gyroscope
+    from quatprop.simulate.motion import Shape
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
+    """Return where the truth of a log goes unless told: the log's name with ``.truth.csv``.
+
+    Beside a Parquet log it is Parquet as well; beside stdout there is none.
+
+    Examples
+    --------
+    >>> truth_beside("logs/spin.mcap")
+    'logs/spin.truth.csv'
+    """
+    if str(target) == "-":
+        return None
+    kind = kind or log_kind_of(target)
+    suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"
+    path = Path(target)
+    return str(path.with_name((path.name if kind.startswith("rosbag2") else path.stem) + suffix))
+
+
+def simulate(  # noqa: PLR0913  # one recording, told in full
+    target: Path | str,
+    motion: str,
+    shape: Shape,
+    gyroscope: Gyroscope,
+    *,
+    q0: tuple[float, ...] = IDENTITY,
+    kind: str | None = None,
+    compression: str | None = None,
+    truth: Path | str | None = None,
+    tick: Callable[[int], None] = lambda _samples: None,
+) -> None:
+    """Write a log of a motion, and its true attitude.
+
+    Parameters
+    ----------
+    target
+        Where the log goes.
+    motion, shape
+        What the body does: a key of :data:`quatprop.simulate.motion.MOTIONS` and its particulars.
+    gyroscope
+        How it is sampled.
+    q0
+        True attitude at the first sample, body -> reference, wxyz.
+    kind, compression
+        As for :func:`quatprop.simulate.logs.open_log_writer`.
+    truth
+        Where the true attitudes go, scalar-first; None writes none.
+    tick
+        Called with the number of samples written so far.
+
+    Raises
+    ------
+    UsageError
+        The motion or the gyroscope cannot be as told.
+    OutputError
+        A file cannot be written; then neither is.
+    """
+    moving = motion_named(motion, shape)
+    provenance = _provenance(motion, shape, gyroscope, q0)
+    with ExitStack() as stack:
+        log = stack.enter_context(
+            open_log_writer(target, kind, deviation=gyroscope.deviation, compression=compression)
+        )
+        attitudes = stack.enter_context(open_writer(truth)) if truth is not None else None
+        done = 0
+        for measured, true in record(moving, gyroscope, q0):
+            log.write(measured, true)
+            if attitudes is not None:
+                attitudes.write(true)
+            done += len(true)
+            tick(done)
+        if attitudes is not None:
+            attitudes.commit(provenance)
+        log.commit(provenance)
+
+
+def _provenance(
+    motion: str, shape: Shape, gyroscope: Gyroscope, q0: tuple[float, ...]
+) -> dict[str, Any]:
+    """Return what was simulated, JSON-ready. Without a version: the bytes depend on it alone."""
+    return {
+        "simulated": motion,
+        "motion": {name: _plain(value) for name, value in asdict(shape).items()},
+        "gyroscope": {name: _plain(value) for name, value in asdict(gyroscope).items()},
+        "convention": {
+            "attitude": "body to reference: v_ref = q v_body q*",
+            "product": "Hamilton, ij = k",
+            "rates": "body, rad/s",
+            "layout": "scalar-first",
+            "q0_wxyz": list(q0),
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return a fraction as text, other values as they are."""
+    return value if isinstance(value, int | float | tuple) else str(value)

@@ -1,0 +1,207 @@
+"""Simulated logs are logs: encoded as the libraries of the field encode and read by them."""
+
+import re
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from quatprop.errors import OutputError, UsageError
+from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.simulate.gyroscope import Gyroscope, record
+from quatprop.simulate.imu import GRAVITY, cdr_messages, ros1_messages
+from quatprop.simulate.logs import LOGS, open_log_writer
+from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulate.run import simulate, truth_beside
+
+SHAPE = Shape(angle=Fraction(25))
+
+
+# Messages
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_messages_are_what_the_library_would_encode(encoding):
+    """Every byte of a block of messages is that of rosbags' own serialiser."""
+    store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
+    types = store.types
+    s = np.sqrt(0.5)
+    measured = GyroSeries(np.array([1_700_000_000_123_456_789]), np.array([[0.1, -0.2, 3.0]]))
+    truth = AttitudeSeries(measured.t_ns, np.array([[s, s, 0.0, 0.0]]))
+    stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=123_456_789)
+    seq = {"seq": 41} if encoding == "ros1" else {}
+    vector = types["geometry_msgs/msg/Vector3"]
+    up = GRAVITY * (1 - 2 * (s * s))
+    expected = types["sensor_msgs/msg/Imu"](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **seq),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=0.0),
+        orientation_covariance=np.array([-1.0] + [0.0] * 8),
+        angular_velocity=vector(x=0.1, y=-0.2, z=3.0),
+        angular_velocity_covariance=np.diag([0.25] * 3).ravel(),
+        linear_acceleration=vector(x=0.0, y=GRAVITY * 2 * (s * s), z=up),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+    if encoding == "cdr":
+        (message,) = cdr_messages(measured, truth, 0.5)
+        assert message == bytes(store.serialize_cdr(expected, "sensor_msgs/msg/Imu"))
+    else:
+        (message,) = ros1_messages(measured, truth, 0.5, 41)
+        assert message == bytes(store.serialize_ros1(expected, "sensor_msgs/msg/Imu"))
+
+
+def test_accelerations_are_the_reaction_to_gravity():
+    """A tilted sensor at rest feels g along what is up for it."""
+    tilt = Rotation.from_euler("xyz", [20, -40, 70], degrees=True)
+    wxyz = np.roll(tilt.as_quat(), 1)
+    ((measured, truth),) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
+    (message,) = cdr_messages(measured, truth, 0.0)
+    imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(message, "sensor_msgs/msg/Imu")
+    felt = imu.linear_acceleration
+    np.testing.assert_allclose(
+        [felt.x, felt.y, felt.z], tilt.inv().apply([0, 0, GRAVITY]), atol=1e-14
+    )
+
+
+# Logs
+
+KINDS_AND_COMPRESSIONS = [(kind, c) for kind, known in LOGS.items() for c in known.compressions]
+
+
+def log_of(tmp_path, kind, compression=None, name="log"):
+    """Write a log of 300 samples, twice the same, and return path, stamps and rates."""
+    told = Gyroscope(Fraction(100), 300, noise=1e-3, seed=2)
+    ((measured, truth),) = record(motion_named("tumbling", SHAPE), told)
+    path = tmp_path / (name + LOGS[kind].suffixes[0] if LOGS[kind].suffixes else name)
+    with open_log_writer(path, kind, compression=compression) as writer:
+        writer.write(measured, truth)
+        writer.commit({})
+    return path, measured
+
+
+def content(path):
+    """Return the bytes of a file, or of all files of a folder by name."""
+    if path.is_file():
+        return path.read_bytes()
+    return {part.name: part.read_bytes() for part in path.iterdir()}
+
+
+@pytest.mark.parametrize(("kind", "compression"), KINDS_AND_COMPRESSIONS)
+def test_the_same_samples_give_the_same_bytes(tmp_path, kind, compression):
+    """Nothing of the moment or the place gets into a log."""
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    first, _ = log_of(tmp_path / "a", kind, compression)
+    second, _ = log_of(tmp_path / "b", kind, compression)
+    assert content(first) == content(second)
+    assert [path.name for path in (tmp_path / "a").iterdir()] == [first.name]
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"),
+    [(k, c) for k, c in KINDS_AND_COMPRESSIONS if k.startswith(("bag", "ros"))],
+)
+def test_rosbags_reads_simulated_bags(tmp_path, kind, compression):
+    """The library of the field finds the samples, stamped when they were taken."""
+    path, measured = log_of(tmp_path, kind, compression)
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        assert [c.topic for c in reader.connections] == ["/imu"]
+        messages = [
+            (log_ns, reader.deserialize(data, c.msgtype)) for c, log_ns, data in reader.messages()
+        ]
+    stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, m in messages]
+    np.testing.assert_array_equal(stamps, measured.t_ns)
+    rates = [[getattr(m.angular_velocity, axis) for axis in "xyz"] for _, m in messages]
+    np.testing.assert_array_equal(rates, measured.rate)
+    delays = np.array([log_ns for log_ns, _ in messages]) - measured.t_ns
+    assert delays.min() >= 1_000_000
+    assert delays.max() < 1_100_000
+    assert len(set(delays.tolist())) > 100
+
+
+@pytest.mark.parametrize("compression", LOGS["mcap"].compressions)
+def test_mcap_reads_simulated_logs(tmp_path, compression):
+    """The reference reader finds profile, schema and every message in order."""
+    path, measured = log_of(tmp_path, "mcap", compression)
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        found = list(reader.iter_messages())
+    schema, channel, _ = found[0]
+    assert (schema.name, schema.encoding) == ("sensor_msgs/msg/Imu", "ros2msg")
+    assert (channel.topic, channel.message_encoding) == ("/imu", "cdr")
+    assert [message.sequence for _, _, message in found] == list(range(len(measured)))
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_a_failed_log_leaves_nothing(tmp_path, kind):
+    """An exception midway leaves no file, no folder, and no stray."""
+    told = Gyroscope(Fraction(100), 300)
+    ((measured, truth),) = record(motion_named("spin", SHAPE), told)
+
+    def fail_midway():
+        with open_log_writer(tmp_path / "log", kind) as writer:
+            writer.write(measured, truth)
+            raise RuntimeError("midway")
+
+    with pytest.raises(RuntimeError, match="midway"):
+        fail_midway()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_compression_the_kind_has_not_is_refused(tmp_path):
+    """A bag is not compressed with zstd."""
+    with pytest.raises(
+        UsageError,
+        match=r"^a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4', 'bz2'$",
+    ):
+        open_log_writer(tmp_path / "a.bag", compression="zstd")
+
+
+def test_a_suffix_that_means_no_log_is_refused(tmp_path):
+    """The error lists what would do."""
+    words = (
+        r": the suffix does not tell the log's format; use one of \.csv, \.parquet, \.pq, \.mcap, "
+        r"\.bag, none for a ROS 2 bag folder, or say --to csv\|parquet\|mcap\|bag\|rosbag2\|"
+    )
+    with pytest.raises(OutputError, match=words):
+        open_log_writer(tmp_path / "a.db3")
+
+
+def test_a_bag_folder_that_exists_is_refused(tmp_path):
+    """A ROS 2 bag does not replace a folder."""
+    (tmp_path / "bag").mkdir()
+    words = f"^{re.escape(str(tmp_path / 'bag'))}: exists already; remove it or choose another"
+    with pytest.raises(OutputError, match=words):
+        open_log_writer(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(
+    ("target", "kind", "truth"),
+    [
+        ("a.csv", None, "a.truth.csv"),
+        ("a.parquet", None, "a.truth.parquet"),
+        ("d/a.b", "rosbag2", "d/a.b.truth.csv"),
+        ("bag", None, "bag.truth.csv"),
+        ("-", None, None),
+    ],
+)
+def test_the_truth_goes_beside_the_log(target, kind, truth):
+    """Its name is the log's with .truth before the suffix."""
+    assert truth_beside(target, kind) == truth
+
+
+def test_without_a_place_for_the_truth_there_is_no_log(tmp_path):
+    """Both are written or neither is."""
+    with pytest.raises(OutputError, match="there is no folder"):
+        simulate(
+            tmp_path / "a.csv",
+            "spin",
+            SHAPE,
+            Gyroscope(Fraction(10), 10),
+            truth=tmp_path / "none" / "truth.csv",
+        )
+    assert list(tmp_path.iterdir()) == []
