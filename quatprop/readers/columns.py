@@ -11,6 +11,8 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.errors import (
     NoRatesError,
     UndeclaredError,
@@ -36,6 +38,8 @@ from quatprop.readers.dialects import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from quatprop.selection import Selection
 
@@ -90,6 +94,23 @@ def choose(
         Options name what is not there, or contradict each other or the header.
     """
     return _Chooser(path, [column(name) for name in names], selection, notes or Notes()).choose()
+
+
+def in_rad_s(rate: NDArray[np.float64], columns: TableColumns) -> NDArray[np.float64]:
+    """Return stored rates in rad/s; the array is changed in place.
+
+    Parameters
+    ----------
+    rate
+        Rates as stored, shape ``(N, 3)``, float64.
+    columns
+        What they are stored in.
+    """
+    if columns.rate_scale != 1.0:
+        rate *= columns.rate_scale
+    if columns.rate_unit == "deg/s":
+        rate *= np.pi / 180
+    return rate
 
 
 @dataclass(frozen=True, slots=True)

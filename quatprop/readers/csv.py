@@ -11,7 +11,7 @@ from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.readers import columns as choosing
 from quatprop.readers.base import Loss
 from quatprop.readers.csv_rows import MISFITS, BlockParser, RowParser, Rows
-from quatprop.readers.decimal_time import StampRangeError, counted
+from quatprop.readers.decimal_time import counted
 from quatprop.readers.headers import HEAD_BYTES, sniff
 from quatprop.readers.text_blocks import LineCounter, TextStream, blocks, pieces
 from quatprop.series import GyroSeries
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import TracebackType
     from typing import Self
-
-    from numpy.typing import NDArray
 
     from quatprop.readers.base import TableColumns
     from quatprop.readers.headers import Layout
@@ -205,26 +203,7 @@ class _Scan:
     def _series(self, rows: Rows) -> GyroSeries:
         t_ns = rows.t_ns
         if t_ns is None:
-            t_ns = self._counted(rows.total)
+            t_ns = counted(self._count, rows.total, self._columns.sample_rate or 1.0)
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
         self._count += rows.total
-        return GyroSeries(t_ns, _in_rad_s(rows.rate, self._columns))
-
-    def _counted(self, total: int) -> NDArray[np.int64]:
-        sample_rate = self._columns.sample_rate or 1.0
-        try:
-            return counted(self._count, total, sample_rate)
-        except StampRangeError:
-            raise UsageError(
-                f"at a sample rate of {sample_rate} Hz the times of {self._count + total} rows "
-                "do not fit in int64 ns; check --sample-rate"
-            ) from None
-
-
-def _in_rad_s(rate: NDArray[np.float64], columns: TableColumns) -> NDArray[np.float64]:
-    """Return rates in rad/s, in place."""
-    if columns.rate_scale != 1.0:
-        rate *= columns.rate_scale
-    if columns.rate_unit == "deg/s":
-        rate *= np.pi / 180
-    return rate
+        return GyroSeries(t_ns, choosing.in_rad_s(rows.rate, self._columns))

@@ -15,6 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from quatprop.errors import UsageError
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -176,7 +178,7 @@ def counted(first: int, count: int, sample_rate: float) -> Int64:
 
     Raises
     ------
-    StampRangeError
+    UsageError
         The last stamp does not fit.
 
     Examples
@@ -186,7 +188,10 @@ def counted(first: int, count: int, sample_rate: float) -> Int64:
     """
     period = Fraction(10**9) / Fraction(repr(sample_rate))
     if (first + count) * period > _LIMITS.max:
-        raise StampRangeError
+        raise UsageError(
+            f"at a sample rate of {sample_rate} Hz the times of {first + count} rows "
+            "do not fit in int64 ns; check --sample-rate"
+        )
     begin, step = divmod(first * period.numerator, period.denominator)
     whole, part = divmod(period.numerator, period.denominator)
     # Object arithmetic is exact for any rate; common rates fit in int64.
