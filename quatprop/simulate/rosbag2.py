@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from quatprop.errors import OutputError
 from quatprop.simulate.imu import TOPIC, cdr_messages
@@ -21,8 +22,40 @@ if TYPE_CHECKING:
 
     from quatprop.series import AttitudeSeries, GyroSeries
 
-_SQLITE_VERSION_OFFSET = 96
-_SQLITE_VERSION = (3_040_000).to_bytes(4, "big")
+_VERSION_OFFSET = 96
+_VERSION = (3_040_000).to_bytes(4, "big")
+
+
+class SteadyStorage(Sqlite3Writer):
+    """The library's SQLite storage, without what differs between builds of SQLite.
+
+    Builds differ in whether they clear the unused parts of a page: they shall, and the file is
+    rewritten once to be rid of what is left. On closing, the library lets SQLite optimise,
+    whereupon newer versions add tables of statistics: left out. And the header notes which
+    version wrote last, which nothing reads but people: a fixed number.
+    """
+
+    def close(self, version: int, metadata: str) -> None:
+        """Finish the file."""
+        self.cursor.execute(
+            "INSERT INTO metadata(metadata_version, metadata) VALUES(?, ?)", (version, metadata)
+        )
+        self.conn.commit()
+        self.conn.execute("PRAGMA secure_delete = ON")
+        self.conn.execute("VACUUM")
+        self.conn.close()
+        with self.path.open("r+b") as file:
+            file.seek(_VERSION_OFFSET)
+            file.write(_VERSION)
+
+
+class SteadyWriter(Writer):
+    """The library's writer of bag folders, with a steady SQLite storage."""
+
+    STORAGE_PLUGINS = {  # noqa: RUF012  # declared by the library
+        **Writer.STORAGE_PLUGINS,
+        StoragePlugin.SQLITE3: SteadyStorage,
+    }
 
 
 class McapFolderLog(LogWriter):
@@ -44,7 +77,7 @@ class McapFolderLog(LogWriter):
         self._target = target
         self._deviation = deviation
         self._replacement = Replacement(target, folder=True)
-        self._bag = Writer(self._replacement.path, version=9, storage_plugin=self.storage)
+        self._bag = SteadyWriter(self._replacement.path, version=9, storage_plugin=self.storage)
         if compression != "none":
             self._bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with _reported(target):
@@ -63,7 +96,6 @@ class McapFolderLog(LogWriter):
         """Finish the folder and put it in its place."""
         with _reported(self._target):
             self._bag.close()
-            self._settle()
         self._replacement.commit()
 
     def abort(self) -> None:
@@ -72,25 +104,11 @@ class McapFolderLog(LogWriter):
             self._bag.abort()
         self._replacement.discard()
 
-    def _settle(self) -> None:
-        """Remove what differs between machines from the finished file."""
-
 
 class SqliteLog(McapFolderLog):
     """Write a ROS 2 bag folder that stores its messages in SQLite; parameters as above."""
 
     storage = StoragePlugin.SQLITE3
-
-    def _settle(self) -> None:
-        """Write a fixed number where SQLite notes which of its versions wrote last.
-
-        Nothing reads it but people; without this the same recording would differ in four bytes
-        between one Python and the next.
-        """
-        path = self._replacement.path
-        with (path / f"{path.name}.db3").open("r+b") as file:
-            file.seek(_SQLITE_VERSION_OFFSET)
-            file.write(_SQLITE_VERSION)
 
 
 @contextmanager

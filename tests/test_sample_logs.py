@@ -1,0 +1,61 @@
+"""The sample logs are what the project generates, to the bit."""
+
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.csv
+import pytest
+
+SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
+NOT_GENERATED = {".gitattributes", "README.md", "demo.sh", "generate.py", "truth.py"}
+
+
+@pytest.fixture(scope="module")
+def generated(tmp_path_factory):
+    """Generate every sample log into a fresh folder, as the make target does."""
+    folder = tmp_path_factory.mktemp("sample_logs")
+    subprocess.run([sys.executable, SAMPLE_LOGS / "generate.py", folder], check=True)
+    return folder
+
+
+def files(folder):
+    """Return the relative paths of all files of a folder."""
+    return {
+        path.relative_to(folder).as_posix()
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
+def test_every_file_is_generated(generated):
+    """Nothing is in the folder that the project cannot make again, but words and scripts."""
+    assert files(SAMPLE_LOGS) - NOT_GENERATED == files(generated)
+
+
+def test_every_byte_is_the_same(generated):
+    """Generating them again gives the same files, bit for bit."""
+    differing = [
+        name
+        for name in sorted(files(generated))
+        if (generated / name).read_bytes() != (SAMPLE_LOGS / name).read_bytes()
+    ]
+    assert differing == []
+
+
+def test_they_stay_small():
+    """A clone carries them: all together stay below 1.5 MB."""
+    assert sum((SAMPLE_LOGS / name).stat().st_size for name in files(SAMPLE_LOGS)) < 1_500_000
+
+
+def test_the_truth_starts_where_propagation_starts(generated):
+    """Every truth begins with the identity, so that the default q0 is right."""
+    for path in generated.glob("*.truth.csv"):
+        first = pyarrow.csv.read_csv(path).slice(0, 1).to_pylist()[0]
+        assert first == {"t_ns": 1_700_000_000_000_000_000, "qw": 1, "qx": 0, "qy": 0, "qz": 0}
+
+
+def test_the_demo_can_be_run():
+    """``make demo`` calls a script that is executable."""
+    assert (SAMPLE_LOGS / "demo.sh").stat().st_mode & stat.S_IXUSR
