@@ -1,0 +1,128 @@
+"""Rates and times to rotation vectors: which samples rule an interval.
+
+Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle
+that the body turns in it, resolved in the body frame at its start.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.errors import UsageError, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+    Rule = Callable[[Float64, Float64, Float64], Float64]
+
+NANOSECONDS = 1e9
+"""In a second. A quotient of integers is rounded once; 1e-9 would be rounded before."""
+
+
+def _start(before: Float64, after: Float64, dt: Float64) -> Float64:  # noqa: ARG001  # one signature
+    return np.multiply(before, dt, out=_like(before))
+
+
+def _end(before: Float64, after: Float64, dt: Float64) -> Float64:  # noqa: ARG001  # one signature
+    return np.multiply(after, dt, out=_like(after))
+
+
+def _mean(before: Float64, after: Float64, dt: Float64) -> Float64:
+    turned = np.add(before, after, out=_like(before))
+    turned *= dt / 2
+    return turned
+
+
+def _coning(before: Float64, after: Float64, dt: Float64) -> Float64:
+    # The rate is linear between the samples, so its direction turns and the turns do not commute:
+    # mean dt + dt^2/12 w_k x w_k+1. The term is the first of the Magnus series; the next is of
+    # fifth order in dt.
+    u, v = _start(before, after, dt), _end(before, after, dt)
+    turned = (u + v) / 2
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        turned[x] += (u[y] * v[z] - u[z] * v[y]) / 12
+    return turned
+
+
+METHODS: Final[dict[str, Rule]] = {
+    "start": _start,
+    "end": _end,
+    "mean": _mean,
+    "coning": _coning,
+}
+"""How an interval is ruled. The functions take the rates at its start and at its end, ``(3, M)``,
+rad/s, and its length, ``(M,)``, s, and return its rotation vector, ``(3, M)``, rad."""
+
+
+def rule_of(method: str) -> Rule:
+    """Return the function of a method.
+
+    Parameters
+    ----------
+    method
+        A key of :data:`METHODS`.
+
+    Returns
+    -------
+    callable
+        The function.
+
+    Raises
+    ------
+    UsageError
+        No such method.
+    """
+    if method not in METHODS:
+        raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(METHODS)}")
+    return METHODS[method]
+
+
+def rotation_vectors(t_ns: Int64, rate: Float64, method: str = "start") -> Float64:
+    """Return how the body turned between neighbouring samples.
+
+    Parameters
+    ----------
+    t_ns
+        Time stamps, shape ``(N,)``, int64, ns. Intervals are differences of integers, so no stamp
+        is too large to be exact.
+    rate
+        Angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved in
+        the inertial frame, -w are body rates of the reference as seen from the body.
+    method
+        A key of :data:`METHODS`: ``"start"``, sample k rules the interval from k to k + 1;
+        ``"end"``, sample k + 1 does; ``"mean"``, the average of the two; ``"coning"``, a rate
+        linear between the two, mean dt + dt^2/12 w_k x w_k+1, of fourth order.
+
+    Returns
+    -------
+    ndarray
+        Rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous.
+
+    Raises
+    ------
+    UsageError
+        No such method.
+
+    References
+    ----------
+    Eq. 7; a constant rate over the interval as in eqs. 32 to 36.
+
+    Examples
+    --------
+    >>> rotation_vectors(np.array([0, 500_000_000]), np.array([[0, 0, 1.0], [0, 0, 3.0]]), "mean")
+    array([[0., 0., 1.]])
+    """
+    rule = rule_of(method)
+    dt = np.diff(t_ns) / NANOSECONDS
+    return rule(rate[:-1].T, rate[1:].T, dt).T
+
+
+def _like(rows: Float64) -> Float64:
+    """Return room for ``(3, M)``; without it numpy would keep the order of the transposed input."""
+    return np.empty(rows.shape)

@@ -1,0 +1,273 @@
+"""Quaternion arithmetic on arrays ``(..., 4)`` in the order w, x, y, z.
+
+Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude turns body
+coordinates into reference coordinates, v_ref = q v_body q* (eq. 3). Leading dimensions broadcast.
+Nothing here knows of time or files.
+
+Equation numbers here and in the other modules are those of the article "quaternion kinematics and
+angular velocity" of PhysicsLibrary (object 1105, version 3).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from math import factorial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64 = NDArray[np.float64]
+
+IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
+"""The attitude of a body whose axes are those of the reference."""
+IDENTITY.setflags(write=False)
+
+TERMS = 7
+"""Longest series for cosine and sine: enough for steps of 45 degrees. Libm does longer steps."""
+
+_COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
+_RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
+# Square of the largest angle for which k + 1 terms leave out less than a quarter ulp.
+_REACH = [4 * (2.0**-55 * factorial(2 * k + 2)) ** (1 / (k + 1)) for k in range(TERMS)]
+
+
+def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
+    """Return the Hamilton product p q.
+
+    Parameters
+    ----------
+    p, q
+        Quaternions wxyz, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4)``. As attitudes: first q, then p.
+
+    Examples
+    --------
+    >>> multiply([0, 1, 0, 0], [0, 0, 1, 0])
+    array([0., 0., 0., 1.])
+    """
+    pw, px, py, pz = _components(p)
+    qw, qx, qy, qz = _components(q)
+    return np.stack(
+        [
+            pw * qw - px * qx - py * qy - pz * qz,
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(q: ArrayLike) -> Float64:
+    """Return q*, for a unit quaternion the opposite rotation.
+
+    Parameters
+    ----------
+    q
+        Quaternions wxyz, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4)``.
+    """
+    return _array(q) * [1.0, -1.0, -1.0, -1.0]
+
+
+def normalize(q: ArrayLike) -> Float64:
+    """Return q at unit length.
+
+    Parameters
+    ----------
+    q
+        Quaternions wxyz, shape ``(..., 4)``, finite and not zero.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4)``.
+    """
+    q = _array(q)
+    # Squares of very large or small components would overflow or vanish.
+    scaled: Float64 = q / np.abs(q).max(axis=-1, keepdims=True)
+    scaled /= np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
+    return scaled
+
+
+def half_angle(square: Float64) -> tuple[Float64, Float64]:
+    """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
+
+    Both are power series in a squared, so nothing happens at zero and no angle is too small. As
+    many terms are taken as the largest angle needs to be exact in float64.
+
+    Parameters
+    ----------
+    square
+        Squares of angles, rad^2, any shape.
+
+    Returns
+    -------
+    cosine, ratio : ndarray
+        cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad.
+    """
+    largest = np.max(square, initial=0.0)
+    if largest <= _REACH[-1]:
+        terms = bisect_left(_REACH, largest) + 1
+        return _series(_COSINE[:terms], square), _series(_RATIO[:terms], square)
+    angle = np.sqrt(square)
+    ratio = np.divide(np.sin(angle / 2), angle, out=np.full_like(angle, 0.5), where=angle != 0)
+    return np.cos(angle / 2), ratio
+
+
+def exp(rotvec: ArrayLike) -> Float64:
+    """Return the unit quaternion of a rotation vector (eq. 34).
+
+    Smooth through zero; the angle may be of any size, and w is negative between half a turn and
+    one and a half.
+
+    Parameters
+    ----------
+    rotvec
+        Rotation vectors, shape ``(..., 3)``, rad: the axis times the angle.
+
+    Returns
+    -------
+    ndarray
+        Unit quaternions wxyz, shape ``(..., 4)``: cos(angle/2) + axis sin(angle/2).
+
+    References
+    ----------
+    Eqs. 8, 34, 35.
+
+    Examples
+    --------
+    >>> exp([0.0, 0.0, np.pi]).round(15)
+    array([0., 0., 0., 1.])
+    """
+    rotvec = _array(rotvec)
+    q = np.empty((*rotvec.shape[:-1], 4))
+    q[..., 0], ratio = half_angle((rotvec**2).sum(axis=-1))
+    q[..., 1:] = rotvec * ratio[..., None]
+    return q
+
+
+def log(q: ArrayLike) -> Float64:
+    """Return the rotation vector of a unit quaternion: the inverse of :func:`exp`.
+
+    Parameters
+    ----------
+    q
+        Unit quaternions wxyz, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Rotation vectors, shape ``(..., 3)``, rad, no longer than 2 pi; longer than pi where w is
+        negative. A quaternion -1, a full turn about no axis in particular, gives zero.
+    """
+    q = _array(q)
+    w, vector = q[..., :1], q[..., 1:]
+    sine = _length(vector)[..., None]
+    ratio = np.full_like(sine, 2.0)
+    np.divide(2 * np.arctan2(sine, w), sine, out=ratio, where=sine != 0)
+    return vector * ratio
+
+
+def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
+    """Return q v q*: body coordinates turned into reference coordinates (eq. 3).
+
+    Parameters
+    ----------
+    q
+        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
+    v
+        Vectors resolved in the body frame, shape ``(..., 3)``, any unit.
+
+    Returns
+    -------
+    ndarray
+        The vectors resolved in the reference frame, shape ``(..., 3)``.
+
+    Examples
+    --------
+    >>> rotate(exp([0, 0, np.pi / 2]), [1, 0, 0]).round(15)
+    array([0., 1., 0.])
+    """
+    q, v = _array(q), _array(v)
+    w, vector = q[..., :1], q[..., 1:]
+    twice = 2 * np.cross(vector, v)
+    turned: Float64 = v + w * twice + np.cross(vector, twice)
+    return turned
+
+
+def rotation_matrix(q: ArrayLike) -> Float64:
+    """Return R(q), with v_ref = R v_body (eq. 5).
+
+    Parameters
+    ----------
+    q
+        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 3, 3)``; its columns are the body axes resolved in the reference frame.
+    """
+    q = _array(q)
+    columns = [rotate(q, axis) for axis in np.eye(3)]
+    return np.stack(columns, axis=-1)
+
+
+def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
+    """Return the angle of the rotation between two attitudes.
+
+    The sign of either quaternion does not matter, nor does its length. Exact to rounding at any
+    angle: an arc cosine would lose everything below 1e-8 rad.
+
+    Parameters
+    ----------
+    p, q
+        Attitudes wxyz, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Angles, shape ``(...)``, rad, from 0 to pi.
+
+    Examples
+    --------
+    >>> float(geodesic_angle([1, 0, 0, 0], [-1, 0, 0, -1e-12]))
+    2e-12
+    """
+    between = multiply(conjugate(p), q)
+    return np.asarray(2 * np.arctan2(_length(between[..., 1:]), np.abs(between[..., 0])))
+
+
+def _array(values: ArrayLike) -> Float64:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _components(q: ArrayLike) -> Float64:
+    return np.moveaxis(_array(q), -1, 0)
+
+
+def _length(vector: Float64) -> Float64:
+    """Return the lengths of ``(..., 3)``; hypot, since squares of tiny components vanish."""
+    return np.asarray(np.hypot(np.hypot(vector[..., 0], vector[..., 1]), vector[..., 2]))
+
+
+def _series(coefficients: list[float], x: Float64) -> Float64:
+    """Return the polynomial with these coefficients, lowest first, by Horner's rule."""
+    *lower, last = coefficients
+    total = np.full_like(x, last)
+    for coefficient in reversed(lower):
+        total *= x
+        total += coefficient
+    return total
