@@ -142,7 +142,21 @@ class SchemaError(LogError):
 
 
 class MessageError(LogError):
-    """A message does not fit its definition."""
+    """A message does not fit its definition.
+
+    Parameters
+    ----------
+    path
+        The log.
+    reason
+        What is wrong and, after a semicolon, the way out.
+    positions
+        Which messages of the block, so that a caller can go on without them.
+    """
+
+    def __init__(self, path: Path | str, reason: str, positions: Iterable[int] = ()) -> None:
+        super().__init__(path, reason)
+        self.positions = tuple(positions)
 
 
 class NoRatesError(LogError):

@@ -1,1 +1,4 @@
-"""Message bytes to columns: what a schema says, done for a whole block at once."""
+"""Message bytes to columns: definitions, plans, decoding, and which field is a rate.
+
+This room knows no containers: it takes the blocks that readers give, and gives numpy columns.
+"""

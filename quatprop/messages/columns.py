@@ -1,0 +1,241 @@
+"""Following a plan through all messages of a block at once.
+
+While all messages agree, the offset within a message is one integer; from the first string or
+sequence of differing lengths on it is an array, until an alignment brings them together again.
+Every segment is checked against the end of each message before a byte of it is fetched.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from quatprop.messages.plan import COUNT, ENCAPSULATION, Repeat, Skip
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.messages.plan import Piece, Plan, Window
+
+    Offsets: TypeAlias = int | NDArray[np.int64]
+    Columns: TypeAlias = list[NDArray[Any]]
+
+NATIVE = "<" if np.little_endian else ">"
+
+
+class TooShortError(Exception):
+    """Messages end before what the plan needs.
+
+    Parameters
+    ----------
+    positions
+        Which of the messages, shape ``(K,)``.
+    """
+
+    def __init__(self, positions: NDArray[np.intp]) -> None:
+        super().__init__()
+        self.positions = positions
+
+
+class MixedError(Exception):
+    """The messages are not all encapsulated like the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages of one byte order in one buffer.
+
+    Parameters
+    ----------
+    data
+        The buffer, shape ``(B,)``, uint8, contiguous.
+    starts, lengths
+        Where each message begins and how many bytes it has, shape ``(N,)``, int64, ``N > 0``.
+    order
+        Byte order, ``"<"`` or ``">"``.
+    origin
+        Where in each message alignment is counted from.
+    shortest
+        The least of `lengths`.
+    stride
+        Bytes from each message to the next where that is always the same, else 0.
+    """
+
+    data: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    order: str
+    origin: int
+    shortest: int
+    stride: int
+
+    @classmethod
+    def of(
+        cls,
+        data: NDArray[np.uint8],
+        starts: NDArray[np.int64],
+        lengths: NDArray[np.int64],
+        order: str,
+        origin: int,
+    ) -> Messages:
+        """Return messages with what can be said about all of them."""
+        return cls(data, starts, lengths, order, origin, int(lengths.min()), _stride(starts))
+
+    def at(self, positions: NDArray[np.intp]) -> Messages:
+        """Return some of the messages."""
+        starts, lengths = self.starts[positions], self.lengths[positions]
+        return Messages.of(self.data, starts, lengths, self.order, self.origin)
+
+    def require(self, ends: Offsets) -> None:
+        """Check that no message ends before an offset.
+
+        Raises
+        ------
+        TooShortError
+            Some do.
+        """
+        if isinstance(ends, int) and ends <= self.shortest:
+            return
+        short = self.lengths < ends
+        if np.count_nonzero(short):
+            raise TooShortError(np.flatnonzero(short))
+
+    def window(self, window: Window, offset: Offsets) -> NDArray[np.void]:
+        """Return the bytes of a window in each message, shape ``(N,)``."""
+        kind = np.dtype((np.void, window.size))
+        if self.stride and isinstance(offset, int):
+            begin = int(self.starts[0]) + offset + window.offset
+            shape, strides = (len(self.starts),), (self.stride,)
+            return np.ndarray(shape, kind, self.data, begin, strides).copy()
+        # Every window that the buffer holds, one byte apart: choosing among them copies each
+        # message's with a single call and no loop over its fields.
+        shape = (len(self.data) - window.size + 1,)
+        every: NDArray[np.void] = np.ndarray(shape, kind, self.data, 0, (1,))
+        fetched: NDArray[np.void] = every[self.starts + (offset + window.offset)]
+        return fetched
+
+    def numbers(self, piece: Piece, window: NDArray[np.void]) -> NDArray[Any]:
+        """Return the numbers of a piece in each message, shape ``(N,)`` or ``(N, count)``."""
+        number, step = piece.number, window.itemsize
+        code = "u1" if number.code == "b1" else number.code
+        shape: tuple[int, ...] = (len(window),)
+        strides: tuple[int, ...] = (step,)
+        if piece.count is not None:
+            shape += (piece.count,)
+            strides += (number.size,)
+        stored: NDArray[Any] = np.ndarray(shape, self.order + code, window, piece.offset, strides)
+        if number.code == "b1":
+            stored = stored != 0
+        return stored if self.order == NATIVE else stored.astype(NATIVE + code)
+
+
+def follow(plan: Plan, messages: Messages, width: int) -> Columns:
+    """Return the columns that a plan takes.
+
+    Parameters
+    ----------
+    plan
+        The way through a message.
+    messages
+        Which messages, at least one.
+    width
+        How many columns the plan takes.
+
+    Returns
+    -------
+    list of ndarray
+        Shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own.
+
+    Raises
+    ------
+    TooShortError
+        Messages end before what is wanted of them.
+    MixedError
+        The messages are not all encapsulated like the first.
+    """
+    columns: Columns = [np.empty(0)] * width
+    _walk(plan, messages, 0, columns)
+    return columns
+
+
+def _walk(plan: Plan, messages: Messages, offset: Offsets, columns: Columns) -> Offsets:
+    """Follow a plan from an offset on, fill the columns, and return the offset behind it."""
+    for segment in plan:
+        if segment.alignment > 1:
+            offset = offset + ((messages.origin - offset) & (segment.alignment - 1))
+        offset = _agreed(offset)
+        messages.require(offset + segment.reach)
+        counts: Offsets = 0
+        for window in segment.windows:
+            taken = messages.window(window, offset)
+            for piece in window.pieces:
+                found = messages.numbers(piece, taken)
+                if piece.column == COUNT:
+                    counts = _agreed(found)
+                elif piece.column != ENCAPSULATION:
+                    columns[piece.column] = found
+                elif np.count_nonzero(found != found[0]):
+                    raise MixedError
+        offset = offset + segment.size
+        if isinstance(segment.ending, Skip):
+            offset = offset + _skipped(segment.ending, counts, offset - messages.origin)
+        elif isinstance(segment.ending, Repeat):
+            if segment.ending.count is not None:
+                counts = segment.ending.count
+            offset = _repeated(segment.ending.element, messages, offset, counts)
+    return offset
+
+
+def _stride(starts: NDArray[np.int64]) -> int:
+    """Return the distance between neighbours where it is always the same, else 0."""
+    if len(starts) == 1:
+        return 0
+    step = int(starts[1] - starts[0])
+    # Whether it can be is told by the ends, which costs nothing where it is not.
+    if int(starts[-1] - starts[0]) != step * (len(starts) - 1):
+        return 0
+    return 0 if np.count_nonzero(starts[1:] - starts[:-1] != step) else step
+
+
+def _agreed(found: int | NDArray[Any]) -> Offsets:
+    """Return one integer where all messages agree."""
+    if isinstance(found, int):
+        return found
+    first = found[0]
+    if np.count_nonzero(found != first):
+        return found.astype(np.int64, copy=False)
+    return int(first)
+
+
+def _skipped(skip: Skip, counts: Offsets, begin: Offsets) -> Offsets:
+    """Return the bytes of so many elements of fixed size."""
+    if skip.first is None:
+        return counts * skip.further
+    first = skip.first[begin & 7] if isinstance(begin, int) else np.array(skip.first)[begin & 7]
+    # Nothing is padded where there is nothing.
+    return (first + (counts - 1) * skip.further) * (counts != 0)
+
+
+def _repeated(element: Plan, messages: Messages, offset: Offsets, counts: Offsets) -> Offsets:
+    """Return the offsets behind so many elements of varying size."""
+    if isinstance(counts, int):
+        # Every element takes bytes, so a count that lies runs into the end of its message.
+        for _ in range(counts):
+            offset = _walk(element, messages, offset, [])
+        return offset
+    offsets = np.empty(len(counts), np.int64)
+    offsets[:] = offset
+    remaining = np.flatnonzero(counts)
+    done = 0
+    while len(remaining):
+        try:
+            offsets[remaining] = _walk(
+                element, messages.at(remaining), _agreed(offsets[remaining]), []
+            )
+        except TooShortError as error:
+            raise TooShortError(remaining[error.positions]) from None
+        done += 1
+        remaining = remaining[counts[remaining] > done]
+    return offsets

@@ -1,0 +1,238 @@
+"""From a message type and the wanted fields to a plan."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quatprop.errors import quoted
+from quatprop.messages.layout import Extents, Layout
+from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Repeat, Segment, Skip, Window
+from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.messages.plan import Plan
+    from quatprop.messages.schema import Steps, Type
+
+MERGE_GAP = 64
+"""Wanted bytes this close together are fetched as one: copying them is cheaper than a call."""
+
+MAX_SEGMENTS = 10_000
+"""Longer plans are refused: types that share parts can multiply them without bound."""
+
+MAX_SIZE = 1 << 30
+"""Types with more fixed bytes than this are refused: offsets stay far from overflow."""
+
+
+class NotPlannedError(Exception):
+    """The definition does not say where the wanted field is."""
+
+
+@dataclass(slots=True)
+class Wanted:
+    """Which columns are taken at a place in a message, and below it."""
+
+    columns: list[int] = field(default_factory=list)
+    below: dict[str | int, Wanted] = field(default_factory=dict)
+
+    @classmethod
+    def at(cls, ways: Iterable[Steps]) -> Wanted:
+        """Return the tree of the ways to columns 0, 1, 2..."""
+        root = cls()
+        for column, way in enumerate(ways):
+            here = root
+            for step in way:
+                here = here.below.setdefault(step, cls())
+            here.columns.append(column)
+        return root
+
+    def under(self, step: str | int) -> Wanted:
+        """Return what is wanted one step below."""
+        return self.below.get(step) or Wanted()
+
+
+def compile_plan(root: Struct, ways: list[Steps], layout: Layout) -> Plan:
+    """Return how to fetch some fields of a message type.
+
+    Parameters
+    ----------
+    root
+        The message type.
+    ways
+        Where the fields are; each leads to equal numbers. At least one.
+    layout
+        The encoding.
+
+    Raises
+    ------
+    NotPlannedError
+        Something of unknown size is in the way.
+    """
+    compiler = _Compiler(Extents(layout), itertools.count(), len(ways))
+    compiler.begin()
+    compiler.walk(root, Wanted.at(ways))
+    compiler.close()
+    return tuple(compiler.segments)
+
+
+class _Compiler:
+    """Walks a type and writes down segments.
+
+    The place reached lies `size` bytes behind the beginning of the open segment. That beginning,
+    counted from the origin of alignment, is `phase` plus a multiple of `known`.
+    """
+
+    def __init__(self, extents: Extents, budget: Iterator[int], left: int) -> None:
+        self.extents = extents
+        self.layout = extents.layout
+        self.budget = budget
+        self.left = left
+        self.segments: list[Segment] = []
+        self.pieces: list[Piece] = []
+        self.phase = 0
+        self.size = 0
+        self.known = 1
+        self.alignment = 1
+
+    def begin(self) -> None:
+        """Start where a message starts."""
+        self.known = self.layout.alignment
+        if self.layout.header:
+            self.phase = -self.layout.header
+            self.pieces.append(Piece(ENCAPSULATION, 0, Primitive("u2")))
+            self.size = self.layout.header
+
+    def walk(self, kind: Type, wanted: Wanted) -> None:
+        """Take what is wanted of a value and move behind it, unless nothing is left to take."""
+        if wanted.columns:
+            self._take(kind, wanted.columns)
+        if not self.left:
+            return
+        if not wanted.below and 0 < self.extents.alignment(kind) <= self.known:
+            self._over(kind, 1)
+        elif isinstance(kind, Struct):
+            for name, part in kind.fields:
+                self.walk(part, wanted.under(name))
+                if not self.left:
+                    return
+        elif isinstance(kind, Array):
+            self._array(kind, wanted)
+        elif isinstance(kind, Sequence):
+            self._refuse_delimited(kind.element)
+            self._counted(kind.element)
+        elif isinstance(kind, Primitive):
+            self._align(kind.size)
+            self.size += kind.size
+        elif isinstance(kind, Text) and not kind.wide:
+            self._counted(Primitive("u1"))
+        else:
+            name = "wstring" if isinstance(kind, Text) else kind.name
+            raise NotPlannedError(
+                f"a field of type {quoted(name)} lies before the wanted one, and how many bytes "
+                "it takes is not known"
+            )
+
+    def close(self, ending: Skip | Repeat | None = None) -> None:
+        """End the open segment and begin another, anywhere."""
+        reach = max([self.size, *(piece.end for piece in self.pieces)])
+        if reach > MAX_SIZE or next(self.budget) >= MAX_SEGMENTS:
+            raise NotPlannedError("the definition is larger than any message")
+        windows = _windows(self.pieces)
+        self.segments.append(Segment(self.alignment, windows, reach, self.size, ending))
+        self.pieces = []
+        self.phase = self.size = 0
+        self.known = self.alignment = 1
+
+    def _take(self, kind: Type, columns: list[int]) -> None:
+        found = numbers(kind)
+        if found is None or not self.extents.alignment(kind):
+            raise NotPlannedError("the wanted field is not made of equal numbers")
+        number, count = found
+        self._align(number.size)
+        length = None if isinstance(kind, Primitive) else count
+        self.pieces += [Piece(column, self.size, number, length) for column in columns]
+        self.left -= len(columns)
+
+    def _array(self, kind: Array, wanted: Wanted) -> None:
+        """Walk the elements in which something is wanted, and move over the others."""
+        self._refuse_delimited(kind.element)
+        stops = {step for step in wanted.below if isinstance(step, int)}
+        if self.extents.alignment(kind) and kind.length:
+            # One element reaches the alignment that makes the others a fixed distance.
+            stops.add(0)
+        passed = 0
+        for stop in sorted(stops):
+            self._over(kind.element, stop - passed)
+            self.walk(kind.element, wanted.under(stop))
+            if not self.left:
+                return
+            passed = stop + 1
+        self._over(kind.element, kind.length - passed)
+
+    def _over(self, element: Type, count: int) -> None:
+        """Move over some elements whose alignment has been reached, or which vary in size."""
+        if not count:
+            return
+        if self.extents.alignment(element):
+            self.size += self.extents.size(Array(element, count), self.phase + self.size)
+        else:
+            self.close(Repeat(self._element(element), count))
+
+    def _counted(self, element: Type) -> None:
+        """Move over as many elements as each message says."""
+        self._align(4)
+        self.pieces.append(Piece(COUNT, self.size, Primitive("u4")))
+        self.size += 4
+        if not self.extents.alignment(element):
+            self.close(Repeat(self._element(element), None))
+            return
+        first = tuple(self.extents.size(element, begin) for begin in range(8))
+        further = self.extents.size(element, first[0])
+        if max(*first, further) > MAX_SIZE:
+            raise NotPlannedError("the definition is larger than any message")
+        # The count ends at a multiple of 4 where anything is aligned at all.
+        ends = (0, 4) if self.layout.alignment > 1 else range(8)
+        padded = any(first[end] != further for end in ends)
+        self.close(Skip(first if padded else None, further))
+        # So may the sequence, with or without elements.
+        self.known = math.gcd(4, further, *(end + first[end] for end in ends))
+        self.known = min(self.known, self.layout.alignment)
+
+    def _element(self, element: Type) -> Plan:
+        """Return the way over one element that may begin anywhere."""
+        inner = _Compiler(self.extents, self.budget, 1)
+        inner.walk(element, Wanted())
+        inner.close()
+        return tuple(inner.segments)
+
+    def _refuse_delimited(self, element: Type) -> None:
+        if self.layout.delimited and not isinstance(element, Primitive):
+            raise NotPlannedError(
+                "a collection of strings or structs lies before the wanted field, which writers "
+                "of XCDR2 encode in different ways"
+            )
+
+    def _align(self, to: int) -> None:
+        to = min(to, self.layout.alignment)
+        if to > self.known:
+            if self.size or self.pieces:
+                self.close()
+            self.alignment = self.known = to
+        self.size += -(self.phase + self.size) % to
+
+
+def _windows(pieces: list[Piece]) -> tuple[Window, ...]:
+    """Return windows over pieces, as few as can be without copying much for nothing."""
+    windows: list[Window] = []
+    for piece in sorted(pieces, key=lambda piece: piece.offset):
+        if not windows or piece.offset > windows[-1].offset + windows[-1].size + MERGE_GAP:
+            windows.append(Window(piece.offset, 0, ()))
+        last = windows[-1]
+        inside = Piece(piece.column, piece.offset - last.offset, piece.number, piece.count)
+        size = max(last.size, inside.end)
+        windows[-1] = Window(last.offset, size, (*last.pieces, inside))
+    return tuple(windows)

@@ -1,0 +1,203 @@
+"""From the bytes of messages to columns of the wanted fields."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quoted
+from quatprop.messages.columns import Messages, MixedError, TooShortError, follow
+from quatprop.messages.compiler import NotPlannedError, compile_plan
+from quatprop.messages.definitions import message_type
+from quatprop.messages.layout import ROS1, XCDR1, XCDR2
+from quatprop.messages.schema import at, numbers
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.layout import Layout
+    from quatprop.messages.plan import Plan
+    from quatprop.readers.base import Channel, MessageBlock
+
+ENCODINGS = ("cdr", "ros1")
+"""Encodings that become columns."""
+
+ENCAPSULATIONS: Mapping[int, tuple[Layout, str]] = {
+    0x0000: (XCDR1, ">"),
+    0x0001: (XCDR1, "<"),
+    0x0006: (XCDR2, ">"),
+    0x0007: (XCDR2, "<"),
+    # As in the drafts of XTypes and in RTPS 2.3, which some writers follow.
+    0x0010: (XCDR2, ">"),
+    0x0011: (XCDR2, "<"),
+}
+"""Layout and byte order by the first two bytes of a CDR message, read as big endian."""
+
+UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
+    0x0002: "a parameter list",
+    0x0003: "a parameter list",
+    0x0004: "XML",
+    0x0008: "delimited XCDR2",
+    0x0009: "delimited XCDR2",
+    0x000A: "an XCDR2 parameter list",
+    0x000B: "an XCDR2 parameter list",
+    0x0012: "an XCDR2 parameter list",
+    0x0013: "an XCDR2 parameter list",
+    0x0014: "delimited XCDR2",
+    0x0015: "delimited XCDR2",
+}
+"""Encapsulations in which fields carry tags or sizes that plans know nothing of."""
+
+
+class Decoder:
+    """Takes the same fields out of every message of a channel.
+
+    Parameters
+    ----------
+    channel
+        Whose messages, with their definition.
+    field_paths
+        Dotted paths of the wanted fields; a struct or fixed array of equal numbers is one column
+        of rows.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    UnsupportedLogError
+        The encoding does not become columns.
+    SchemaError
+        The definition cannot be read, has no such fields, or they are not numbers.
+    """
+
+    def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
+        if channel.encoding not in ENCODINGS:
+            raise UnsupportedLogError(
+                path,
+                f"topic {quoted(channel.topic)} is encoded as {quoted(channel.encoding)}; "
+                f"this version reads {' and '.join(ENCODINGS)}",
+            )
+        self.channel = channel
+        self.path = path
+        self._root = message_type(channel, path)
+        self._ways = []
+        self._empty: list[NDArray[Any]] = []
+        for field_path in field_paths:
+            way, kind = at(self._root, field_path, path)
+            found = numbers(kind)
+            if found is None:
+                raise SchemaError(
+                    path,
+                    f"field {quoted(field_path)} of {quoted(channel.type_name)} is not made of "
+                    "equal numbers; name a number, or a struct or fixed array of them",
+                )
+            number, count = found
+            self._ways.append(way)
+            shape = (0,) if way and kind is number else (0, count)
+            self._empty.append(np.empty(shape, number.code))
+        self._plans: dict[Layout, Plan] = {}
+        # A definition that cannot be planned is an error before the first message is read.
+        self._plan(ROS1 if channel.encoding == "ros1" else XCDR1)
+
+    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+        """Return the wanted fields of all messages of a block.
+
+        Parameters
+        ----------
+        block
+            Messages of this channel.
+
+        Returns
+        -------
+        list of ndarray
+            One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of the
+            field's own type in native byte order. They may be strided, never views of the block.
+
+        Raises
+        ------
+        MessageError
+            Messages end before a wanted field; its `positions` say which of the block.
+        UnsupportedLogError
+            Messages are encapsulated in a way that is not read.
+        """
+        try:
+            return self._columns(block.data, block.starts, block.ends - block.starts)
+        except TooShortError as error:
+            raise self._too_short(block, error.positions) from None
+
+    def _columns(
+        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> list[NDArray[Any]]:
+        if not len(starts) or not self._ways:
+            return self._room(len(starts))
+        layout, order = self._encoding(data, starts, lengths)
+        messages = Messages.of(data, starts, lengths, order, layout.header)
+        try:
+            return follow(self._plan(layout), messages, len(self._ways))
+        except MixedError:
+            return self._mixed(data, starts, lengths)
+
+    def _mixed(
+        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> list[NDArray[Any]]:
+        """Return the columns of messages in several encapsulations, each taken by itself."""
+        identifiers = data[starts].astype(np.int64) << 8 | data[starts + 1]
+        mixed = self._room(len(starts))
+        for identifier in np.unique(identifiers):
+            same = np.flatnonzero(identifiers == identifier)
+            try:
+                parts = self._columns(data, starts[same], lengths[same])
+            except TooShortError as error:
+                raise TooShortError(same[error.positions]) from None
+            for column, part in zip(mixed, parts, strict=True):
+                column[same] = part
+        return mixed
+
+    def _room(self, count: int) -> list[NDArray[Any]]:
+        return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
+
+    def _encoding(
+        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> tuple[Layout, str]:
+        """Return how the first message is encoded."""
+        if self.channel.encoding == "ros1":
+            return ROS1, "<"
+        if lengths.min() < XCDR1.header:
+            raise TooShortError(np.flatnonzero(lengths < XCDR1.header))
+        begin = int(starts[0])
+        identifier = int(data[begin]) << 8 | int(data[begin + 1])
+        if identifier in ENCAPSULATIONS:
+            return ENCAPSULATIONS[identifier]
+        form = UNREADABLE_ENCAPSULATIONS.get(identifier, "nothing known")
+        raise UnsupportedLogError(
+            self.path,
+            f"messages of topic {quoted(self.channel.topic)} are encapsulated as {form} "
+            f"(0x{identifier:04x}); record with plain CDR",
+        )
+
+    def _plan(self, layout: Layout) -> Plan:
+        if layout not in self._plans:
+            try:
+                self._plans[layout] = compile_plan(self._root, self._ways, layout)
+            except NotPlannedError as error:
+                raise SchemaError(
+                    self.path, f"topic {quoted(self.channel.topic)}: {error}"
+                ) from None
+        return self._plans[layout]
+
+    def _too_short(self, block: MessageBlock, positions: NDArray[np.intp]) -> MessageError:
+        first = int(positions[0])
+        size = int(block.ends[first] - block.starts[first])
+        others = f" and {len(positions) - 1} others" if len(positions) > 1 else ""
+        return MessageError(
+            self.path,
+            f"the message of topic {quoted(self.channel.topic)} recorded at "
+            f"{block.log_ns[first]} ns{others} ends, after {size} bytes, before the wanted field "
+            f"of {quoted(self.channel.type_name)}; the log is damaged or its definition is not "
+            "that of its messages",
+            positions.tolist(),
+        )

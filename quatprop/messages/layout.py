@@ -1,0 +1,105 @@
+"""How the encodings place values: alignment, and the extent of what has a fixed size.
+
+ROS 1 is packed. XCDR1 aligns every number to its size, counted from the end of the four bytes of
+encapsulation; XCDR2 does the same, but to 4 at most. A struct has no alignment of its own: its
+extent depends on where it begins.
+
+References
+----------
+OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quatprop.messages.schema import Array, Primitive, Struct
+
+if TYPE_CHECKING:
+    from quatprop.messages.schema import Type
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How an encoding places its values.
+
+    Parameters
+    ----------
+    header
+        Bytes before the origin of alignment.
+    alignment
+        Largest alignment, bytes; 1 is packed.
+    delimited
+        Whether collections of other than numbers are preceded by their size in bytes, on which
+        writers disagree.
+    """
+
+    header: int
+    alignment: int
+    delimited: bool = False
+
+
+ROS1 = Layout(0, 1)
+XCDR1 = Layout(4, 8)
+XCDR2 = Layout(4, 4, delimited=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Extents:
+    """Alignments and sizes of the parts of a definition, each computed once.
+
+    Parameters
+    ----------
+    layout
+        The encoding.
+    """
+
+    layout: Layout
+    _alignments: dict[Type, int] = field(default_factory=dict)
+    _sizes: dict[tuple[Type, int], int] = field(default_factory=dict)
+
+    def alignment(self, kind: Type) -> int:
+        """Return the largest alignment in a value of fixed size, or 0 where its size varies."""
+        if isinstance(kind, Primitive):
+            return min(kind.size, self.layout.alignment)
+        if kind not in self._alignments:
+            self._alignments[kind] = self._composed(kind)
+        return self._alignments[kind]
+
+    def size(self, kind: Type, begin: int) -> int:
+        """Return the bytes of a value of fixed size, with the padding before it.
+
+        Parameters
+        ----------
+        kind
+            Its type.
+        begin
+            Where the value before it ends, bytes from the origin of alignment.
+        """
+        begin %= 8
+        if isinstance(kind, Primitive):
+            return -begin % self.alignment(kind) + kind.size
+        if (kind, begin) not in self._sizes:
+            end = begin
+            if isinstance(kind, Struct):
+                for _, part in kind.fields:
+                    end += self.size(part, end)
+            elif isinstance(kind, Array) and kind.length:
+                # From the second element on they lie equal distances apart, because every
+                # element ends equally far behind its first most aligned number.
+                end += self.size(kind.element, end)
+                end += (kind.length - 1) * self.size(kind.element, end)
+            self._sizes[kind, begin] = end - begin
+        return self._sizes[kind, begin]
+
+    def _composed(self, kind: Type) -> int:
+        if isinstance(kind, Struct):
+            parts = [self.alignment(part) for _, part in kind.fields]
+            return max([1, *parts]) if all(parts) else 0
+        if isinstance(kind, Array):
+            if not kind.length:
+                return 1
+            delimited = self.layout.delimited and not isinstance(kind.element, Primitive)
+            return 0 if delimited else self.alignment(kind.element)
+        return 0

@@ -1,0 +1,246 @@
+"""Message definitions as trees of types, and dotted paths into them."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from quatprop.errors import SchemaError, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+MAX_DEPTH = 50
+"""Definitions nested deeper than this are refused: no real one is, and walks recurse."""
+
+MAX_VISITS = 100_000
+"""A search through a definition stops after so many types: sharing can multiply paths."""
+
+MAX_SEARCHED_ITEMS = 16
+"""A search looks into the elements of fixed arrays up to this length."""
+
+_STEP = re.compile(r"(?:^|\.)(\w+)|\[(\d+)\]", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """A number, of one size everywhere.
+
+    Parameters
+    ----------
+    code
+        numpy's type string without byte order: ``"f8"``, ``"u4"``, ``"b1"``.
+    """
+
+    code: str
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return int(self.code[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A string.
+
+    Parameters
+    ----------
+    wide
+        Whether its characters are wider than a byte.
+    """
+
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A type that is named but defined nowhere; an error only where it is in the way.
+
+    Parameters
+    ----------
+    name
+        As the definition says it.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Struct:
+    """A message or a part of one; compared by identity, so that walks can remember it.
+
+    Parameters
+    ----------
+    name
+        Type name, ``package/msg/Name``.
+    fields
+        Names and types, in the order of the bytes.
+    """
+
+    name: str
+    fields: tuple[tuple[str, Type], ...]
+
+    def field(self, name: str) -> Type | None:
+        """Return the type of a field, or None."""
+        return next((kind for own, kind in self.fields if own == name), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Array:
+    """A fixed number of elements."""
+
+    element: Type
+    length: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sequence:
+    """A number of elements that each message says for itself."""
+
+    element: Type
+
+
+Type: TypeAlias = Primitive | Text | Unknown | Struct | Array | Sequence
+Steps: TypeAlias = tuple[str | int, ...]
+
+
+def steps(field_path: str) -> Steps | None:
+    """Return the names and indices of a dotted path, or None where it is not one.
+
+    Examples
+    --------
+    >>> steps("imus[1].angular_velocity.x")
+    ('imus', 1, 'angular_velocity', 'x')
+    """
+    found: list[str | int] = []
+    end = 0
+    for match in _STEP.finditer(field_path):
+        if match.start() != end:
+            return None
+        end = match.end()
+        name, index = match.groups()
+        found.append(name if index is None else int(index))
+    return tuple(found) if found and end == len(field_path) else None
+
+
+def find(root: Struct, field_path: str) -> Type | None:
+    """Return the type that a dotted path leads to, or None where it leads nowhere."""
+    here: Type | None = root
+    for step in steps(field_path) or ("",):
+        here = None if here is None else _below(here, step)
+    return here
+
+
+def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
+    """Return where a dotted path leads.
+
+    Parameters
+    ----------
+    root
+        The message.
+    field_path
+        Such as ``"header.stamp.sec"`` or ``"covariance[0]"``.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    SchemaError
+        It leads nowhere, or into a sequence, whose elements need not be there.
+    """
+    way = steps(field_path)
+    if way is None:
+        raise SchemaError(
+            path, f"{quoted(field_path)} is not a field path; write it as a.b.c or a[0].b"
+        )
+    here: Type = root
+    for step in way:
+        below = _below(here, step)
+        if below is None:
+            raise SchemaError(path, _dead_end(root, here, step, field_path))
+        here = below
+    return way, here
+
+
+def numbers(kind: Type) -> tuple[Primitive, int] | None:
+    """Return the type and count of equal numbers that `kind` is made of, or None if it is not.
+
+    A struct such as ``geometry_msgs/Vector3`` is three float64; equal numbers lie without gaps in
+    every encoding, so they are fetched as one.
+    """
+    return _numbers(kind, {})
+
+
+def _numbers(
+    kind: Type, known: dict[Type, tuple[Primitive, int] | None]
+) -> tuple[Primitive, int] | None:
+    if isinstance(kind, Primitive):
+        return kind, 1
+    if kind not in known:
+        known[kind] = None
+        if isinstance(kind, Array):
+            inner = _numbers(kind.element, known)
+            known[kind] = inner and (inner[0], inner[1] * kind.length)
+        elif isinstance(kind, Struct):
+            parts = [_numbers(part, known) for _, part in kind.fields]
+            present = [part for part in parts if part is not None]
+            if len(present) == len(parts) and len({part[0] for part in present}) == 1:
+                known[kind] = present[0][0], sum(count for _, count in present)
+    return known[kind]
+
+
+def structs(root: Struct) -> Iterator[tuple[str, Struct]]:
+    """Yield every struct in a message that is there once and always, outermost first.
+
+    Yields
+    ------
+    tuple
+        Its prefix, ``""`` for the message itself and else ending in a dot, and the struct.
+    """
+    waiting: deque[tuple[str, Type]] = deque([("", root)])
+    for _ in range(MAX_VISITS):
+        if not waiting:
+            return
+        place, kind = waiting.popleft()
+        if isinstance(kind, Struct):
+            prefix = place and place + "."
+            yield prefix, kind
+            waiting.extend((prefix + name, part) for name, part in kind.fields)
+        elif isinstance(kind, Array) and kind.length <= MAX_SEARCHED_ITEMS:
+            waiting.extend((f"{place}[{k}]", kind.element) for k in range(kind.length))
+
+
+def around(root: Struct, field_path: str) -> Iterator[tuple[str, Struct]]:
+    """Yield the structs that a field lies in, with their prefixes, innermost first."""
+    here: Type | None = root
+    prefix = ""
+    found: list[tuple[str, Struct]] = []
+    for step in steps(field_path) or ():
+        if isinstance(here, Struct):
+            found.append((prefix and prefix + ".", here))
+        prefix += f"[{step}]" if isinstance(step, int) else ("." if prefix else "") + step
+        here = None if here is None else _below(here, step)
+    yield from reversed(found)
+
+
+def _below(kind: Type, step: str | int) -> Type | None:
+    if isinstance(kind, Struct) and isinstance(step, str):
+        return kind.field(step)
+    if isinstance(kind, Array) and isinstance(step, int) and step < kind.length:
+        return kind.element
+    return None
+
+
+def _dead_end(root: Struct, here: Type, step: str | int, field_path: str) -> str:
+    lost = f"{quoted(root.name)} has no field {quoted(field_path)}"
+    if isinstance(here, Struct) and isinstance(step, str):
+        return f"{lost}; {quoted(here.name)} has {listed(name for name, _ in here.fields)}"
+    if isinstance(here, Array):
+        return f"{lost}; the array there takes an index from [0] to [{here.length - 1}]"
+    if isinstance(here, Sequence):
+        return f"{lost} in every message: a sequence may be empty; name a field outside it"
+    return f"{lost}; a number or a string has no parts"

@@ -1,0 +1,117 @@
+"""Time stamps inside messages, as int64 nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from quatprop.errors import MessageError, listed
+from quatprop.messages.schema import Primitive, Struct
+from quatprop.times import NS_PER_UNIT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.schema import Type
+
+SECONDS = ("sec", "secs")
+NANOSECONDS = ("nanosec", "nsec", "nsecs")
+"""Names of the two parts of a time, in the generations of ROS and its neighbours."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """Which fields of a message are its time.
+
+    Parameters
+    ----------
+    fields
+        Dotted path of one number, or of the seconds and of the nanoseconds.
+    unit
+        Of one number, or of the first of two: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+    """
+
+    fields: tuple[str, ...]
+    unit: str = "s"
+
+    @classmethod
+    def of_time(cls, place: str) -> Self:
+        """Return the stamp in a ROS time at a dotted path."""
+        return cls((f"{place}.sec", f"{place}.nanosec"))
+
+    def under(self, prefix: str) -> Stamp:
+        """Return the same stamp in a message inside another."""
+        return Stamp(tuple(prefix + name for name in self.fields), self.unit)
+
+    def ns(self, columns: Sequence[NDArray[Any]], path: Path | str) -> NDArray[np.int64]:
+        """Return the time of every message.
+
+        Parameters
+        ----------
+        columns
+            The `fields`, shape ``(N,)`` each.
+        path
+            The log, for errors.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(N,)``, int64 ns. Nanoseconds of a second or more carry over.
+
+        Raises
+        ------
+        MessageError
+            A stamp is not finite or does not fit in 64 bits of nanoseconds.
+
+        Examples
+        --------
+        >>> Stamp.of_time("stamp").ns([np.array([2]), np.array([5])], "log")
+        array([2000000005])
+        """
+        t_ns = self._scaled(columns[0], path)
+        for nanoseconds in columns[1:]:
+            t_ns += nanoseconds.astype(np.int64)
+        return t_ns
+
+    def _scaled(self, column: NDArray[Any], path: Path | str) -> NDArray[np.int64]:
+        scale = NS_PER_UNIT[self.unit]
+        floating = column.dtype.kind == "f"
+        if floating or column.dtype.itemsize == np.dtype(np.int64).itemsize:
+            limit = np.iinfo(np.int64).max // scale
+            # Written so that NaN is refused too.
+            fits = (column > -limit) & (column < limit)
+            if not fits.all():
+                positions = np.flatnonzero(~fits)
+                raise MessageError(
+                    path,
+                    f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does "
+                    "not fit in 64 bits of nanoseconds; choose --clock log or another --time-field",
+                    positions.tolist(),
+                )
+        whole = np.floor(column).astype(np.int64) if floating else column.astype(np.int64)
+        t_ns: NDArray[np.int64] = whole * scale
+        return t_ns + np.rint((column - whole) * scale).astype(np.int64) if floating else t_ns
+
+
+def stamp_of(place: str, kind: Type) -> Stamp | None:
+    """Return the stamp in a struct of seconds and nanoseconds, or None where it is not one.
+
+    Parameters
+    ----------
+    place
+        Dotted path of the struct.
+    kind
+        Its type.
+    """
+    if not isinstance(kind, Struct) or len(kind.fields) != len(("sec", "nanosec")):
+        return None
+    (seconds, first), (nanoseconds, second) = kind.fields
+    integers = all(isinstance(t, Primitive) and t.code[0] in "iu" for t in (first, second))
+    if integers and seconds in SECONDS and nanoseconds in NANOSECONDS:
+        return Stamp((f"{place}.{seconds}", f"{place}.{nanoseconds}"))
+    return None
