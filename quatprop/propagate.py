@@ -39,7 +39,7 @@ FRAMES: Final = ("body", "inertial")
 TILE: Final = BLOCK // 8
 """Samples multiplied up together: few enough for the L2 cache, many enough for cheap calls."""
 
-SERIAL: Final = 32
+SERIAL: Final = 64
 """So few steps are multiplied up faster by a loop than by more levels of the tree."""
 
 
@@ -153,12 +153,14 @@ class _Run:
         rows = np.empty((len(series), 4))
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(series), TILE):
-                tile = slice(start, start + TILE)
-                self._advance_tile(series.t_ns[tile], series.rate[tile], rows[tile])
+                stop = start + TILE
+                self._advance_tile(*self._with_previous(series, start, stop), rows[start:stop])
+        if len(series):
+            self._sample = GyroSeries(series.t_ns[-1:].copy(), series.rate[-1:].copy())
         return rows
 
     def _advance_tile(self, t_ns: Int64, rate: Float64, rows: Float64) -> None:
-        steps = _steps(self._rotation_vectors(t_ns, rate))
+        steps = _steps(rotation_vectors(t_ns, 0.0 - rate if self._inertial else rate, self._method))
         _write_rows(_product_scan(self._attitude, steps)[:, 1:], rows)
         self._attitude = rows[-1].copy().view(np.complex128)
         if not np.isfinite(rows[-1]).all():
@@ -173,15 +175,16 @@ class _Run:
                 # Not a negation: that would write zeros as -0.
                 np.subtract(0.0, component, out=component)
 
-    def _rotation_vectors(self, t_ns: Int64, rate: Float64) -> Float64:
-        """Return how the body turned to reach each of these samples."""
-        if self._sample is None:
-            # A step of no time leads to the first sample.
-            self._sample = GyroSeries(t_ns[:1], rate[:1])
-        t_ns = np.concatenate([self._sample.t_ns, t_ns])
-        rate = np.concatenate([self._sample.rate, rate])
-        self._sample = GyroSeries(t_ns[-1:], rate[-1:])
-        return rotation_vectors(t_ns, 0.0 - rate if self._inertial else rate, self._method)
+    def _with_previous(self, series: GyroSeries, start: int, stop: int) -> tuple[Int64, Float64]:
+        """Return the samples of a tile and the one before them."""
+        if start:
+            return series.t_ns[start - 1 : stop], series.rate[start - 1 : stop]
+        # Before the very first sample comes itself: a step of no time leads to it.
+        previous = self._sample or GyroSeries(series.t_ns[:1], series.rate[:1])
+        return (
+            np.concatenate([previous.t_ns, series.t_ns[:stop]]),
+            np.concatenate([previous.rate, series.rate[:stop]]),
+        )
 
 
 def _unit(q0: ArrayLike) -> Float64:
@@ -253,5 +256,7 @@ def _write_rows(pairs: Pairs, rows: Float64) -> None:
     scale = np.zeros(len(rows), np.complex128)
     # 1/sqrt(s) where s differs from 1 by rounding errors only. It is complex since a mixed
     # product would convert it, chunk by chunk, at four times the price.
-    scale.real = 1.5 - 0.5 * (squares[0, 0::2] + squares[0, 1::2])
+    half = squares[0, 0::2] + squares[0, 1::2]
+    half *= 0.5
+    np.subtract(1.5, half, out=scale.real)
     np.multiply(pairs, scale, out=rows.view(np.complex128).T)
