@@ -131,8 +131,8 @@ def test_a_time_that_overflows_is_told_with_its_unit():
     text = "t,gyro_x,gyro_y,gyro_z\n" + "1403715523912140000,1,2,3\n" * 3
     with pytest.raises(
         UnsupportedLogError,
-        match=r"-: 3 of its first 3 rows do not fit \(3 of lines 2 to 4: the first: "
-        r"1403715523912140000 s in column 't' does not fit in int64 ns\); check .* units",
+        match=r"-: 3 of its first 3 rows do not fit \(line 2: 1403715523912140000 s in column "
+        r"'t' does not fit in int64 ns\); check .* units",
     ):
         read(text, **UNITS)
 
@@ -274,12 +274,18 @@ def test_a_torn_last_line_is_told():
     assert losses == [Loss("line 4", "it has 3 columns instead of 4", 1)]
 
 
-def test_neighbouring_losses_are_told_together():
+def test_many_losses_are_told_together():
     """Losses are counted by place, so that a bad log does not fill the memory with sentences."""
-    rows = ["1,1,2,3"] * 9
-    rows[2] = rows[5] = "1"
+    rows = ["1,1,2,3"] * 99
+    rows[2:90:9] = ["1"] * len(rows[2:90:9])
     _, _, losses = read("t,wx,wy,wz\n" + "\n".join(rows), **UNITS)
-    assert losses == [Loss("2 of lines 4 to 7", "the first: it has 1 columns instead of 4", 2)]
+    assert losses == [
+        Loss(
+            "lines 4 to 85",
+            "of these rows 10 do not fit; the first: it has 1 columns instead of 4",
+            10,
+        )
+    ]
 
 
 def test_damage_far_into_a_log_is_told_by_its_line(tmp_path):

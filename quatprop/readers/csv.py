@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from quatprop.selection import Selection
 
 _PIECE_BYTES = 1 << 16
+_LOSSES_A_BLOCK = 8
 _STDIN = Path("-")
 
 
@@ -144,11 +145,13 @@ class _Scan:
     def __init__(
         self, layout: Layout, columns: TableColumns, lines: LineCounter, losses: list[Loss]
     ) -> None:
+        self._layout = layout
         self._columns = columns
         self._block_parser = BlockParser(layout, columns)
         self._row_parser = RowParser(layout, columns)
         self._lines = lines
         self._losses = losses
+        self._known = len(losses)
         self._count = 0
         self._lost = 0
 
@@ -170,7 +173,7 @@ class _Scan:
     def refuse_mostly_lost(self, path: Path) -> None:
         """Refuse a table of which more rows were lost than read."""
         if 2 * self._lost > self._count:
-            first = self._losses[-1]
+            first = self._losses[self._known]
             raise UnsupportedLogError(
                 path,
                 f"{self._lost} of its first {self._count} rows do not fit ({first.place}: "
@@ -180,25 +183,25 @@ class _Scan:
     def _damaged(self, block: Block) -> Iterator[Rows]:
         """Read a block in which something does not fit, piece by piece."""
         line = self._lines.at(block.offset)
-        for piece in pieces(bytes(block.data), _PIECE_BYTES):
+        lost: list[tuple[int, str]] = []
+        for piece in pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
             try:
-                rows = self._block_parser.parse(piece, quoted=b'"' in piece)
+                yield self._block_parser.parse(piece, quoted=b'"' in piece)
             except MISFITS:
                 rows = self._row_parser.parse(piece, line)
-                self._note(rows.lost)
-            yield rows
+                lost += rows.lost
+                yield rows
             line += piece.count(b"\n")
+        self._note(lost)
 
-    def _note(self, lost: tuple[tuple[int, str], ...]) -> None:
-        if not lost:
-            return
+    def _note(self, lost: list[tuple[int, str]]) -> None:
         self._lost += len(lost)
-        first, reason = lost[0]
-        if len(lost) == 1:
-            self._losses.append(Loss(f"line {first}", reason, 1))
+        if len(lost) <= _LOSSES_A_BLOCK:
+            self._losses += [Loss(f"line {line}", reason, 1) for line, reason in lost]
         else:
-            place = f"{len(lost)} of lines {first} to {lost[-1][0]}"
-            self._losses.append(Loss(place, f"the first: {reason}", len(lost)))
+            place = f"lines {lost[0][0]} to {lost[-1][0]}"
+            reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
+            self._losses.append(Loss(place, reason, len(lost)))
 
     def _series(self, rows: Rows) -> GyroSeries:
         t_ns = rows.t_ns

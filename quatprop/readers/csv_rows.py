@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,6 +22,8 @@ if TYPE_CHECKING:
 
 MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
 """What :class:`BlockParser` raises for a block in which something does not fit."""
+
+_TASK_BYTES = 1 << 19  # what one thread of pyarrow parses at a time
 
 _NOT_A_NUMBER = {
     "",
@@ -116,7 +117,11 @@ class BlockParser(_Wanted):
             types[str(k)] = decimal_time.decimal_type(unit, spare)
         table = arrow_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)),
-            read_options=arrow_csv.ReadOptions(column_names=self._names),
+            read_options=arrow_csv.ReadOptions(
+                column_names=self._names,
+                block_size=_TASK_BYTES,
+                use_threads=len(data) > _TASK_BYTES,
+            ),
             parse_options=arrow_csv.ParseOptions(
                 delimiter=self.layout.delimiter, newlines_in_values=quoted
             ),
@@ -241,5 +246,8 @@ class RowParser(_Wanted):
 
 
 def squeezed(data: bytes | memoryview) -> bytes:
-    """Return rows that are separated by runs of blanks with one space for each run."""
-    return re.sub(rb"(?m)^ | (?=\r?$)", b"", re.sub(rb"[ \t]+", b" ", data))
+    """Return rows whose cells are separated by runs of blanks with one space for each run."""
+    text = b"\n" + bytes(data).replace(b"\r", b"").replace(b"\t", b" ")
+    while b"  " in text:
+        text = text.replace(b"  ", b" ")
+    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n")[1:].rstrip(b" ")

@@ -23,6 +23,7 @@ COMMENTS = ("#", "%", "//")
 """What marks a line that is not a row; a header may carry such a mark too."""
 
 _LINES = 200
+_MARK = b"\xef\xbb\xbf"
 _DELIMITERS = ("\t", ";", ",", " ")
 _NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
@@ -51,6 +52,8 @@ class Layout:
         Number of the line of the first row, from 1.
     notes
         What the lines before the header say.
+    header
+        The header line without its end; empty where there is none.
     """
 
     names: list[str]
@@ -59,6 +62,13 @@ class Layout:
     body: int
     line: int
     notes: Notes
+    header: bytes = b""
+
+    def without_headers(self, data: bytes) -> bytes:
+        """Return rows with blank lines where the header is repeated, as in joined files."""
+        if not self.header or self.header not in data:
+            return data
+        return re.sub(rb"(?m)^%b(?=\r?$)" % re.escape(self.header), b"", data)
 
 
 def sniff(head: bytes, path: Path) -> Layout:
@@ -97,6 +107,7 @@ def sniff(head: bytes, path: Path) -> Layout:
         decimal=_decimal(data) if delimiter != "," else ".",
         body=sum(map(len, raw[:body])),
         line=body + 1,
+        header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
         notes=_notes(texts[: first if header is None else header], names, path),
     )
 
