@@ -1,0 +1,255 @@
+"""MCAP files: profiles ros1, ros2 or any other, chunked or not, with or without summary."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.readers.base import Channel, Loss, MessageBlock
+from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
+from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
+from quatprop.readers.mcap_regions import RegionError, Source, load
+from quatprop.readers.mcap_summary import MAGIC
+from quatprop.readers.mcap_survey import survey
+from quatprop.readers.prefetch import ahead
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from quatprop.readers.compression import Buffer, UnpackedCopy
+    from quatprop.readers.mcap_messages import Messages
+    from quatprop.readers.mcap_regions import Region
+    from quatprop.readers.mcap_summary import Survey
+
+_ROS_ENCODINGS = frozenset({"ros1", "cdr"})
+
+
+class McapLog:
+    """An MCAP file; see :class:`quatprop.readers.base.MessageLog`.
+
+    Parameters
+    ----------
+    path
+        The file; it may be packed as a whole with zstd, lz4, bz2 or gzip.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file is missing or may not be read.
+    UnsupportedLogError
+        It is of another major version.
+    DamagedLogError
+        It is no MCAP file, or nothing of it can be read.
+    """
+
+    kind = "mcap"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses: list[Loss] = []
+        self._file = path
+        self._copy: UnpackedCopy | None = None
+        try:
+            found = self._open()
+        except OSError as error:
+            self.close()
+            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+        except BaseException:
+            self.close()
+            raise
+        self._regions = found.regions
+        self._ids = _by_identity(found)
+        self._stated = found.counts
+        for loss in found.losses:
+            self._lose(loss)
+        if self.losses and not (self._ids or self._regions):
+            first = self.losses[0]
+            raise DamagedLogError(path, f"nothing of it can be read; {first.place}: {first.reason}")
+
+    def _open(self) -> Survey:
+        with self.path.open("rb") as file:
+            if file_compression(file.read(4)):
+                self._unpack()
+        with Source(self._file) as source:
+            magic = source.read(0, len(MAGIC))
+            if magic != MAGIC:
+                self._refuse(magic)
+            return survey(source)
+
+    def _unpack(self) -> None:
+        try:
+            self._copy = unpacked_copy(self.path)
+        except CompressionError as error:
+            raise DamagedLogError(
+                self.path, f"{error.reason}; nothing of it can be read"
+            ) from error
+        self._file = self._copy.path
+        if self._copy.damage:
+            self._lose(Loss("end of the packed file", self._copy.damage))
+
+    def _refuse(self, magic: bytes) -> None:
+        if len(magic) == len(MAGIC) and magic[:5] + magic[6:] == MAGIC[:5] + MAGIC[6:]:
+            version = chr(magic[5])
+            raise UnsupportedLogError(
+                self.path, f"it is MCAP of version {version!r} and only version '0' is read"
+            )
+        raise DamagedLogError(
+            self.path, "it does not begin as an MCAP file; check that it was copied whole"
+        )
+
+    def channels(self) -> list[Channel]:
+        """Return every channel, in order of topic, with or without messages."""
+        every = [replace(channel, count=self._count(ids)) for channel, ids in self._ids.items()]
+        return sorted(every, key=lambda channel: (channel.topic, channel.type_name))
+
+    def _count(self, ids: Sequence[int]) -> int | None:
+        """Return how many messages the channels of these ids have, where that is known."""
+        if self._stated is not None:
+            return sum(self._stated.get(one, 0) for one in ids)
+        counts = [region.count(one) for region in self._regions for one in ids]
+        known = [count for count in counts if count is not None]
+        return sum(known) if len(known) == len(counts) else None
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, chunk after chunk in order of their first times.
+
+        Chunks are read and unpacked ahead, in threads. Only chunks that hold the channel are
+        read, and nothing is kept, so that memory does not grow with the file.
+
+        Parameters
+        ----------
+        channel
+            One of :meth:`channels`.
+
+        Yields
+        ------
+        MessageBlock
+            The messages of one chunk in the order of the chunk.
+        """
+        ids = self._ids.get(channel, [])
+        regions = [r for r in self._regions if r.holds is None or any(i in r.holds for i in ids)]
+        regions.sort(key=lambda region: (region.first_ns, region.start))
+        bounds = [*(region.first_ns for region in regions), LATEST][1:]
+        found = 0
+        with self._source() as source, closing(ahead(partial(_load, source), regions)) as loaded:
+            for region, bound, content in zip(regions, bounds, loaded, strict=True):
+                if isinstance(content, RegionError):
+                    self._lose(Loss(region.place, content.reason, _sum(region, ids)))
+                    continue
+                data, raw = content
+                messages = self._messages(data, raw, region, ids)
+                if messages:
+                    found += len(messages)
+                    yield _block(data, messages, bound)
+        self._check_count(ids, regions, found)
+
+    def _check_count(self, ids: Sequence[int], regions: Sequence[Region], found: int) -> None:
+        """Note when the file states more messages than its whole regions gave."""
+        places = {loss.place for loss in self.losses}
+        if self._stated is None or any(region.place in places for region in regions):
+            return
+        missing = sum(self._stated.get(one, 0) for one in ids) - found
+        if missing > 0:
+            reason = f"it counts {missing} messages more than there are"
+            self._lose(Loss("summary", reason, missing))
+
+    def _source(self) -> Source:
+        try:
+            return Source(self._file)
+        except OSError as error:
+            raise UnreadableLogError(self.path, f"{error.strerror}; check the path") from error
+
+    def _messages(
+        self, data: Buffer, raw: Buffer, region: Region, ids: Sequence[int]
+    ) -> Messages | None:
+        """Locate the messages of a region: by its index, or where that fails by its records."""
+        offsets = indexed(raw, region, ids)
+        if offsets is not None:
+            messages = at_offsets(data, offsets)
+            if messages is not None and messages.are_all_of(ids):
+                return messages
+        walked = walk(data)
+        if walked.end < len(data):
+            reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
+            self._lose(Loss(region.place, reason))
+        if walked.malformed:
+            self._lose(Loss(region.place, "too short to be messages", walked.malformed))
+        messages = at_offsets(data, walked.offsets)
+        return messages.of(ids) if messages else None
+
+    def _lose(self, loss: Loss) -> None:
+        """Note a loss once, however often the log is read."""
+        if loss not in self.losses:
+            self.losses.append(loss)
+
+    def close(self) -> None:
+        """Remove the temporary copy of a packed file."""
+        if self._copy is not None:
+            self._copy.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _by_identity(found: Survey) -> dict[Channel, list[int]]:
+    """Return the ids of each channel; MCAP gives one to every publisher."""
+    ids: dict[Channel, list[int]] = {}
+    for id_, record in sorted(found.channels.items()):
+        schema = found.schemas.get(record.schema_id)
+        channel = Channel(
+            topic=record.topic,
+            type_name=_type_name(schema.name if schema else "", record.message_encoding),
+            encoding=record.message_encoding,
+            schema_encoding=schema.encoding if schema else "",
+            schema=schema.data if schema else b"",
+        )
+        ids.setdefault(channel, []).append(id_)
+    return ids
+
+
+def _type_name(name: str, encoding: str) -> str:
+    """Return a ROS type as ``package/msg/Name``, any other as it is."""
+    package, slash, rest = name.replace("::", "/").partition("/")
+    if encoding not in _ROS_ENCODINGS or not slash:
+        return name
+    return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"
+
+
+def _load(source: Source, region: Region) -> tuple[Buffer, Buffer] | RegionError:
+    try:
+        return load(source, region)
+    except RegionError as error:
+        return error
+
+
+def _sum(region: Region, ids: Sequence[int]) -> int | None:
+    counts = [region.count(one) for one in ids]
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else None
+
+
+def _block(data: Buffer, messages: Messages, not_before_ns: int) -> MessageBlock:
+    return MessageBlock(
+        np.frombuffer(data, np.uint8),
+        messages.starts,
+        messages.ends,
+        messages.log_ns,
+        messages.publish_ns,
+        not_before_ns,
+    )

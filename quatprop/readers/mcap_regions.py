@@ -1,0 +1,182 @@
+"""The stretches of an MCAP file that hold messages: chunks, and runs of messages outside chunks.
+
+References
+----------
+The MCAP format specification: every record is an opcode (1 byte), a length (8 bytes) and as many
+bytes of content, all little-endian.
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from quatprop.readers.compression import CompressionError, decompress
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+    from typing import Self
+
+    from quatprop.readers.compression import Buffer
+
+SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 3, 4, 5, 6, 7
+"""Opcodes."""
+RECORD = struct.Struct("<BQ")
+"""Opcode and length of the content: how every record begins."""
+CHUNK_HEAD = struct.Struct("<QQQII")
+"""Start time, end time, unpacked size, CRC, length of the compression's name."""
+
+INDEX_HEAD = struct.Struct("<BQHI")
+"""Opcode, length, channel and size of the entries of a message index."""
+INDEX_ENTRY = 16
+"""Bytes of one entry of a message index: log time and offset."""
+
+
+class Source:
+    """A file that several threads read at given places.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("rb", buffering=0)
+        self._lock = threading.Lock()
+        self.size = self._file.seek(0, 2)
+
+    def read(self, start: int, length: int) -> bytes:
+        """Return the bytes from `start`, fewer than `length` at the end of the file."""
+        length = max(0, min(length, self.size - start))
+        with self._lock:
+            self._file.seek(start)
+            data = self._file.read(length)
+            while len(data) < length and (more := self._file.read(length - len(data))):
+                data += more
+        return data
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._file.close()
+
+
+@dataclass(slots=True)
+class Region:
+    """A chunk, or a run of messages outside chunks.
+
+    Parameters
+    ----------
+    start, length
+        The chunk record, or the messages, in the file, bytes.
+    is_chunk
+        Whether it is a chunk.
+    first_ns
+        Its earliest log time, ns.
+    index_length
+        Bytes of message index right after it.
+    holds
+        Channel id to where its message index is in the file, 0 where there is none. None where it
+        is not known which channels the region holds.
+    counts
+        Channel id to number of messages where they were counted.
+    """
+
+    start: int
+    length: int
+    is_chunk: bool
+    first_ns: int
+    index_length: int = 0
+    holds: dict[int, int] | None = None
+    counts: dict[int, int] | None = None
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins in the file."""
+        return self.start + self.length + self.index_length
+
+    @property
+    def place(self) -> str:
+        """Where it is, for people."""
+        return f"{'chunk' if self.is_chunk else 'messages'} at byte {self.start}"
+
+    def count(self, channel: int) -> int | None:
+        """Return how many messages of a channel it holds, where that is known."""
+        if self.counts is not None:
+            return self.counts.get(channel, 0)
+        if self.holds is None:
+            return None
+        if channel not in self.holds:
+            return 0
+        ends = [at for at in self.holds.values() if at > self.holds[channel]]
+        size = min(ends, default=self.end) - self.holds[channel] - INDEX_HEAD.size
+        return max(0, size // INDEX_ENTRY)
+
+
+class RegionError(Exception):
+    """A region that cannot be read.
+
+    Parameters
+    ----------
+    reason
+        Why.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def load(source: Source, region: Region) -> tuple[Buffer, Buffer]:
+    """Read a region, its message index with it, and unpack it.
+
+    Returns
+    -------
+    data
+        The unpacked records.
+    raw
+        The region and its message index as they are in the file.
+
+    Raises
+    ------
+    RegionError
+        The region is damaged.
+    """
+    try:
+        raw = source.read(region.start, region.length + region.index_length)
+    except OSError as error:
+        raise RegionError(f"it cannot be read: {error.strerror}") from error
+    if len(raw) < region.length:
+        raise RegionError("the file ends inside it")
+    if not region.is_chunk:
+        return raw, raw
+    try:
+        return _unpack(memoryview(raw)[: region.length]), raw
+    except CompressionError as error:
+        raise RegionError(error.reason) from error
+
+
+def _unpack(record: memoryview) -> Buffer:
+    """Return the unpacked records of a chunk record."""
+    fixed = RECORD.size + CHUNK_HEAD.size
+    if len(record) < fixed + 8 or RECORD.unpack_from(record) != (CHUNK, len(record) - RECORD.size):
+        raise RegionError("no chunk of the indexed length begins there")
+    _, _, size, _, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
+    begin = fixed + name_length + 8
+    if begin > len(record):
+        raise RegionError("its header is damaged")
+    (packed,) = struct.unpack_from("<Q", record, begin - 8)
+    if begin + packed > len(record):
+        raise RegionError("its header is damaged")
+    compression = bytes(record[fixed : fixed + name_length]).decode(errors="replace")
+    return decompress(record[begin : begin + packed], compression, size)

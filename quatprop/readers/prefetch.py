@@ -1,0 +1,54 @@
+"""Work done ahead of its use, in threads: reading and unpacking let other Python code run."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Sequence
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_WORKERS = max(1, min(3, (os.cpu_count() or 1) - 1))
+"""One core is left to whoever uses the results."""
+
+
+def ahead(
+    function: Callable[[Item], Result], items: Sequence[Item]
+) -> Generator[Result, None, None]:
+    """Yield ``function(item)`` for each item, in order, computed a few items ahead.
+
+    Close the iterator to stop early: what has begun is waited for, what has not is dropped.
+
+    Parameters
+    ----------
+    function
+        Called in other threads, several at a time.
+    items
+        What to call it with.
+
+    Examples
+    --------
+    >>> list(ahead(abs, [3, -1, -2, 0]))
+    [3, 1, 2, 0]
+    """
+    if len(items) <= 1 + _WORKERS:  # not worth the import and the threads
+        yield from map(function, items)
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    pool = ThreadPoolExecutor(_WORKERS)
+    waiting: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > _WORKERS:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
