@@ -137,6 +137,21 @@ def test_a_time_that_overflows_is_told_with_its_unit():
         read(text, **UNITS)
 
 
+def test_dates_are_read_to_the_nanosecond():
+    """A time as text carries its own unit, and a damaged one is told like any other."""
+    rows = "2026-01-01T00:00:00.123456789Z,1,2,3\n2026-01-01T01:00:01+01:00,1,2,3\n"
+    text = f"when,gyro_x,gyro_y,gyro_z\n{rows}{rows}2026-13-01T00:00:00Z,1,2,3\n"
+    t_ns, _, losses = read(text, rate_unit="rad/s")
+    assert t_ns.tolist() == [1767225600_123456789, 1767225601_000000000] * 2
+    assert losses == [Loss("line 6", "'2026-13-01T00:00:00Z' in column 'when' is not a time", 1)]
+
+
+def test_dates_without_a_zone_are_taken_as_they_stand():
+    """Differences are what counts; without a zone the clock is read as UTC."""
+    t_ns, _, _ = read("time,gyro_x,gyro_y,gyro_z\n1970-01-01 00:00:01.5,1,2,3\n", rate_unit="rad/s")
+    assert t_ns.tolist() == [1500000000]
+
+
 # Rates
 
 

@@ -73,6 +73,11 @@ class _Wanted:
         self.time = columns.time
         self.rate = columns.rate
 
+    def _date_type(self, k: int) -> pa.DataType | None:
+        if k not in self.layout.dates:
+            return None
+        return pa.timestamp("ns", self.layout.dates[k])
+
 
 class BlockParser(_Wanted):
     """Reads whole blocks, all rows at once.
@@ -114,7 +119,7 @@ class BlockParser(_Wanted):
     def _parse(self, data: bytes | memoryview, spare: int, quoted: bool) -> Rows:
         types = {str(k): pa.float64() for k in self.rate}
         for k, unit in zip(self.time, self.units, strict=True):
-            types[str(k)] = decimal_time.decimal_type(unit, spare)
+            types[str(k)] = self._date_type(k) or decimal_time.decimal_type(unit, spare)
         table = arrow_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_csv.ReadOptions(
@@ -142,7 +147,7 @@ class BlockParser(_Wanted):
         columns = [table.column(str(k)) for k in self.time]
         if any(column.null_count for column in columns):
             raise pa.ArrowInvalid("a row without a time")
-        return decimal_time.total(map(decimal_time.from_decimals, columns, self.units))
+        return decimal_time.total(map(_nanoseconds, columns, self.units))
 
 
 class RowParser(_Wanted):
@@ -221,7 +226,7 @@ class RowParser(_Wanted):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
         rate = [self._number(cells[k], names[k]) for k in self.rate]
         parts = zip(self.time, self.units, strict=True)
-        return sum(self._stamp(cells[k], unit, names[k]) for k, unit in parts), rate
+        return sum(self._stamp(cells[k], unit, k) for k, unit in parts), rate
 
     def _number(self, cell: str, name: str) -> float:
         if cell.strip().lower() in _NOT_A_NUMBER:
@@ -231,8 +236,12 @@ class RowParser(_Wanted):
         except ValueError:
             raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a number") from None
 
-    def _stamp(self, cell: str, unit: str, name: str) -> int:
+    def _stamp(self, cell: str, unit: str, k: int) -> int:
+        name = self.layout.names[k]
+        date_type = self._date_type(k)
         try:
+            if date_type is not None:
+                return int(pa.scalar(cell.strip()).cast(date_type).value)
             return decimal_time.from_text(self._pointed(cell), unit)
         except decimal_time.StampRangeError:
             raise ValueError(
@@ -243,6 +252,12 @@ class RowParser(_Wanted):
 
     def _pointed(self, cell: str) -> str:
         return cell.replace(",", ".") if self.layout.decimal == "," else cell
+
+
+def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:
+    if pa.types.is_timestamp(column.type):
+        return np.asarray(column.cast(pa.int64()).to_numpy())
+    return decimal_time.from_decimals(column, unit)
 
 
 def squeezed(data: bytes | memoryview) -> bytes:

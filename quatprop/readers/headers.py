@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from quatprop.readers.columns import Notes
 from quatprop.readers.dialects import RATE_UNITS, TIME_UNITS, column
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 HEAD_BYTES = 1 << 18
@@ -29,6 +30,9 @@ _NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
 )
 _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
+_DATE = re.compile(
+    r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
+)
 _RATES = 3
 _SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
@@ -54,6 +58,8 @@ class Layout:
         What the lines before the header say.
     header
         The header line without its end; empty where there is none.
+    dates
+        Positions of columns of dates and times of day, with ``"UTC"`` where they name a zone.
     """
 
     names: list[str]
@@ -63,6 +69,7 @@ class Layout:
     line: int
     notes: Notes
     header: bytes = b""
+    dates: Mapping[int, str | None] = field(default_factory=dict)
 
     def without_headers(self, data: bytes) -> bytes:
         """Return rows with blank lines where the header is repeated, as in joined files."""
@@ -101,6 +108,8 @@ def sniff(head: bytes, path: Path) -> Layout:
     header = _header(rows[:first], data)
     names = [str(k) for k in range(width)] if header is None else _names(rows, header, width)
     body = first if header is None else header + 1
+    dates = _dates(data[0]) if data else {}
+    notes = _notes(texts[: first if header is None else header], names, path)
     return Layout(
         names=names,
         delimiter=delimiter,
@@ -108,7 +117,8 @@ def sniff(head: bytes, path: Path) -> Layout:
         body=sum(map(len, raw[:body])),
         line=body + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=_notes(texts[: first if header is None else header], names, path),
+        notes=replace(notes, declared={**notes.declared, **dict.fromkeys(dates, "ns")}),
+        dates=dates,
     )
 
 
@@ -149,6 +159,11 @@ def _delimiter(texts: list[str]) -> str:
 
 def _decimal(data: list[list[str]]) -> str:
     return "," if any(_COMMA_NUMBER.fullmatch(cell) for row in data for cell in row) else "."
+
+
+def _dates(row: list[str]) -> dict[int, str | None]:
+    matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
+    return {k: "UTC" if match["zone"] else None for k, match in matches if match}
 
 
 def _refuse_mixture(data: list[list[str]], width: int, path: Path) -> None:
