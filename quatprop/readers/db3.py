@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import apsw
@@ -45,7 +45,7 @@ class Db3Log:
         It is a database of something else, or of a compression that is not read.
     """
 
-    kind: ClassVar[str] = "db3"
+    kind = "db3"
 
     def __init__(self, path: Path, message_compression: str | None = None) -> None:
         if message_compression not in (None, "zstd"):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
@@ -13,6 +15,7 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
 from quatprop.readers.base import Channel, Loss, MessageBlock
 from quatprop.readers.compression import CompressionError
+from quatprop.readers.prefetch import ahead
 from quatprop.readers.rosbag1_index import Chunk, Content, Index, content, indexed, walked
 from quatprop.readers.rosbag1_records import (
     OP_BAG_HEADER,
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
     from typing import Self
+
+    from numpy.typing import NDArray
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
@@ -53,7 +58,7 @@ class Rosbag1Log:
         It has no bag header.
     """
 
-    kind: ClassVar[str] = "bag"
+    kind = "bag"
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -141,19 +146,37 @@ class Rosbag1Log:
         wanted = {conn for conn, found in self._channels.items() if found == channel}
         chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), _LAST]
-        for chunk, bound in zip(chunks, bounds, strict=False):
-            expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
-            try:
-                loaded = content(self._file, chunk)
-            except (MalformedRecordError, CompressionError) as error:
-                self._lose(chunk.place, str(error), expected)
-                continue
-            messages, damage = _messages(loaded, chunk, wanted)
-            missing = expected - len(messages.starts)
-            if damage or missing > 0:
-                self._lose(chunk.place, damage or "it has fewer messages than it says", missing)
-            if len(messages.starts):
-                yield MessageBlock(loaded.data, *messages, messages.log_ns, bound)
+        load = partial(self._messages, wanted)
+        # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
+        packed = chunks and self._is_packed(chunks[0])
+        with closing(ahead(load, chunks) if packed else (load(one) for one in chunks)) as found:
+            for chunk, bound, (data, messages, damage) in zip(chunks, bounds, found, strict=False):
+                expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
+                missing = expected - len(messages.starts)
+                if damage or missing > 0:
+                    self._lose(chunk.place, damage or "it has fewer messages than it says", missing)
+                if len(messages.starts):
+                    yield MessageBlock(data, *messages, messages.log_ns, bound)
+
+    def _is_packed(self, chunk: Chunk) -> bool:
+        try:
+            return self._file.record(chunk.start).fields.get(b"compression", b"none") != b"none"
+        except MalformedRecordError:
+            return False
+
+    def _messages(
+        self, wanted: set[int], chunk: Chunk
+    ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
+        """Read a chunk and find the messages of some connections in it; say what is damaged."""
+        try:
+            loaded = content(self._file, chunk)
+        except (MalformedRecordError, CompressionError) as error:
+            loaded = Content(np.empty(0, np.uint8), {}, str(error))
+        if not loaded.damage:
+            found = _indexed(loaded, chunk, wanted)
+            if found is not None:
+                return loaded.data, found, ""
+        return loaded.data, *_walked(loaded, wanted)
 
     def close(self) -> None:
         """Close the file."""
@@ -170,23 +193,6 @@ class Rosbag1Log:
         /,
     ) -> None:
         self.close()
-
-
-def _messages(content: Content, chunk: Chunk, wanted: set[int]) -> tuple[MessageColumns, str]:
-    """Find the messages of some connections in a chunk, in the order of its records.
-
-    Returns
-    -------
-    MessageColumns
-        What was found.
-    str
-        Why there may be more, or ``""``.
-    """
-    if not content.damage:
-        found = _indexed(content, chunk, wanted)
-        if found is not None:
-            return found, ""
-    return _walked(content, wanted)
 
 
 def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns | None:
@@ -212,7 +218,7 @@ def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns
 
 
 def _walked(content: Content, wanted: set[int]) -> tuple[MessageColumns, str]:
-    """Find messages record by record."""
+    """Find messages record by record; say why there may be more, or ``""``."""
     rows: list[tuple[int, int, int]] = []
     damage = content.damage
     try:

@@ -12,6 +12,7 @@ ROS wiki, "Bags/Format/2.0".
 from __future__ import annotations
 
 import struct
+import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -92,7 +93,7 @@ class MessageColumns(NamedTuple):
 
 
 class RecordFile:
-    """Reads records from a bag without believing a length beyond its end.
+    """Reads records from a bag, in several threads, without believing a length beyond its end.
 
     Parameters
     ----------
@@ -102,14 +103,16 @@ class RecordFile:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        self._lock = threading.Lock()
         self.size = file.seek(0, 2)
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer at the end of the file."""
         start = min(start, self.size)
         try:
-            self._file.seek(start)
-            return self._file.read(min(size, self.size - start))
+            with self._lock:
+                self._file.seek(start)
+                return self._file.read(min(size, self.size - start))
         except OSError as error:
             # A worn card fails at one place; the rest of the bag is still good.
             raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
