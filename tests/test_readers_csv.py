@@ -267,6 +267,8 @@ def test_a_sample_rate_too_low_for_the_clock_is_refused():
         ("1,2,3", "it has 3 columns instead of 4"),
         ("1,2,3,4,5", "it has 5 columns instead of 4"),
         ("1,2,x3,4", "'x3' in column 'wx' is not a number"),
+        ("1e999999999,2,3,4", "1e999999999 s in column 't' does not fit"),
+        ("inf,2,3,4", "'inf' in column 't' is not a time"),
         ("1e,2,3,4", "'1e' in column 't' is not a time"),
         (",2,3,4", "'' in column 't' is not a time"),
         ("99999999999999999999,2,3,4", "99999999999999999999 s in column 't' does not fit"),

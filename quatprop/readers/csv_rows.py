@@ -25,6 +25,7 @@ MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
 
 _TASK_BYTES = 1 << 19  # what one thread of pyarrow parses at a time
 
+_LARGEST = np.iinfo(np.int64).max
 _NOT_A_NUMBER = {
     "",
     "nan",
@@ -226,7 +227,10 @@ class RowParser(_Wanted):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
         rate = [self._number(cells[k], names[k]) for k in self.rate]
         parts = zip(self.time, self.units, strict=True)
-        return sum(self._stamp(cells[k], unit, k) for k, unit in parts), rate
+        stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
+        if abs(stamp) > _LARGEST:
+            raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")
+        return stamp, rate
 
     def _number(self, cell: str, name: str) -> float:
         if cell.strip().lower() in _NOT_A_NUMBER:

@@ -7,13 +7,12 @@ and the integers are taken out of its buffer.
 
 from __future__ import annotations
 
-from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation
+from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation, Overflow
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from quatprop.errors import UsageError
 
@@ -79,6 +78,8 @@ def _rounded(chunk: pa.Array, places: int) -> pa.Array:
     """Return decimals of exactly so many places."""
     if chunk.type.scale == places:
         return chunk
+    import pyarrow.compute as pc  # costs half as much again as pyarrow, and is seldom needed
+
     wide = chunk.view(pa.decimal128(_DIGITS, chunk.type.scale))
     try:
         if chunk.type.scale > places:
@@ -111,13 +112,17 @@ def from_text(text: str, unit: str) -> int:
     300000000
     """
     try:
-        scaled = _EXACT.multiply(Decimal(text.strip()), Decimal(10 ** PLACES[unit]))
-        stamp = int(scaled.to_integral_value(context=_EXACT))
-    except (InvalidOperation, OverflowError) as error:
+        scaled = Decimal(text.strip()).scaleb(PLACES[unit], _EXACT)
+        whole = scaled.to_integral_value(context=_EXACT)
+    except Overflow as error:
+        raise StampRangeError(text) from error
+    except InvalidOperation as error:
         raise ValueError(text) from error
-    if not _LIMITS.min <= stamp <= _LIMITS.max:
+    if not whole.is_finite():
+        raise ValueError(text)
+    if not _LIMITS.min <= whole <= _LIMITS.max:
         raise StampRangeError(text)
-    return stamp
+    return int(whole)
 
 
 def from_integers(values: Int64, unit: str) -> Int64:
