@@ -1,0 +1,168 @@
+"""Which files a ROS 2 bag folder is made of: from its metadata.yaml, or by their names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from rosbags.typesys.msg import normalize_msgtype
+
+from quatprop.errors import UnsupportedLogError, listed, quoted
+from quatprop.readers.base import Loss
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PART = re.compile(
+    r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
+)
+"""Names of parts: the bag's name, a number where it was split, storage, packing."""
+
+
+@dataclass(slots=True)
+class Folder:
+    """What a bag folder says about itself.
+
+    Parameters
+    ----------
+    parts
+        The files to read, in the order of the metadata or of their numbers.
+    message_compression
+        How messages are packed one by one, or None.
+    counts
+        Messages by topic and type as the metadata spell them.
+    losses
+        Parts that are not there or not read.
+    """
+
+    parts: list[Path] = field(default_factory=list)
+    message_compression: str | None = None
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    losses: list[Loss] = field(default_factory=list)
+
+
+def folder(path: Path) -> Folder:
+    """Find the parts of a bag folder.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    Folder
+        Its parts, and which of them are missing.
+
+    Raises
+    ------
+    UnsupportedLogError
+        It holds no parts, or parts of several bags and nothing that tells which to read.
+    OSError
+        It cannot be listed.
+    """
+    there = {file.name: file for file in path.iterdir() if _PART.fullmatch(file.name)}
+    losses: list[Loss] = []
+    metadata = _metadata(path / "metadata.yaml", losses)
+    found = Folder(losses=losses)
+    if metadata is None:
+        found.parts = _numbered(path, there)
+    else:
+        _compare(metadata, there, found)
+    return found
+
+
+def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
+    """Return what metadata.yaml says, None where it is missing or says nothing of use."""
+    if not path.exists():
+        return None
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        # The safe loader makes nothing but plain values, whatever the tags ask for.
+        loaded = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        metadata = loaded["rosbag2_bagfile_information"]
+        if isinstance(metadata, dict) and _paths(metadata):
+            return metadata
+    except (OSError, YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        pass
+    losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
+    return None
+
+
+def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
+    """Return the parts that are there in the order of their numbers."""
+    parts: dict[tuple[str, int], Path] = {}
+    for name, file in sorted(there.items()):
+        match = _PART.fullmatch(name)
+        if match:
+            # Unpacked by hand beside the packed file: sorted first, and one of them is enough.
+            bag = match["bag"] + match["storage"]
+            parts.setdefault((bag, int(match["number"] or 0)), file)
+    bags = sorted({bag for bag, _ in parts})
+    if not parts:
+        raise UnsupportedLogError(
+            path,
+            "the folder holds neither .mcap nor .db3 files; name a log file or a ROS 2 bag folder",
+        )
+    if len(bags) > 1:
+        raise UnsupportedLogError(
+            path,
+            f"the folder has no usable metadata.yaml and holds several bags: {listed(bags)}; "
+            "name one file",
+        )
+    return [parts[key] for key in sorted(parts)]
+
+
+def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) -> None:
+    """Look for every part that the metadata name."""
+    sizes = {
+        PurePosixPath(str(entry.get("path"))).name: entry.get("message_count")
+        for entry in _dicts(metadata.get("files"))
+    }
+    named: set[str] = set()
+    for relative in _paths(metadata):
+        name = PurePosixPath(relative).name
+        # Old metadata name the folder too. Nothing outside the folder is ever read.
+        file = next((there[one] for one in _spellings(name) if one in there), None)
+        named.update(_spellings(name))
+        if file is None:
+            count = sizes.get(name)
+            found.losses.append(
+                Loss(f"part {quoted(relative)}", "it is not in the folder", _count(count))
+            )
+        elif file not in found.parts:
+            found.parts.append(file)
+    for name in sorted(there.keys() - named):
+        reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
+        found.losses.append(Loss(f"part {quoted(name)}", reason))
+    if str(metadata.get("compression_mode")).lower() == "message":
+        found.message_compression = str(metadata.get("compression_format") or "zstd")
+    for entry in _dicts(metadata.get("topics_with_message_count")):
+        topic, count = entry.get("topic_metadata"), _count(entry.get("message_count"))
+        if isinstance(topic, dict) and count is not None:
+            type_name = normalize_msgtype(str(topic.get("type")))
+            found.counts[str(topic.get("name")), type_name] = count
+
+
+def _paths(metadata: dict[str, Any]) -> list[str]:
+    paths = metadata["relative_file_paths"]
+    return [str(path) for path in paths] if isinstance(paths, list) else []
+
+
+def _spellings(name: str) -> Iterator[str]:
+    """Yield how a part may be named: a recorder that died may not have packed its last one."""
+    yield name
+    yield name.removesuffix(".zstd")
+    yield name + ".zstd"
+
+
+def _dicts(value: object) -> list[dict[str, Any]]:
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+
+def _count(value: object) -> int | None:
+    return value if isinstance(value, int) else None
