@@ -60,7 +60,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
     from quatprop.job import Job, run
-    from quatprop.propagate import attitudes, propagate
+    from quatprop.propagate import attitudes
     from quatprop.readers import open_log
     from quatprop.selection import Selection
     from quatprop.series import AttitudeSeries, GyroSeries
@@ -75,7 +75,6 @@ __all__ = [
     "Selection",
     "attitudes",
     "open_log",
-    "propagate",
     "run",
 ]
 
@@ -90,7 +89,6 @@ _HOME = {
     "Selection": "quatprop.selection",
     "attitudes": "quatprop.propagate",
     "open_log": "quatprop.readers",
-    "propagate": "quatprop.propagate",
     "run": "quatprop.job",
 }
 

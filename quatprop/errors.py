@@ -13,6 +13,7 @@
     │   ├── SchemaError                a message definition that cannot be used
     │   ├── MessageError               a message that does not fit its definition
     │   ├── NoRatesError               nothing in the log carries body rates
+    │   ├── NoSamplesError             the chosen source, or the chosen part of it, is empty
     │   ├── NoSuchTopicError           the topic asked for is not there, or has no rates
     │   ├── AmbiguousTopicError        several topics carry rates and none was chosen
     │   ├── UndeclaredError            unit, column or time that only the user can know
@@ -183,6 +184,23 @@ class NoRatesError(LogError):
         super().__init__(
             path,
             f"no body rates found; {held}; {way_out}" if names else f"no body rates found; {held}",
+        )
+
+
+class NoSamplesError(LogError):
+    """The chosen source holds no samples, or none in the chosen part of the log.
+
+    Parameters
+    ----------
+    path
+        The log.
+    source
+        The topic or the columns.
+    """
+
+    def __init__(self, path: Path | str, source: str) -> None:
+        super().__init__(
+            path, f"no samples in {quoted(source)}; check --start and --end, or look with info"
         )
 
 

@@ -1,1 +1,91 @@
-"""The command line."""
+"""The command line: options in, exit code out.
+
+One file a command; a command's module, and what it needs, is imported when it is run. Exit codes:
+0 done; 1 a comparison or check failed; 2 wrong usage or unreadable input; 3 done, but with data
+lost.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+import click
+
+COMMANDS = {
+    "info": "Show what a log holds: every source of body rates.",
+    "propagate": "Turn the body rates of one log into its attitude series.",
+    "simulate": "Write a log whose true attitude is known.",
+}
+"""Every command with its one-line help, so that ``--help`` imports none of them."""
+
+INTERRUPTED = 130
+UNUSABLE = 2
+
+
+class Commands(click.Group):
+    """A group that imports a command when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names in the order in which the help shows them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import and return one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"quatprop.cli.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands from the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
+    if not wanted or ctx.resilient_parsing:
+        return
+    from quatprop import __version__
+
+    click.echo(f"quatprop {__version__}")
+    ctx.exit()
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
+def cli() -> None:
+    """Turn recorded gyroscope logs into attitude.
+
+    Reads body rates from MCAP, ROS 1 and ROS 2 bags, CSV, Parquet and Feather, applies the exact
+    constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product, attitude
+    body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
+    """
+
+
+def main() -> None:
+    """Run the command line and exit with its code."""
+    from quatprop.errors import QuatpropError
+
+    try:
+        code = cli.main(standalone_mode=False)
+    except click.exceptions.Abort:
+        code = INTERRUPTED
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except QuatpropError as error:
+        click.echo(f"Error: {error}", err=True)
+        code = UNUSABLE
+    except BrokenPipeError:
+        # The reader of our output has gone: that is its right. Python would complain at exit.
+        sys.stdout = None
+        code = 0
+    sys.exit(code)

@@ -22,12 +22,13 @@ from quatprop.errors import (
     quoted,
 )
 from quatprop.readers.base import Loss
-from quatprop.readers.compression import CompressionError, UnpackedCopy, file_compression
+from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.readers.compression import UnpackedCopy
 
 HEAD_BYTES = 4096
 """How much of a file is looked at to tell its kind."""
@@ -130,7 +131,7 @@ def _open(kind: str, source: object) -> MessageLog | TableLog:
 
 def _unpacked(path: Path) -> UnpackedCopy:
     try:
-        return UnpackedCopy(path)
+        return unpacked_copy(path)
     except CompressionError as error:
         raise DamagedLogError(path, f"{error.reason}; unpack it by hand to see more") from error
 

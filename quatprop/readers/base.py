@@ -7,7 +7,7 @@ mean is the business of :mod:`quatprop.messages`. A table has its columns alread
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeGuard
 
 import numpy as np
 
@@ -202,3 +202,8 @@ class TableLog(Log, Protocol):
 
     def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
         """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch."""
+
+
+def is_table(log: MessageLog | TableLog) -> TypeGuard[TableLog]:
+    """Tell a table from a container of messages."""
+    return hasattr(log, "choose")

@@ -1,0 +1,85 @@
+"""``quatprop info``: what logs hold."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from quatprop.cli.options import selection, selection_options
+from quatprop.cli.words import lost
+from quatprop.errors import plain
+
+COLUMNS = {
+    "source": "source",
+    "type": "type",
+    "samples": "samples",
+    "rate_hz": "Hz",
+    "span_s": "span s",
+    "gaps": "gaps",
+    "duplicates": "dup",
+    "backwards": "back",
+    "max_rate_rad_s": "max rad/s",
+}
+"""Key of a source's facts -> heading in the table."""
+
+NUMBERS_FROM = 2
+"""Columns from here on are numbers and aligned to the right."""
+
+
+@click.command(no_args_is_help=True)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
+@selection_options
+def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
+    """Show every source of body rates in each LOG.
+
+    For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
+    median intervals), repeated stamps, stamps that step back, and the largest rate.
+    """
+    from quatprop.errors import QuatpropError
+    from quatprop.survey import survey
+
+    kind = chosen.pop("kind")
+    wanted = selection(chosen)
+    surveys: list[dict[str, Any]] = []
+    unusable = 0
+    for path in logs:
+        try:
+            surveys.append(survey(path, kind, wanted))
+        except QuatpropError as error:
+            unusable += 1
+            click.echo(f"Error: {error}", err=True)
+    if as_json:
+        click.echo(json.dumps(surveys, indent=2))
+    else:
+        click.echo("\n\n".join(_described(facts) for facts in surveys), nl=bool(surveys))
+    if unusable:
+        raise click.exceptions.Exit(2)
+    if any(facts["losses"] for facts in surveys):
+        raise click.exceptions.Exit(3)
+
+
+def _described(facts: dict[str, Any]) -> str:
+    """Return the table of one log, and what is to be remarked on."""
+    rows = [list(COLUMNS.values())]
+    rows += [[_cell(source[key]) for key in COLUMNS] for source in facts["sources"]]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
+    lines = [f"{plain(facts['path'])} ({facts['kind']})"]
+    for row in rows:
+        cells = [
+            cell.rjust(width) if column >= NUMBERS_FROM else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  " + "  ".join(cells).rstrip())
+    for source in facts["sources"]:
+        lines += [f"  {plain(source['source'])}: {plain(text)}" for text in source["remarks"]]
+    lines += [f"  {line}" for line in lost(facts["losses"])]
+    return "\n".join(lines)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else plain(value)

@@ -1,0 +1,160 @@
+"""``quatprop propagate``: one log in, its attitude series out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from quatprop.cli.options import Bias, Duration, Numbers, Time, selection, selection_options
+
+LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
+
+
+@click.command(no_args_is_help=True)
+@click.argument("log")
+@click.option(
+    "-o",
+    "--output",
+    metavar="PATH|-",
+    required=True,
+    help="Where the attitudes go; - is CSV on stdout.",
+)
+@click.option(
+    "--to", metavar="KIND", help="Format of the output: csv or parquet.  [default: by suffix]"
+)
+@click.option(
+    "--layout",
+    type=click.Choice(LAYOUTS),
+    default="scalar-first",
+    show_default=True,
+    help="Order of the quaternion's columns; a matter of storage only.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(("start", "end", "mean", "coning")),
+    default="start",
+    show_default=True,
+    help="Which samples rule an interval: the one at its start, at its end, their mean, or a rate "
+    "linear between them.",
+)
+@click.option(
+    "--rates",
+    type=click.Choice(("body", "inertial")),
+    default="body",
+    show_default=True,
+    help="Frame the rates are resolved in: body multiplies right, inertial left.",
+)
+@click.option(
+    "--q0",
+    type=Numbers("W,X,Y,Z"),
+    help="Attitude body to reference at the first sample.  [default: identity]",
+)
+@click.option(
+    "--q0-layout",
+    type=click.Choice(LAYOUTS),
+    default="scalar-first",
+    show_default=True,
+    help="Order of the four numbers of --q0.",
+)
+@click.option(
+    "--bias",
+    type=Bias(),
+    help="Subtracted from the rates, in --rate-unit; static takes the mean over the log's rest, "
+    "looked for in windows of DUR (1s).  [default: none]",
+)
+@click.option(
+    "--mount",
+    metavar="W,X,Y,Z|x,-y,-z",
+    help="Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
+    "[default: they are the same]",
+)
+@click.option(
+    "--start",
+    type=Time(),
+    help="Use the log from here: RFC 3339, ns, +10s from its first or -30s from its last sample.  "
+    "[default: all]",
+)
+@click.option("--end", type=Time(), help="Use the log up to here; as --start.  [default: all]")
+@click.option(
+    "--on-backwards",
+    type=click.Choice(("error", "drop", "sort")),
+    default="error",
+    show_default=True,
+    help="Stamps that step back: refuse, drop until the clock has caught up, or sort (holds the "
+    "log in memory).",
+)
+@click.option(
+    "--on-nonfinite",
+    type=click.Choice(("error", "drop", "hold")),
+    default="error",
+    show_default=True,
+    help="Rates that are NaN or infinite: refuse, drop, or hold the rate before.",
+)
+@click.option(
+    "--max-gap",
+    type=Duration(),
+    help="Longest interval that is no gap.  [default: 10 median intervals]",
+)
+@click.option(
+    "--on-gap",
+    type=click.Choice(("hold", "zero", "error")),
+    default="hold",
+    show_default=True,
+    help="Gaps: propagate across and warn, take the rate across as zero, or refuse.",
+)
+@click.option(
+    "--report",
+    metavar="PATH|-",
+    help="Write a JSON report: counts, policies, conventions, source, version, timings.  "
+    "[default: none]",
+)
+@click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")
+@click.option(
+    "-v", "--verbose", is_flag=True, help="A longer summary: conventions, policies, timings."
+)
+@selection_options
+def command(**chosen: Any) -> None:
+    """Turn the body rates of LOG into its attitude series.
+
+    LOG is an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), a CSV, Parquet or Feather
+    table, or - for CSV on stdin. N samples give N attitudes; the first is --q0.
+    """
+    from quatprop.cli import words
+    from quatprop.conditioning import Conditioning
+    from quatprop.job import Job, run
+    from quatprop.layout import layout_named
+    from quatprop.timeline import Policy
+
+    quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
+    report_path = chosen.pop("report")
+    q0_order = layout_named(chosen.pop("q0_layout")).order
+    q0 = chosen.pop("q0")
+    bias = chosen.pop("bias")
+    job = Job(
+        log=chosen.pop("log"),
+        selection=selection(chosen),
+        policy=Policy(
+            on_backwards=chosen.pop("on_backwards"),
+            on_nonfinite=chosen.pop("on_nonfinite"),
+            on_gap=chosen.pop("on_gap"),
+            max_gap_ns=chosen.pop("max_gap"),
+        ),
+        q0=tuple(q0[q0_order.index(part)] for part in range(4)) if q0 else (1.0, 0.0, 0.0, 0.0),
+        conditioning=Conditioning(
+            bias=bias if isinstance(bias, tuple) else None,
+            static_ns=bias if isinstance(bias, int) else None,
+            mount=chosen.pop("mount"),
+            start=chosen.pop("start"),
+            end=chosen.pop("end"),
+        ),
+        **chosen,
+    )
+    with words.progress(quiet=quiet) as tick:
+        report = run(job, tick)
+    if report_path:
+        words.write_report(report, report_path)
+    if not quiet:
+        click.echo(words.summary(report, verbose=verbose), err=True)
+    if report["data_lost"]:
+        raise click.exceptions.Exit(3)

@@ -1,0 +1,348 @@
+"""What is done to the rates before they are multiplied up: bias, mounting, the part of the log.
+
+Each step is a map over batches, so memory stays flat. The order is fixed: the bias is subtracted in
+sensor axes, then sensor axes are turned into body axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.errors import UsageError, quoted
+from quatprop.quaternion import normalize, rotation_matrix
+from quatprop.series import GyroSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.times import Instant
+
+AXES = {"x": 0, "y": 1, "z": 2}
+REST_WINDOW_NS = 1_000_000_000
+"""Rest is looked for in windows of this length, unless told otherwise."""
+
+REST_FACTOR = 2.0
+"""A window is at rest if its rates scatter at most this much more than the quietest window's."""
+
+
+def mounting(text: str) -> NDArray[np.float64]:
+    """Return the matrix that takes sensor axes to body axes.
+
+    Parameters
+    ----------
+    text
+        Three signed sensor axes that become the body's x, y and z, such as ``"x,-y,-z"``, or a
+        unit quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*.
+
+    Returns
+    -------
+    ndarray
+        Rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor.
+
+    Raises
+    ------
+    UsageError
+        The text is neither, or the axes are left-handed.
+
+    Examples
+    --------
+    >>> mounting("y,-x,z").tolist()
+    [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    parts = [part.strip().lower() for part in text.split(",")]
+    if len(parts) == len(AXES) and {part.lstrip("+-") for part in parts} == set(AXES):
+        axes = np.zeros((3, 3))
+        for row, part in enumerate(parts):
+            axes[row, AXES[part[-1]]] = -1.0 if part.startswith("-") else 1.0
+        if np.linalg.det(axes) < 0:
+            raise UsageError(
+                f"the mounting {quoted(text)} mirrors the axes, which no rotation does; "
+                "change one sign or swap two axes"
+            )
+        return axes
+    try:
+        wxyz = np.array([float(part) for part in parts])
+    except ValueError:
+        wxyz = np.zeros(0)
+    if wxyz.shape != (4,) or not np.isfinite(wxyz).all() or not wxyz.any():
+        raise UsageError(
+            f"{quoted(text)} is no mounting; write three signed axes such as x,-y,-z, "
+            "or a quaternion W,X,Y,Z that takes sensor axes to body axes"
+        )
+    matrix: NDArray[np.float64] = rotation_matrix(normalize(wxyz))
+    return matrix
+
+
+@dataclass(frozen=True, slots=True)
+class Conditioning:
+    """What the user wants done; None is nothing.
+
+    Parameters
+    ----------
+    bias
+        Subtracted from every rate, x, y, z, in the unit of the source.
+    static_ns
+        Take the mean over the log's rest as the bias; rest is looked for in windows so long, ns.
+    mount
+        Sensor axes to body axes, as :func:`mounting` reads it.
+    start, end
+        The part of the log to use, ends included.
+    """
+
+    bias: tuple[float, ...] | None = None
+    static_ns: int | None = None
+    mount: str | None = None
+    start: Instant | None = None
+    end: Instant | None = None
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the log has to be read once before it can be read for good."""
+        ends = {moment.origin for moment in (self.start, self.end) if moment is not None}
+        return self.static_ns is not None or bool(ends - {"clock"})
+
+
+def condition(
+    read: Callable[[], Iterable[GyroSeries]], wanted: Conditioning, unit: float
+) -> tuple[Iterator[GyroSeries], dict[str, Any]]:
+    """Return the samples as wanted, and what was done to them.
+
+    Parameters
+    ----------
+    read
+        Reads the samples; called twice where the conditioning looks ahead.
+    wanted
+        What to do.
+    unit
+        rad/s in the unit of the bias.
+
+    Returns
+    -------
+    batches : iterator of GyroSeries
+        The samples, rad/s, body axes.
+    facts : dict
+        ``bias_rad_s``, ``rest``, ``mount``, ``start_ns`` and ``end_ns``; JSON-ready.
+
+    Raises
+    ------
+    UsageError
+        The log has no rest to take a bias from, or the mounting is not a rotation.
+    """
+    mount = None if wanted.mount is None else mounting(wanted.mount)
+    bias = None if wanted.bias is None else np.array(wanted.bias) * unit
+    first_ns = last_ns = 0
+    rest = None
+    if wanted.looks_ahead:
+        windows = _windows(read(), wanted.static_ns or REST_WINDOW_NS)
+        if len(windows):
+            first_ns, last_ns = int(windows["first_ns"][0]), int(windows["last_ns"][-1])
+            rest = _rest(windows)
+    if wanted.static_ns is not None:
+        if rest is None:
+            raise UsageError("the log has no stretch of rest to take the bias from; give --bias")
+        bias = rest.mean
+    start_ns = _absolute(wanted.start, first_ns, last_ns)
+    end_ns = _absolute(wanted.end, first_ns, last_ns)
+    facts = {
+        "bias_rad_s": None if bias is None else bias.tolist(),
+        "rest": None if rest is None or wanted.static_ns is None else rest.told(),
+        "mount": None if mount is None else mount.tolist(),
+        "start_ns": start_ns,
+        "end_ns": end_ns,
+    }
+    batches = iter(read())
+    if start_ns is not None or end_ns is not None:
+        batches = clipped(batches, start_ns, end_ns)
+    if bias is not None or mount is not None:
+        batches = conditioned(batches, bias=bias, mount=mount)
+    return batches, facts
+
+
+def conditioned(
+    batches: Iterable[GyroSeries],
+    *,
+    bias: NDArray[np.float64] | None = None,
+    mount: NDArray[np.float64] | None = None,
+) -> Iterator[GyroSeries]:
+    """Yield rates without their bias, in body axes.
+
+    Parameters
+    ----------
+    batches
+        Rates in sensor axes, rad/s.
+    bias
+        Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes.
+    mount
+        Matrix from sensor to body axes, shape ``(3, 3)``.
+    """
+    for batch in batches:
+        rate = batch.rate
+        if bias is not None:
+            rate = rate - bias
+        if mount is not None:
+            rate = rate @ mount.T
+        yield GyroSeries(batch.t_ns, rate)
+
+
+def clipped(
+    batches: Iterable[GyroSeries], start_ns: int | None, end_ns: int | None
+) -> Iterator[GyroSeries]:
+    """Yield the samples with start <= t <= end; None leaves an end open."""
+    low = np.iinfo(np.int64).min if start_ns is None else start_ns
+    high = np.iinfo(np.int64).max if end_ns is None else end_ns
+    for batch in batches:
+        inside = (batch.t_ns >= low) & (batch.t_ns <= high)
+        if inside.all():
+            yield batch
+        elif inside.any():
+            yield GyroSeries(batch.t_ns[inside], batch.rate[inside])
+
+
+def _absolute(moment: Instant | None, first_ns: int, last_ns: int) -> int | None:
+    """Return an instant on the log's clock, ns, given the log's first and last stamps."""
+    if moment is None:
+        return None
+    return moment.ns + {"clock": 0, "first": first_ns, "last": last_ns}[moment.origin]
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """The stretch of a log in which the sensor lay still.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        Its first and last stamps, ns.
+    samples
+        How many samples it holds.
+    mean
+        The mean rate, shape ``(3,)``, rad/s: the bias, if the stretch is rest indeed.
+    scatter
+        Root mean square deviation of the rates from `mean`, rad/s, over all three axes.
+    """
+
+    first_ns: int
+    last_ns: int
+    samples: int
+    mean: NDArray[np.float64]
+    scatter: float
+
+    def told(self) -> dict[str, Any]:
+        """Return the same, JSON-ready."""
+        return {
+            "first_ns": self.first_ns,
+            "last_ns": self.last_ns,
+            "samples": self.samples,
+            "mean_rad_s": self.mean.tolist(),
+            "scatter_rad_s": self.scatter,
+        }
+
+
+def find_rest(batches: Iterable[GyroSeries], window_ns: int = REST_WINDOW_NS) -> Rest | None:
+    """Return the longest quiet stretch of a log.
+
+    The log is cut into windows of `window_ns`; the quietest is the one whose rates scatter least
+    about their mean. The rest is the longest run of neighbouring windows that scatter at most
+    :data:`REST_FACTOR` times as much.
+
+    Parameters
+    ----------
+    batches
+        The rates of the whole log.
+    window_ns
+        Length of a window, ns.
+
+    Returns
+    -------
+    Rest or None
+        None where no window holds two finite samples.
+    """
+    return _rest(_windows(batches, window_ns))
+
+
+def _rest(windows: NDArray[np.void]) -> Rest | None:
+    windows = windows[windows["count"] > 1]
+    if not len(windows):
+        return None
+    quiet = _scatter(windows) <= REST_FACTOR * _scatter(windows).min()
+    start, stop = _longest_run(quiet, np.diff(windows["index"]) == 1)
+    rest = windows[start:stop]
+    whole = _merged(rest, np.zeros(1, dtype=np.intp))
+    return Rest(
+        first_ns=int(rest["first_ns"][0]),
+        last_ns=int(rest["last_ns"][-1]),
+        samples=int(whole["count"][0]),
+        mean=whole["total"][0] / whole["count"][0],
+        scatter=float(_scatter(whole)[0]),
+    )
+
+
+_WINDOW = np.dtype(
+    [
+        ("index", np.int64),
+        ("first_ns", np.int64),
+        ("last_ns", np.int64),
+        ("count", np.float64),
+        ("total", np.float64, 3),
+        ("squares", np.float64),
+    ]
+)
+"""Sums over the samples of one window: enough for their mean and their scatter."""
+
+
+def _windows(batches: Iterable[GyroSeries], window_ns: int) -> NDArray[np.void]:
+    """Return the sums of every window, in the order of the log; only finite rates are counted."""
+    parts = [np.zeros(0, dtype=_WINDOW)]
+    origin = None
+    for batch in batches:
+        if not len(batch):
+            continue
+        origin = int(batch.t_ns[0]) if origin is None else origin
+        finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
+        rate = np.where(finite[:, None], batch.rate, 0.0)
+        rows = np.zeros(len(batch), dtype=_WINDOW)
+        rows["index"] = (batch.t_ns - origin) // window_ns
+        rows["first_ns"] = rows["last_ns"] = batch.t_ns
+        rows["count"] = finite
+        rows["total"] = rate
+        rows["squares"] = (rate**2).sum(axis=1)
+        parts.append(_by_index(rows))
+    return _by_index(np.concatenate(parts))
+
+
+def _by_index(rows: NDArray[np.void]) -> NDArray[np.void]:
+    """Add up neighbouring rows of the same window."""
+    if not len(rows):
+        return rows
+    return _merged(rows, np.flatnonzero(np.diff(rows["index"], prepend=rows["index"][0] - 1)))
+
+
+def _merged(rows: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
+    """Add up the rows from each start to the next."""
+    merged = rows[starts]
+    merged["last_ns"] = rows["last_ns"][np.append(starts[1:], len(rows)) - 1]
+    for name in ("count", "total", "squares"):
+        merged[name] = np.add.reduceat(rows[name], starts, axis=0)
+    return merged
+
+
+def _scatter(windows: NDArray[np.void]) -> NDArray[np.float64]:
+    """Return the RMS deviation from the mean in each window, rad/s."""
+    mean = windows["total"] / windows["count"][:, None]
+    variance = windows["squares"] / windows["count"] - (mean**2).sum(axis=1)
+    scatter: NDArray[np.float64] = np.sqrt(np.maximum(variance, 0.0))
+    return scatter
+
+
+def _longest_run(quiet: NDArray[np.bool_], adjacent: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the longest stretch of quiet windows without a hole between them."""
+    joined = quiet[1:] & quiet[:-1] & adjacent
+    starts = np.flatnonzero(quiet & ~np.append(False, joined))
+    stops = np.flatnonzero(quiet & ~np.append(joined, False)) + 1
+    longest = int(np.argmax(stops - starts))
+    return int(starts[longest]), int(stops[longest])

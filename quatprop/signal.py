@@ -1,0 +1,297 @@
+"""From what a log holds to body rates in rad/s at stamps in ns.
+
+This is where a topic or a set of columns is chosen, the unit applied and the clock read. Nothing
+is guessed silently: what was inferred stands in :attr:`Source.remarks`, what is ambiguous is
+refused with the option that settles it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from quatprop.errors import (
+    AmbiguousTopicError,
+    MessageError,
+    NoRatesError,
+    NoSuchTopicError,
+    UndeclaredError,
+    UsageError,
+    listed,
+    plain,
+    quoted,
+)
+from quatprop.messages.decoder import Decoder
+from quatprop.messages.rates import RateField, rate_field_at, rate_fields, time_field_at
+from quatprop.readers.base import Loss, is_table
+from quatprop.readers.merge import Columns, in_time
+from quatprop.series import GyroSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import Channel, MessageBlock, MessageLog, TableLog
+    from quatprop.selection import Selection
+
+UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
+"""rad/s in each unit of angular rate."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One series of body rates in a log.
+
+    Parameters
+    ----------
+    name
+        The topic, or the names of the rate columns.
+    type_name
+        The message type, or the dialect of a table; ``""`` where there is none.
+    rate
+        The field or the columns that are the rate.
+    unit
+        Their unit, ``"rad/s"`` or ``"deg/s"``.
+    clock
+        Whose stamps: ``"header"``, ``"log"``, ``"publish"``, or the name of a column.
+    remarks
+        What was inferred.
+    batches
+        Reads the samples, rad/s and ns, in batches in the order of the log.
+    measured
+        Whether this is a gyroscope; false for velocities that were estimated or commanded.
+    """
+
+    name: str
+    type_name: str
+    rate: str
+    unit: str
+    clock: str
+    remarks: tuple[str, ...]
+    batches: Callable[[], Iterator[GyroSeries]]
+    measured: bool = True
+
+
+def choose(log: MessageLog | TableLog, selection: Selection) -> Source:
+    """Return the one source that the options leave.
+
+    Raises
+    ------
+    NoRatesError
+        Nothing in the log carries body rates.
+    NoSuchTopicError
+        The topic asked for is not there, or carries none.
+    AmbiguousTopicError
+        Several sources remain.
+    UndeclaredError
+        A unit, a column or the time is declared nowhere.
+    """
+    every = sources(log, selection)
+    # A velocity that was estimated or commanded does not compete with a gyroscope.
+    found = [source for source in every if source.measured] or every
+    if len(found) > 1:
+        names = [source.name for source in found]
+        if len(set(names)) == 1:
+            raise _same_topic(log, found)
+        raise AmbiguousTopicError(log.path, names)
+    passed_over = [source.name for source in every if source not in found]
+    if not passed_over:
+        return found[0]
+    remark = f"passed over rates that are estimates, not measured: {listed(passed_over)}"
+    return replace(found[0], remarks=(*found[0].remarks, remark))
+
+
+def sources(log: MessageLog | TableLog, selection: Selection) -> list[Source]:
+    """Return every source of body rates that the options leave, at least one.
+
+    Raises
+    ------
+    LogError
+        As for :func:`choose`, but for the ambiguity.
+    """
+    if is_table(log):
+        return [_of_table(log, selection)]
+    return _of_messages(cast("MessageLog", log), selection)
+
+
+def _of_table(log: TableLog, selection: Selection) -> Source:
+    for option, value in (("--topic", selection.topic), ("--rate-field", selection.rate_field),
+                          ("--time-field", selection.time_field)):  # fmt: skip
+        if value is not None:
+            raise UsageError(f"{option} is for messages, and {quoted(log.path)} is a table")
+    columns = log.choose(selection)
+    names = log.columns()
+    rate = ",".join(names[position] for position in columns.rate)
+    time = ",".join(names[position] for position in columns.time)
+    counted = "" if columns.sample_rate is None else f"{columns.sample_rate:g} Hz"
+    return Source(
+        name=rate,
+        type_name=columns.dialect,
+        rate=rate,
+        unit=columns.rate_unit,
+        clock=time or counted,
+        remarks=(),
+        batches=partial(log.series, columns),
+    )
+
+
+def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
+    for option, value in (("--rate-cols", selection.rate_cols), ("--time-col", selection.time_col),
+                          ("--sample-rate", selection.sample_rate)):  # fmt: skip
+        if value is not None:
+            raise UsageError(f"{option} is for tables, and {quoted(log.path)} holds messages")
+    channels = log.channels()
+    wanted = [c for c in channels if selection.topic in (None, c.topic)]
+    found = [
+        _of_channel(log, channel, field, selection)
+        for channel in wanted
+        if channel.count != 0
+        for field in _fields(log, channel, selection)
+    ]
+    if found:
+        return found
+    if selection.topic is not None:
+        if any(channel.count != 0 for channel in wanted) and selection.rate_field is not None:
+            raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
+        named = [c.topic for c in channels if c.count != 0 and rate_fields(c, log.path)]
+        raise NoSuchTopicError(log.path, selection.topic, named)
+    raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in channels if c.count != 0])
+
+
+def _fields(log: MessageLog, channel: Channel, selection: Selection) -> list[RateField]:
+    """Return the rates of a channel: those of known types, or the one the options name."""
+    if selection.rate_field is None:
+        return rate_fields(channel, log.path)
+    field = rate_field_at(channel, selection.rate_field, log.path)
+    return [] if field is None else [field]
+
+
+def _of_channel(
+    log: MessageLog, channel: Channel, field: RateField, selection: Selection
+) -> Source:
+    unit = _unit(log, channel, field, selection)
+    clock = _clock(log, channel, field, selection)
+    if clock == "header" and selection.time_field is not None:
+        stamp = time_field_at(channel, selection.time_field, selection.time_unit, log.path)
+        if stamp is None:
+            raise UndeclaredError(
+                log.path,
+                f"the unit of the time in field {quoted(selection.time_field)}",
+                "--time-unit s|ms|us|ns",
+            )
+        field = replace(field, stamp=stamp)
+    return Source(
+        name=channel.topic,
+        type_name=channel.type_name,
+        rate=field.name,
+        unit=unit,
+        clock=clock,
+        remarks=(),
+        batches=partial(_samples, log, channel, field, UNITS[unit], clock),
+        measured=field.measured,
+    )
+
+
+def _unit(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:
+    unit = selection.rate_unit or field.unit
+    if unit is None:
+        raise UndeclaredError(
+            log.path,
+            f"the unit of field {quoted(field.name)} in topic {quoted(channel.topic)}",
+            "--rate-unit rad/s|deg/s",
+        )
+    return unit
+
+
+def _clock(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:
+    has_stamp = field.stamp is not None or selection.time_field is not None
+    if selection.clock == "header" and not has_stamp:
+        raise UsageError(
+            f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
+            "choose --clock log|publish or name the stamp with --time-field"
+        )
+    return selection.clock or ("header" if has_stamp else "log")
+
+
+def _samples(
+    log: MessageLog, channel: Channel, field: RateField, scale: float, clock: str
+) -> Iterator[GyroSeries]:
+    """Yield the rates of one channel in order of their log times."""
+    reading = _Reading(log, channel, field, scale, clock)
+    for columns in in_time([map(reading.columns, log.blocks(channel))]):
+        t_ns, rate = columns.values
+        yield GyroSeries(t_ns, rate)
+
+
+class _Reading:
+    """Turns blocks of messages into stamps and rates; messages that do not fit are lost."""
+
+    def __init__(
+        self, log: MessageLog, channel: Channel, field: RateField, scale: float, clock: str
+    ) -> None:
+        self._log = log
+        self._field = field
+        self._scale = scale
+        self._clock = clock
+        self._stamp = field.stamp if clock == "header" else None
+        stamp_fields = self._stamp.fields if self._stamp else ()
+        absent_fields = (field.absent,) if field.absent else ()
+        self._cuts = (len(field.rate), len(field.rate) + len(stamp_fields))
+        self._decoder = Decoder(channel, [*field.rate, *stamp_fields, *absent_fields], log.path)
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, rate)``; the order is the block's."""
+        try:
+            return self._columns(block)
+        except MessageError as error:
+            if not error.positions:
+                raise
+            self._log.losses.append(
+                Loss(f"topic {self._decoder.channel.topic}", error.reason, len(error.positions))
+            )
+            return self.columns(_without(block, error.positions))
+
+    def _columns(self, block: MessageBlock) -> Columns:
+        fields = self._decoder.columns(block)
+        first, second = self._cuts
+        rate = self._rate(fields[:first])
+        for absent in fields[second:]:
+            if (absent == -1.0).any():
+                rate[absent == -1.0] = np.nan
+        if self._stamp is not None:
+            t_ns = self._stamp.ns(fields[first:second], self._log.path)
+        else:
+            t_ns = block.log_ns if self._clock == "log" else block.publish_ns
+        return Columns(block.log_ns, (t_ns, rate), block.not_before_ns)
+
+    def _rate(self, parts: list[NDArray[Any]]) -> NDArray[np.float64]:
+        joined = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
+        rate = np.array(joined, dtype=np.float64, order="C")
+        if self._scale != 1.0:
+            rate *= self._scale
+        return rate
+
+
+def _without(block: MessageBlock, positions: tuple[int, ...]) -> MessageBlock:
+    keep = np.ones(len(block), dtype=np.bool_)
+    keep[list(positions)] = False
+    return replace(
+        block,
+        starts=block.starts[keep],
+        ends=block.ends[keep],
+        log_ns=block.log_ns[keep],
+        publish_ns=block.publish_ns[keep],
+    )
+
+
+def _same_topic(log: MessageLog | TableLog, found: list[Source]) -> UsageError:
+    """Return the error for one topic with several rates in its messages."""
+    rates = listed(source.rate for source in found)
+    return UsageError(
+        f"{plain(log.path)}: messages of topic {quoted(found[0].name)} carry several body rates: "
+        f"{rates}; choose one with --rate-field"
+    )

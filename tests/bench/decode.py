@@ -1,0 +1,98 @@
+"""Messages to columns: every container against the libraries that read it."""
+
+import sqlite3
+from pathlib import Path
+
+import lz4.frame
+import zstandard
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from quatprop.signal import choose
+from rosbags.highlevel import AnyReader
+from table import Table, best_of
+
+from quatprop.readers import open_log
+from quatprop.selection import Selection
+
+
+def ours(path: Path) -> int:
+    """Decode every sample with quatprop."""
+    with open_log(path) as log:
+        return sum(len(batch) for batch in choose(log, Selection()).batches())
+
+
+def with_rosbags(path: Path) -> int:
+    """Decode every message with rosbags."""
+    count = 0
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            count += reader.deserialize(raw, connection.msgtype).angular_velocity.x is not None
+    return count
+
+
+def with_mcap(path: Path) -> int:
+    """Decode every message with the mcap package and mcap-ros2-support."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return sum(1 for _ in reader.iter_decoded_messages())
+
+
+def read_and_decompress(path: Path) -> int:
+    """Read the chunks of an MCAP file and decompress them: the floor under any reader."""
+    size = 0
+    unpack = {
+        "zstd": zstandard.ZstdDecompressor().decompress,
+        "lz4": lz4.frame.decompress,
+        "": bytes,
+    }
+    with path.open("rb") as file:
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                size += len(unpack[record.compression](record.data))
+    return size
+
+
+def select_blobs(path: Path) -> int:
+    """Fetch stamps and blobs of a database in order of time: the floor under any reader."""
+    database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
+    rows = database.execute("SELECT timestamp, data FROM messages ORDER BY timestamp")
+    count = 0
+    while batch := rows.fetchmany(4096):
+        count += len(batch)
+    return count
+
+
+def measure(folder: Path, samples: int) -> None:
+    """Print one table a container."""
+    for name in ("imu_zstd.mcap", "imu_none.mcap"):
+        path = folder / name
+        table = Table(f"decode {name}, {samples:,} Imu messages")
+        table.row("quatprop", best_of(3, lambda path=path: ours(path)), samples)
+        table.row(
+            "read and decompress alone", best_of(3, lambda path=path: read_and_decompress(path)),
+            samples,
+        )  # fmt: skip
+        table.row(
+            "rosbags AnyReader + deserialize", best_of(1, lambda p=path: with_rosbags(p)), samples
+        )
+        table.row("mcap + mcap-ros2-support", best_of(1, lambda p=path: with_mcap(p)), samples)
+    table = Table(f"decode imu.bag, {samples:,} Imu messages")
+    table.row("quatprop", best_of(3, lambda: ours(folder / "imu.bag")), samples)
+    table.row(
+        "rosbags AnyReader + deserialize",
+        best_of(1, lambda: with_rosbags(folder / "imu.bag")),
+        samples,
+    )
+    table = Table(f"decode imu_db3, {samples:,} Imu messages")
+    database = next((folder / "imu_db3").glob("*.db3"))
+    table.row("quatprop", best_of(3, lambda: ours(folder / "imu_db3")), samples)
+    table.row(
+        "SELECT of stamps and blobs alone", best_of(3, lambda: select_blobs(database)), samples
+    )
+    table.row(
+        "rosbags AnyReader + deserialize",
+        best_of(1, lambda: with_rosbags(folder / "imu_db3")),
+        samples,
+    )

@@ -1,0 +1,119 @@
+"""The package as a whole: public names, layering, start-up."""
+
+import ast
+import importlib
+import pkgutil
+import subprocess
+import sys
+import tomllib
+from itertools import chain
+from pathlib import Path
+
+import pytest
+
+import quatprop
+
+PACKAGE = Path(quatprop.__file__).parent
+MODULES = sorted(
+    module.name
+    for module in pkgutil.walk_packages([str(PACKAGE)], "quatprop.")
+    if module.name != "quatprop.__main__"
+)
+
+
+def imported_by(path: Path) -> set[str]:
+    """Return every module that a file imports, wherever in the file it does so."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module)
+    return names
+
+
+def test_public_names_are_sorted_and_there():
+    """Every name of __all__ can be imported, and the list is sorted."""
+    assert quatprop.__all__ == sorted(quatprop.__all__)
+    for name in quatprop.__all__:
+        assert getattr(quatprop, name).__module__.startswith("quatprop.")
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    """The lazy import behaves as a module does."""
+    with pytest.raises(AttributeError, match="module 'quatprop' has no attribute 'nonsense'"):
+        _ = quatprop.nonsense
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_imports_and_says_what_it_is(name):
+    """Each module has a docstring."""
+    assert importlib.import_module(name).__doc__
+
+
+FORBIDDEN = {
+    "readers": ("propagate", "increments", "writers", "cli", "job"),
+    "messages": ("readers.mcap", "readers.rosbag1", "propagate", "increments", "writers", "cli"),
+    "writers": ("propagate", "increments", "readers", "messages", "cli", "job"),
+    "propagate.py": ("readers", "writers", "messages", "signal", "cli", "job"),
+    "increments.py": ("readers", "writers", "messages", "signal", "cli", "job"),
+    "quaternion.py": ("readers", "writers", "messages", "series", "timeline", "cli", "job"),
+    "signal.py": ("propagate", "increments", "writers", "cli", "job"),
+    "timeline.py": ("propagate", "increments", "readers", "writers", "cli", "job"),
+}
+
+
+@pytest.mark.parametrize("room", FORBIDDEN)
+def test_rooms_do_not_know_what_they_must_not(room):
+    """Data flows one way: the imports between rooms are checked file by file."""
+    place = PACKAGE / room
+    for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+        for name in imported_by(path):
+            for other in FORBIDDEN[room]:
+                unwanted = f"quatprop.{other}"
+                assert not (name + ".").startswith(unwanted + "."), f"{path.name} imports {name}"
+
+
+def test_only_the_command_line_speaks_and_exits():
+    """Below cli/ nothing prints, exits, prompts or asserts on input."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.parent.name == "cli" or path.name == "__main__.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            assert not isinstance(node, ast.Assert), f"assert in {path}:{node.lineno}"
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in {"print", "input", "exit"}, f"{path}:{node.lineno}"
+        assert not imported_by(path) & {"click"}, path
+
+
+def test_help_imports_nothing_heavy():
+    """`quatprop --help` needs click and nothing else."""
+    code = (
+        "import sys; sys.argv = ['quatprop', '--help']\n"
+        "from quatprop.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'numpy', 'pyarrow', 'mcap', 'rosbags'} & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "[]"
+
+
+def test_the_kinds_of_the_command_line_are_those_of_the_table():
+    """--from lists exactly the kinds that have a reader."""
+    from quatprop.cli.options import KINDS
+    from quatprop.readers import READERS
+
+    assert tuple(READERS) == KINDS
+
+
+def test_every_dependency_is_pinned_for_development():
+    """Tests and sample logs run on the versions of .ci/constraints.txt."""
+    root = PACKAGE.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    pinned = {
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (root / ".ci" / "constraints.txt").read_text().splitlines()
+    }
+    for requirement in chain(project["dependencies"], *project["optional-dependencies"].values()):
+        assert requirement.split(">=")[0].lower().replace("_", "-") in pinned, requirement
