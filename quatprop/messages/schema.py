@@ -22,7 +22,7 @@ MAX_VISITS = 100_000
 MAX_SEARCHED_ITEMS = 16
 """A search looks into the elements of fixed arrays up to this length."""
 
-_STEP = re.compile(r"(?:^|\.)(\w+)|\[(\d+)\]", re.ASCII)
+_STEP = re.compile(r"(?:^|(?<=.)\.)(\w+)|\[(\d+)\]", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     for step in way:
         below = _below(here, step)
         if below is None:
-            raise SchemaError(path, _dead_end(root, here, step, field_path))
+            raise SchemaError(path, _dead_end(root, here, field_path))
         here = below
     return way, here
 
@@ -235,9 +235,9 @@ def _below(kind: Type, step: str | int) -> Type | None:
     return None
 
 
-def _dead_end(root: Struct, here: Type, step: str | int, field_path: str) -> str:
+def _dead_end(root: Struct, here: Type, field_path: str) -> str:
     lost = f"{quoted(root.name)} has no field {quoted(field_path)}"
-    if isinstance(here, Struct) and isinstance(step, str):
+    if isinstance(here, Struct):
         return f"{lost}; {quoted(here.name)} has {listed(name for name, _ in here.fields)}"
     if isinstance(here, Array):
         return f"{lost}; the array there takes an index from [0] to [{here.length - 1}]"
