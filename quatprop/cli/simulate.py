@@ -1,0 +1,216 @@
+"""``quatprop simulate``: a log with a known true attitude."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import click
+
+from quatprop.cli.options import Duration, Numbers
+
+MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
+"""The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
+
+KINDS = ("csv", "parquet", "mcap", "bag", "rosbag2", "rosbag2-mcap")
+"""The keys of :data:`quatprop.simulate.logs.LOGS`."""
+
+DEFAULT_DURATION_NS = 20_000_000_000
+
+
+def _exact(_context: click.Context, _option: click.Parameter, text: str) -> Fraction:
+    """Return a number kept exact: 0.1 is one tenth."""
+    try:
+        return Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        raise click.BadParameter(f"{text!r} is not a number") from None
+
+
+def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int:
+    """Return an absolute time in ns."""
+    from quatprop.errors import UsageError
+    from quatprop.times import instant
+
+    try:
+        moment = instant(text)
+    except UsageError as error:
+        raise click.BadParameter(str(error)) from None
+    if moment.origin != "clock":
+        raise click.BadParameter(f"{text!r} is not absolute; write RFC 3339 or ns")
+    return moment.ns
+
+
+@click.command(
+    short_help="Write a log whose true attitude is known.", epilog="Rates are in rad/s, body frame."
+)
+@click.argument("out")
+@click.option(
+    "--to",
+    "kind",
+    type=click.Choice(KINDS),
+    help="Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
+)
+@click.option(
+    "--compression",
+    type=click.Choice(("none", "lz4", "zstd", "bz2")),
+    help="Compression of a message log.  [default: zstd for mcap, else none]",
+)
+@click.option(
+    "--truth",
+    metavar="PATH",
+    help="Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
+    "Parquet .truth.parquet, beside - none]",
+)
+@click.option(
+    "--motion",
+    type=click.Choice(MOTIONS),
+    default="spin",
+    show_default=True,
+    help="What the body does.",
+)
+@click.option(
+    "--rate",
+    "sample_rate",
+    callback=_exact,
+    metavar="HZ",
+    default="100",
+    show_default=True,
+    help="Samples a second.",
+)
+@click.option(
+    "--duration",
+    type=Duration(),
+    help="How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="How many samples, instead of a duration.  [default: by the duration]",
+)
+@click.option(
+    "--start",
+    "start_ns",
+    callback=_moment,
+    metavar="TIME",
+    default="2023-11-14T22:13:20Z",
+    show_default=True,
+    help="Time of the first sample, RFC 3339 or ns.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    metavar="N",
+    default=0,
+    show_default=True,
+    help="Of noise and random walk: the same seed gives the same log.",
+)
+@click.option(
+    "--noise",
+    type=click.FloatRange(min=0),
+    metavar="X",
+    default=0.0,
+    show_default=True,
+    help="Angular random walk, rad/s/sqrt(Hz).",
+)
+@click.option(
+    "--bias",
+    type=Numbers("X,Y,Z"),
+    default="0,0,0",
+    show_default=True,
+    help="Constant error of the rates, rad/s.",
+)
+@click.option(
+    "--q0",
+    type=Numbers("W,X,Y,Z"),
+    default="1,0,0,0",
+    show_default=True,
+    help="True attitude at the first sample, body to reference, scalar first.",
+)
+@click.option(
+    "--frequency",
+    callback=_exact,
+    metavar="HZ",
+    default="0.5",
+    show_default=True,
+    help="Turns a second: of a spin, of coning, of the precession of tumbling.",
+)
+@click.option(
+    "--axis",
+    type=Numbers("X,Y,Z"),
+    default="0,0,1",
+    show_default=True,
+    help="Axis of a spin in the body.",
+)
+@click.option(
+    "--angle",
+    callback=_exact,
+    metavar="DEG",
+    default="10",
+    show_default=True,
+    help="Half-angle of the cone, or nutation angle of tumbling.",
+)
+@click.option(
+    "--spin-frequency",
+    callback=_exact,
+    metavar="HZ",
+    default="0.2",
+    show_default=True,
+    help="Turns a second of a tumbling body about its own axis.",
+)
+@click.option(
+    "--walk",
+    type=click.FloatRange(min=0),
+    metavar="X",
+    default=0.1,
+    show_default=True,
+    help="Random walk of the rate, rad/s/sqrt(s).",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing.  [default: a line on stderr]")
+def command(out: str, **options: Any) -> None:
+    r"""Write a log of a known motion to OUT, and the true attitudes beside it.
+
+    The same options give the same bytes.
+
+    \b
+    quatprop simulate spin.csv --frequency 0.25
+    quatprop simulate coning.mcap --motion coning --rate 200 --duration 1m
+    quatprop simulate rest.bag --motion rest --noise 1e-4 --bias 0.01,0,0
+    """
+    from quatprop.cli.words import progress
+    from quatprop.simulate.gyroscope import Gyroscope, samples_in
+    from quatprop.simulate.motion import Shape
+    from quatprop.simulate.run import simulate, truth_beside
+
+    if options["samples"] is not None and options["duration"] is not None:
+        raise click.UsageError("--samples and --duration say the same thing; give one of them")
+    samples = options["samples"] or samples_in(
+        options["duration"] or DEFAULT_DURATION_NS, options["sample_rate"]
+    )
+    truth = options["truth"] or truth_beside(out, options["kind"])
+    truth = None if truth == "none" else truth
+    shape = Shape(
+        **{
+            name: options[name] for name in ("frequency", "axis", "angle", "spin_frequency", "walk")
+        },
+        seed=options["seed"],
+    )
+    gyroscope = Gyroscope(
+        **{name: options[name] for name in ("sample_rate", "start_ns", "noise", "bias", "seed")},
+        samples=samples,
+    )
+    with progress(quiet=options["quiet"]) as tick:
+        simulate(
+            out,
+            options["motion"],
+            shape,
+            gyroscope,
+            q0=options["q0"],
+            kind=options["kind"],
+            compression=options["compression"],
+            truth=truth,
+            tick=tick,
+        )
+    if not options["quiet"]:
+        beside = f"; the truth is in {truth}" if truth else ""
+        click.echo(f"{out}: {samples:,} samples of {options['motion']}{beside}", err=True)

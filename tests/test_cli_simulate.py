@@ -1,0 +1,68 @@
+"""``quatprop simulate`` does what its options say, and says what they are."""
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import simulate as cli
+from quatprop.simulate.logs import LOGS
+from quatprop.simulate.motion import MOTIONS
+
+
+def test_the_command_knows_every_motion_and_kind():
+    """What it spells out to stay quick is what the tables hold."""
+    assert tuple(MOTIONS) == cli.MOTIONS
+    assert tuple(LOGS) == cli.KINDS
+
+
+def test_the_command_writes_log_and_truth(tmp_path):
+    """Half a turn between samples, to the byte."""
+    target = tmp_path / "spin.csv"
+    result = CliRunner().invoke(
+        cli.command,
+        [str(target), "--frequency", "1", "--rate", "2", "--duration", "1.5s", "--start", "5"],
+    )
+    assert result.exit_code == 0, result.output
+    truth = tmp_path / "spin.truth.csv"
+    assert result.stderr == f"{target}: 3 samples of spin; the truth is in {truth}\n"
+    assert target.read_bytes() == (
+        b"t_ns,wx,wy,wz\n"
+        b"5,0,0,6.283185307179586\n"
+        b"500000005,0,0,6.283185307179586\n"
+        b"1000000005,0,0,6.283185307179586\n"
+    )
+    assert truth.read_bytes() == (
+        b"t_ns,qw,qx,qy,qz\n5,1,0,0,0\n500000005,0,0,0,1\n1000000005,-1,0,0,0\n"
+    )
+
+
+def test_the_command_writes_to_stdout():
+    """A dash is CSV on stdout, without a truth."""
+    result = CliRunner().invoke(cli.command, ["-", "--motion", "rest", "--samples", "1", "-q"])
+    assert result.stdout == "t_ns,wx,wy,wz\n1700000000000000000,0,0,0\n"
+    assert result.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--rate", "fast"], "'fast' is not a number"),
+        (["--start", "+10s"], "'+10s' is not absolute; write RFC 3339 or ns"),
+        (["--start", "noon"], "'noon' is not a time"),
+        (
+            ["--samples", "5", "--duration", "1s"],
+            "--samples and --duration say the same thing; give one of them",
+        ),
+    ],
+)
+def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence):
+    """Options that cannot be are refused with exit code 2 and nothing is written."""
+    result = CliRunner().invoke(cli.command, [str(tmp_path / "a.csv"), *arguments])
+    assert result.exit_code == 2
+    assert sentence in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_option_says_its_default():
+    """The help text is the documentation."""
+    for option in cli.command.params[1:]:
+        assert option.show_default or "[default: " in option.help or option.name == "help"
