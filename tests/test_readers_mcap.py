@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap import records
@@ -408,30 +407,6 @@ def test_an_undefined_channel_is_told(tmp_path):
     assert Loss("channel 1", "no record says what it is") in log.losses
 
 
-@pytest.mark.parametrize("suffix", [".zstd", ""])
-def test_a_file_packed_as_a_whole_is_read_through_a_copy(tmp_path, suffix):
-    """A packed file is recognised by its content, and its copy goes with the log."""
-    content = written()
-    path = saved(tmp_path, zstandard.compress(content), "log.mcap" + suffix)
-    with McapLog(path) as log:
-        copy = log._file  # noqa: SLF001  # the copy is nobody's business but must go
-        assert copy != path
-        assert sorted(read(log)) == sorted(truth(content))
-        assert log.path == path
-    assert not copy.exists()
-
-
-def test_a_packed_file_cut_off_is_a_damaged_log(tmp_path):
-    """What can be unpacked is read, and the loss is told."""
-    content = written(messages=20000)
-    packed = zstandard.compress(content)
-    with McapLog(saved(tmp_path, packed[: len(packed) * 2 // 3], "log.mcap.zst")) as log:
-        assert 1000 < len(read(log)) < 20000
-        assert log.losses[0] == Loss(
-            "end of the packed file", "its zstd data is damaged or cut off"
-        )
-
-
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
     """A closed iteration leaves no thread and no open file behind."""
     monkeypatch.setattr(prefetch, "_WORKERS", 2)
@@ -460,10 +435,15 @@ def test_files_that_are_no_mcap_are_refused(tmp_path):
         DamagedLogError, match="nothing of it can be read; byte 8: no record begins"
     ):
         McapLog(saved(tmp_path, b"\x89MCAP0\r\n" + bytes(99)))
-    with pytest.raises(
-        DamagedLogError, match="its zstd data is damaged; nothing of it can be read"
-    ):
-        McapLog(saved(tmp_path, b"\x28\xb5\x2f\xfd" + b"\xff" * 99))
+
+
+def test_a_file_that_goes_away_is_told(tmp_path):
+    """A log that is removed between opening and reading is one clear line."""
+    path = saved(tmp_path, written())
+    log = McapLog(path)
+    path.unlink()
+    with pytest.raises(UnreadableLogError, match="No such file or directory; check the path"):
+        next(log.blocks(IMU))
 
 
 @given(

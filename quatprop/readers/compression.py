@@ -250,28 +250,68 @@ def _zstd_pieces(file: BinaryIO) -> Iterator[bytes]:
 
 
 class UnpackedCopy:
-    """A temporary file that is always removed.
+    """A file packed as a whole, unpacked into a temporary file that is always removed.
 
     Parameters
     ----------
-    suffix
-        The suffix of the file.
+    path
+        A file packed with zstd, lz4, bz2 or gzip.
 
     Attributes
     ----------
     path
-        The temporary file.
+        The temporary file, with the suffix of the log inside. Where the packed file is damaged,
+        it holds what comes before the damage.
     damage
         Why the copy ends early, or ``""``.
+
+    Raises
+    ------
+    CompressionError
+        The file is not packed, nothing of it can be unpacked, or the copy does not fit.
+    OSError
+        The file cannot be read.
     """
 
-    def __init__(self, suffix: str) -> None:
-        handle, name = tempfile.mkstemp(prefix="quatprop-", suffix=suffix)
-        os.close(handle)
-        self.path = Path(name)
+    def __init__(self, path: Path) -> None:
         self.damage = ""
-        # Also runs when the interpreter ends, whatever the caller forgot.
-        self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
+        with path.open("rb") as packed:
+            compression = file_compression(packed.read(4))
+            if not compression:
+                raise CompressionError("it is not packed with zstd, lz4, bz2 or gzip")
+            packed.seek(0)
+            handle, name = tempfile.mkstemp(prefix="quatprop-", suffix=Path(path.stem).suffix)
+            os.close(handle)
+            self.path = Path(name)
+            # Also runs when the interpreter ends, whatever the caller forgot.
+            self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
+            try:
+                self._fill(_pieces(packed, compression), compression)
+            except BaseException:
+                self.close()
+                raise
+
+    def _fill(self, pieces: Iterator[bytes], compression: str) -> None:
+        """Write the pieces up to the end or the damage."""
+        with self.path.open("wb") as copy:
+            while True:
+                try:
+                    piece = next(pieces, b"")
+                except _damage(compression) as error:
+                    if copy.tell() == 0:
+                        raise CompressionError(f"its {compression} data is damaged") from error
+                    self.damage = f"its {compression} data is damaged or cut off"
+                    return
+                if not piece:
+                    return
+                try:
+                    copy.write(piece)
+                    copy.flush()
+                except OSError as error:
+                    raise CompressionError(
+                        f"its unpacked copy does not fit into {self.path.parent} "
+                        f"({error.strerror}); set TMPDIR to a folder with room"
+                    ) from error
 
     def close(self) -> None:
         """Remove the temporary file."""
@@ -290,58 +330,5 @@ class UnpackedCopy:
 
 
 def unpacked_copy(path: Path) -> UnpackedCopy:
-    """Unpack a file that was packed as a whole with zstd, lz4, bz2 or gzip.
-
-    Parameters
-    ----------
-    path
-        The packed file.
-
-    Returns
-    -------
-    UnpackedCopy
-        The copy, with the suffix of the log inside; close it to remove it. Where the packed file
-        is damaged, it holds what comes before the damage.
-
-    Raises
-    ------
-    CompressionError
-        The file is not packed, nothing of it can be unpacked, or the copy does not fit.
-    OSError
-        The file cannot be read.
-    """
-    with path.open("rb") as packed:
-        compression = file_compression(packed.read(4))
-        if not compression:
-            raise CompressionError("it is not packed with zstd, lz4, bz2 or gzip")
-        packed.seek(0)
-        unpacked = UnpackedCopy(Path(path.stem).suffix)
-        try:
-            _fill(unpacked, _pieces(packed, compression), compression)
-        except BaseException:
-            unpacked.close()
-            raise
-    return unpacked
-
-
-def _fill(unpacked: UnpackedCopy, pieces: Iterator[bytes], compression: str) -> None:
-    """Write the pieces up to the end or the damage."""
-    with unpacked.path.open("wb") as copy:
-        while True:
-            try:
-                piece = next(pieces, b"")
-            except _damage(compression) as error:
-                if copy.tell() == 0:
-                    raise CompressionError(f"its {compression} data is damaged") from error
-                unpacked.damage = f"its {compression} data is damaged or cut off"
-                return
-            if not piece:
-                return
-            try:
-                copy.write(piece)
-                copy.flush()
-            except OSError as error:
-                raise CompressionError(
-                    f"its unpacked copy does not fit into {unpacked.path.parent} "
-                    f"({error.strerror}); set TMPDIR to a folder with room"
-                ) from error
+    """Return the unpacked copy of a packed file; see :class:`UnpackedCopy`."""
+    return UnpackedCopy(path)

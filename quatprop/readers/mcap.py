@@ -11,7 +11,6 @@ import numpy as np
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.readers.base import Channel, Loss, MessageBlock
-from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_regions import RegionError, Source, load
 from quatprop.readers.mcap_summary import MAGIC
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from quatprop.readers.compression import Buffer, UnpackedCopy
+    from quatprop.readers.compression import Buffer
     from quatprop.readers.mcap_messages import Messages
     from quatprop.readers.mcap_regions import Region
     from quatprop.readers.mcap_summary import Survey
@@ -38,7 +37,7 @@ class McapLog:
     Parameters
     ----------
     path
-        The file; it may be packed as a whole with zstd, lz4, bz2 or gzip.
+        The file.
 
     Raises
     ------
@@ -55,16 +54,14 @@ class McapLog:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.losses: list[Loss] = []
-        self._file = path
-        self._copy: UnpackedCopy | None = None
         try:
-            found = self._open()
+            with Source(path) as source:
+                magic = source.read(0, len(MAGIC))
+                if magic != MAGIC:
+                    self._refuse(magic)
+                found = survey(source)
         except OSError as error:
-            self.close()
-            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
-        except BaseException:
-            self.close()
-            raise
+            raise self._unreadable(error) from error
         self._regions = found.regions
         self._ids = _by_identity(found)
         self._stated = found.counts
@@ -73,27 +70,6 @@ class McapLog:
         if self.losses and not (self._ids or self._regions):
             first = self.losses[0]
             raise DamagedLogError(path, f"nothing of it can be read; {first.place}: {first.reason}")
-
-    def _open(self) -> Survey:
-        with self.path.open("rb") as file:
-            if file_compression(file.read(4)):
-                self._unpack()
-        with Source(self._file) as source:
-            magic = source.read(0, len(MAGIC))
-            if magic != MAGIC:
-                self._refuse(magic)
-            return survey(source)
-
-    def _unpack(self) -> None:
-        try:
-            self._copy = unpacked_copy(self.path)
-        except CompressionError as error:
-            raise DamagedLogError(
-                self.path, f"{error.reason}; nothing of it can be read"
-            ) from error
-        self._file = self._copy.path
-        if self._copy.damage:
-            self._lose(Loss("end of the packed file", self._copy.damage))
 
     def _refuse(self, magic: bytes) -> None:
         if len(magic) == len(MAGIC) and magic[:5] + magic[6:] == MAGIC[:5] + MAGIC[6:]:
@@ -114,9 +90,7 @@ class McapLog:
         """Return how many messages the channels of these ids have, where that is known."""
         if self._stated is not None:
             return sum(self._stated.get(one, 0) for one in ids)
-        counts = [region.count(one) for region in self._regions for one in ids]
-        known = [count for count in counts if count is not None]
-        return sum(known) if len(known) == len(counts) else None
+        return _total(self._regions, ids)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
@@ -139,10 +113,14 @@ class McapLog:
         regions.sort(key=lambda region: (region.first_ns, region.start))
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
         found = 0
-        with self._source() as source, closing(ahead(partial(_load, source), regions)) as loaded:
+        try:
+            source = Source(self.path)
+        except OSError as error:
+            raise self._unreadable(error) from error
+        with source, closing(ahead(partial(_load, source), regions)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
-                    self._lose(Loss(region.place, content.reason, _sum(region, ids)))
+                    self._lose(Loss(region.place, content.reason, _total([region], ids)))
                     continue
                 data, raw = content
                 messages = self._messages(data, raw, region, ids)
@@ -161,11 +139,8 @@ class McapLog:
             reason = f"it counts {missing} messages more than there are"
             self._lose(Loss("summary", reason, missing))
 
-    def _source(self) -> Source:
-        try:
-            return Source(self._file)
-        except OSError as error:
-            raise UnreadableLogError(self.path, f"{error.strerror}; check the path") from error
+    def _unreadable(self, error: OSError) -> UnreadableLogError:
+        return UnreadableLogError(self.path, f"{error.strerror}; check the path")
 
     def _messages(
         self, data: Buffer, raw: Buffer, region: Region, ids: Sequence[int]
@@ -191,9 +166,7 @@ class McapLog:
             self.losses.append(loss)
 
     def close(self) -> None:
-        """Remove the temporary copy of a packed file."""
-        if self._copy is not None:
-            self._copy.close()
+        """Do nothing: the file is open only while it is read."""
 
     def __enter__(self) -> Self:
         return self
@@ -238,8 +211,9 @@ def _load(source: Source, region: Region) -> tuple[Buffer, Buffer] | RegionError
         return error
 
 
-def _sum(region: Region, ids: Sequence[int]) -> int | None:
-    counts = [region.count(one) for one in ids]
+def _total(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
+    """Return how many messages of some channels the regions hold, where that is known."""
+    counts = [region.count(one) for region in regions for one in ids]
     known = [count for count in counts if count is not None]
     return sum(known) if len(known) == len(counts) else None
 
