@@ -97,7 +97,8 @@ def rotation_vectors(t_ns: Int64, rate: Float64, method: str = "start") -> Float
     method
         A key of :data:`METHODS`: ``"start"``, sample k rules the interval from k to k + 1;
         ``"end"``, sample k + 1 does; ``"mean"``, the average of the two; ``"coning"``, a rate
-        linear between the two, mean dt + dt^2/12 w_k x w_k+1, of fourth order.
+        linear between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is
+        linear, of second order elsewhere.
 
     Returns
     -------

@@ -39,8 +39,8 @@ FRAMES: Final = ("body", "inertial")
 TILE: Final = BLOCK // 8
 """Samples multiplied up together: few enough for the L2 cache, many enough for cheap calls."""
 
-SERIAL: Final = 64
-"""So few steps are multiplied up faster by a loop than by more levels of the tree."""
+SERIAL: Final = 8
+"""So few steps are multiplied up by a loop: faster than more levels, but errors add along it."""
 
 
 def propagate(
@@ -139,7 +139,7 @@ class _Run:
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         if rates not in FRAMES:
-            raise UsageError(f"rates in {quoted(rates)}? choose one of {listed(FRAMES)}")
+            raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
         rule_of(method)
         self._method = method
         self._inertial = rates == "inertial"

@@ -1,0 +1,213 @@
+"""Quaternion arithmetic: group axioms, the exponential, rotation of vectors, angles."""
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quatprop.quaternion import (
+    IDENTITY,
+    conjugate,
+    exp,
+    geodesic_angle,
+    half_angle,
+    log,
+    multiply,
+    normalize,
+    rotate,
+    rotation_matrix,
+)
+
+QI, QJ, QK = np.eye(4)[1:]
+SHAPES = st.sampled_from([(), (1,), (5,), (2, 3), (0,), (4, 1, 2)])
+# From steps that round to the identity to several turns.
+SIZES = st.sampled_from([0.0, 1e-300, 1e-160, 1e-17, 1e-9, 1e-4, 0.1, 1.0, 3.0, 30.0])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@st.composite
+def rotation_vectors(draw):
+    """Draw rotation vectors of any shape and size."""
+    rng = np.random.default_rng(draw(SEEDS))
+    return draw(SIZES) * rng.normal(size=(*draw(SHAPES), 3))
+
+
+def some_quaternions(seed, count=50):
+    """Return unit quaternions spread over all attitudes."""
+    return normalize(np.random.default_rng(seed).normal(size=(count, 4)))
+
+
+def close(p, q, tol=1e-15):
+    """Tell whether components agree, sign included."""
+    return np.allclose(p, q, rtol=0, atol=tol)
+
+
+@pytest.mark.parametrize(
+    ("p", "q", "product"),
+    [
+        (QI, QJ, QK),
+        (QJ, QK, QI),
+        (QK, QI, QJ),
+        (QJ, QI, -QK),
+        (QK, QJ, -QI),
+        (QI, QK, -QJ),
+        (QI, QI, -IDENTITY),
+    ],
+)
+def test_product_is_hamiltons(p, q, product):
+    """The units multiply as i j = k, i i = -1, and not as in the opposite convention."""
+    assert np.array_equal(multiply(p, q), product)
+
+
+@given(SEEDS)
+def test_product_is_associative(seed):
+    """(p q) r = p (q r)."""
+    p, q, r = (some_quaternions(seed + k) for k in range(3))
+    assert close(multiply(multiply(p, q), r), multiply(p, multiply(q, r)))
+
+
+@given(rotation_vectors())
+def test_identity_changes_nothing(rotvec):
+    """1 q = q 1 = q, to the bit."""
+    q = exp(rotvec)
+    assert np.array_equal(multiply(IDENTITY, q), q)
+    assert np.array_equal(multiply(q, IDENTITY), q)
+
+
+@given(rotation_vectors())
+def test_conjugate_is_inverse(rotvec):
+    """Q q* = 1 for unit quaternions of any shape, near the identity and far."""
+    q = exp(rotvec)
+    assert close(multiply(q, conjugate(q)), np.broadcast_to(IDENTITY, q.shape))
+
+
+def test_conjugate_reverses_products():
+    """(p q)* = q* p*."""
+    p, q = some_quaternions(1), some_quaternions(2)
+    assert close(conjugate(multiply(p, q)), multiply(conjugate(q), conjugate(p)))
+
+
+def test_product_broadcasts():
+    """One quaternion multiplies many."""
+    q = some_quaternions(3, 6).reshape(2, 3, 4)
+    assert multiply(q[0, 0], q).shape == (2, 3, 4)
+    assert multiply(q[:, :1], q[:1]).shape == (2, 3, 4)
+
+
+def test_product_agrees_with_scipy():
+    """The product is that of scipy's Rotation, whose storage is scalar-last."""
+    p, q = some_quaternions(4), some_quaternions(5)
+    scalar_last = [1, 2, 3, 0]
+    theirs = Rotation.from_quat(p[:, scalar_last]) * Rotation.from_quat(q[:, scalar_last])
+    ours = Rotation.from_quat(multiply(p, q)[:, scalar_last])
+    assert (ours * theirs.inv()).magnitude().max() < 1e-15
+
+
+@given(st.sampled_from([1e-300, 1e-8, 1.0, 1e8, 1e300]), SEEDS)
+def test_normalize_gives_unit_length(size, seed):
+    """Any length that float64 can hold is brought to 1, within 2 ulp."""
+    q = normalize(size * np.random.default_rng(seed).normal(size=(20, 4)))
+    assert np.abs(np.linalg.norm(q, axis=1) - 1).max() <= 2 * np.finfo(float).eps
+
+
+@given(rotation_vectors())
+def test_exponential_has_unit_length(rotvec):
+    """Every exponential is a unit quaternion of the shape of its argument."""
+    q = exp(rotvec)
+    assert q.shape == (*rotvec.shape[:-1], 4)
+    assert close(np.linalg.norm(q, axis=-1), 1, 4e-16)
+
+
+@pytest.mark.parametrize("largest", [1e-8, 1e-3, 0.02, 0.1, 0.3, 0.6, 0.79, 0.8, 3.0, 7.0])
+def test_half_angle_is_exact(largest):
+    """Cosine and ratio are within 1.5 ulp of the truth whichever series or function gives them."""
+    angles = np.append(np.random.default_rng(6).uniform(0, largest, 200), largest)
+    cosine, ratio = half_angle(angles**2)
+    with mpmath.workdps(40):
+        for a, c, r in zip((angles**2).tolist(), cosine.tolist(), ratio.tolist(), strict=True):
+            angle = mpmath.sqrt(a)
+            assert abs(c - mpmath.cos(angle / 2)) < 1.5 * 2**-53
+            assert abs(r - mpmath.sin(angle / 2) / angle) < 1.5 * 2**-54
+
+
+def test_half_angle_of_zero():
+    """At zero the cosine is 1 and the ratio 1/2, in either way of computing."""
+    for squares in (np.array([0.0]), np.array([0.0, 9.0])):
+        cosine, ratio = half_angle(squares)
+        assert (cosine[0], ratio[0]) == (1.0, 0.5)
+
+
+def test_one_bad_vector_spoils_no_other():
+    """A rotation vector that is not a number gives a quaternion that is none, alone."""
+    q = exp([[np.nan, 0, 0], [3.0, 0, 0]])
+    assert np.isnan(q[0]).all()
+    assert close(q[1], [np.cos(1.5), np.sin(1.5), 0, 0])
+
+
+def test_smallest_steps_do_not_vanish():
+    """Earth rate at 8 kHz turns 9e-9 rad a step; so do steps whose squares underflow."""
+    assert exp([7.292e-5 / 8000, 0, 0])[1] == 7.292e-5 / 8000 / 2
+    assert exp([1e-200, 0, 0])[1] == 5e-201
+
+
+@pytest.mark.parametrize("angle", [2.0, 3.5, 6.0, 9.0, 12.0])
+def test_exponential_beyond_half_a_turn(angle):
+    """Cosine and sine are those of half the angle, with their signs: w is never forced positive."""
+    assert close(exp([0, 0, angle]), [np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
+
+
+@given(SEEDS, st.sampled_from([1e-200, 1e-12, 1e-3, 1.0, 6.2]))
+def test_logarithm_inverts_exponential(seed, angle):
+    """Log(exp(v)) = v for every v shorter than a full turn."""
+    axis = normalize(np.append(np.random.default_rng(seed).normal(size=3), 0))[:3]
+    assert np.allclose(log(exp(angle * axis)), angle * axis, rtol=1e-13, atol=0)
+
+
+def test_logarithm_of_identity_and_full_turn_is_zero():
+    """Neither 1 nor -1 has an axis."""
+    assert np.array_equal(log([IDENTITY, -IDENTITY]), np.zeros((2, 3)))
+
+
+def test_rotate_is_the_sandwich_product():
+    """Rotate(q, v) is the vector part of q v q* (eq. 3), and agrees with the matrix (eq. 5)."""
+    q, v = some_quaternions(7), np.random.default_rng(8).normal(size=(50, 3))
+    pure = np.concatenate([np.zeros((50, 1)), v], axis=1)
+    sandwich = multiply(multiply(q, pure), conjugate(q))[:, 1:]
+    assert close(rotate(q, v), sandwich, 4e-15)
+    assert close(np.einsum("nij,nj->ni", rotation_matrix(q), v), sandwich, 4e-15)
+
+
+def test_rotation_matrix_is_a_rotation():
+    """R is orthogonal with determinant 1, and R(p q) = R(p) R(q)."""
+    p, q = some_quaternions(9), some_quaternions(10)
+    R = rotation_matrix(p)
+    assert close(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), 2e-15)
+    assert close(np.linalg.det(R), 1, 2e-15)
+    assert close(rotation_matrix(multiply(p, q)), R @ rotation_matrix(q), 2e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-15, 1e-9, 1e-3, 1.0, 3.0, np.pi])
+def test_geodesic_angle_is_exact_at_any_size(angle):
+    """The angle between 1 and a turn is that turn, down to the smallest."""
+    between = geodesic_angle(IDENTITY, exp([0, angle, 0]))
+    assert between == pytest.approx(angle, rel=1e-15, abs=0)
+
+
+@given(SEEDS)
+def test_geodesic_angle_ignores_signs_and_order(seed):
+    """Q and -q are the same attitude, and the way back is as long as the way there."""
+    p, q = some_quaternions(seed), some_quaternions(seed + 1)
+    angle = geodesic_angle(p, q)
+    assert close(geodesic_angle(-p, q), angle)
+    assert close(geodesic_angle(q, -p), angle)
+    assert close(geodesic_angle(p, -p), 0)
+
+
+def test_geodesic_angle_does_not_depend_on_the_frame():
+    """The angle stays when both attitudes are seen from another reference or another body."""
+    p, q, r = some_quaternions(11), some_quaternions(12), some_quaternions(13)
+    angle = geodesic_angle(p, q)
+    assert close(geodesic_angle(multiply(r, p), multiply(r, q)), angle, 4e-15)
+    assert close(geodesic_angle(multiply(p, r), multiply(q, r)), angle, 4e-15)
