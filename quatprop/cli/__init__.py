@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -20,7 +21,12 @@ COMMANDS = {
 """Every command with its one-line help, so that ``--help`` imports none of them."""
 
 INTERRUPTED = 130
-UNUSABLE = 2
+
+
+class Unusable(click.ClickException):
+    """Wrong usage or unreadable input: one sentence, exit code 2."""
+
+    exit_code = 2
 
 
 class Commands(click.Group):
@@ -36,6 +42,21 @@ class Commands(click.Group):
             return None
         command: click.Command = import_module(f"quatprop.cli.{cmd_name}").command
         return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; an error becomes a sentence and an exit code here, and only here."""
+        from quatprop.errors import QuatpropError
+
+        try:
+            return super().invoke(ctx)
+        except QuatpropError as error:
+            raise Unusable(str(error)) from error
+        except BrokenPipeError:
+            # The reader of our output has gone, as in `| head`: that is its right.
+            ctx.exit(0)
+        except KeyboardInterrupt:
+            click.echo("Interrupted; nothing was written.", err=True)
+            ctx.exit(INTERRUPTED)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""
@@ -72,20 +93,8 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    from quatprop.errors import QuatpropError
+    import signal
 
-    try:
-        code = cli.main(standalone_mode=False)
-    except click.exceptions.Abort:
-        code = INTERRUPTED
-    except click.ClickException as error:
-        error.show()
-        code = error.exit_code
-    except QuatpropError as error:
-        click.echo(f"Error: {error}", err=True)
-        code = UNUSABLE
-    except BrokenPipeError:
-        # The reader of our output has gone: that is its right. Python would complain at exit.
-        sys.stdout = None
-        code = 0
-    sys.exit(code)
+    # Told to end, a run ends as on Ctrl-C: what is half-written is removed.
+    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
+    cli(prog_name="quatprop")

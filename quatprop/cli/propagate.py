@@ -141,6 +141,7 @@ def command(**chosen: Any) -> None:
             max_gap_ns=chosen.pop("max_gap"),
         ),
         q0=tuple(q0[q0_order.index(part)] for part in range(4)) if q0 else (1.0, 0.0, 0.0, 0.0),
+        layout=layout_named(chosen.pop("layout")).name,
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
             static_ns=bias if isinstance(bias, int) else None,

@@ -107,14 +107,17 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             return
         path = Path(path)
         head = _head(path)
-        packing = file_compression(head)
-        if not packing:
+        inside = path.with_suffix("") if path.suffix else path
+        packed = file_compression(head)
+        if packed and kind is None and inside.suffix.lower() in READERS["csv"].suffixes:
+            kind = "csv"
+        # A text table unpacks itself on the way, and its name may tell what it holds.
+        if kind == "csv" or not packed:
             log = _open(kind or _kind(path, head), path)
             stack.enter_context(log)
             yield log
             return
         copy = stack.enter_context(_unpacked(path))
-        inside = path.with_suffix("") if path.suffix else path
         with _told_of(path):
             log = _open(kind or _kind(inside, _head(copy.path)), copy.path)
             stack.enter_context(log)

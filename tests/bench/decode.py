@@ -9,12 +9,12 @@ from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
-from quatprop.signal import choose
 from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
 from quatprop.readers import open_log
 from quatprop.selection import Selection
+from quatprop.signal import choose
 
 
 def ours(path: Path) -> int:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numba
 import numpy as np
 from ahrs.filters import AngularRate
-from quatprop.propagate import attitudes
 from scipy.spatial.transform import Rotation
 from table import Table, best_of
+
+from quatprop.propagate import attitudes
 
 SLOW_SAMPLES = 20_000
 """Loops of microseconds a sample are timed on so many."""
