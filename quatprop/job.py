@@ -15,7 +15,7 @@ from quatprop import __version__
 from quatprop.conditioning import Conditioning, condition
 from quatprop.errors import NoSamplesError, OutputError, UsageError
 from quatprop.propagate import propagate
-from quatprop.quaternion import IDENTITY, geodesic_angle
+from quatprop.quaternion import IDENTITY, geodesic_angle, normalize
 from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.signal import UNITS, Source, choose
@@ -144,7 +144,6 @@ def _report(
     job: Job, log: Log, source: Source, timeline: Timeline, final: NDArray[np.float64]
 ) -> dict[str, Any]:
     counts = timeline.counts
-    q0 = [float(number) for number in job.q0]
     span_s = counts.span_ns * 1e-9
     return {
         "quatprop": __version__,
@@ -168,7 +167,7 @@ def _report(
             "method": job.method,
             "layout": job.layout,
             "time": "int64 nanoseconds",
-            "q0_wxyz": q0,
+            "q0_wxyz": normalize(job.q0).tolist(),
         },
         "policy": asdict(job.policy),
         "counts": asdict(counts),
