@@ -12,7 +12,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
 from quatprop.readers.base import Channel, Loss, MessageBlock
-from quatprop.readers.packed_messages import is_packed, joined, unpacked
+from quatprop.readers.packed_messages import is_packed, joined, together, unpacked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 _ROWS = 512
 """Rows that are fetched together: enough to share the costs, few enough to stay in the cache."""
 
+_PIECES = 8
+"""Fetches that make a block: enough to share the costs of decoding it."""
+
 _BYTES = 4 << 20
-"""Bytes that a block is to have at most, where messages are large."""
+"""Bytes above which a block is not made larger, for large messages."""
 
 
 class Db3Log:
@@ -136,6 +139,17 @@ class Db3Log:
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, in order of their log times."""
+        pieces: list[MessageBlock] = []
+        for piece in self._pieces(channel):
+            pieces.append(piece)
+            if len(pieces) == _PIECES or sum(len(one.data) for one in pieces) > _BYTES:
+                yield together(pieces)
+                pieces.clear()
+        if pieces:
+            yield together(pieces)
+
+    def _pieces(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield messages as they are fetched, until the end or the damage."""
         numbers = [number for number, found in self._topics.items() if found == channel]
         marks = ", ".join("?" * len(numbers))
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.

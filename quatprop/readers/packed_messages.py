@@ -49,6 +49,27 @@ def joined(
     return MessageBlock(data, ends - lengths, ends, log_ns, publish_ns, not_before_ns)
 
 
+def together(blocks: Sequence[MessageBlock]) -> MessageBlock:
+    """Return blocks that follow each other as one, copied.
+
+    Parameters
+    ----------
+    blocks
+        At least one block; the last one's promise is kept.
+    """
+    if len(blocks) == 1:
+        return blocks[0]
+    shifts = np.cumsum([0, *(len(block.data) for block in blocks[:-1])])
+    return MessageBlock(
+        np.concatenate([block.data for block in blocks]),
+        np.concatenate([block.starts + shift for block, shift in zip(blocks, shifts, strict=True)]),
+        np.concatenate([block.ends + shift for block, shift in zip(blocks, shifts, strict=True)]),
+        np.concatenate([block.log_ns for block in blocks]),
+        np.concatenate([block.publish_ns for block in blocks]),
+        blocks[-1].not_before_ns,
+    )
+
+
 def is_packed(block: MessageBlock) -> bool:
     """Tell whether a block begins with a message that is packed with zstd."""
     return block.data[block.starts[0] : block.ends[0]][:4].tobytes() == ZSTD_MAGIC
