@@ -24,6 +24,12 @@ from quatprop.readers.mcap_messages import LATEST, walk
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
 
 
+@pytest.fixture
+def unthreaded(monkeypatch):
+    """Read without threads: starting them is most of the time of a tiny log."""
+    monkeypatch.setattr(prefetch, "_WORKERS", 10**6)
+
+
 def written(*, messages=60, uneven=True, first_ns=1000, **options):
     """Return a log of three topics, the first with two publishers, the third without messages."""
     buffer = io.BytesIO()
@@ -321,6 +327,7 @@ def test_chunks_without_the_channel_are_not_read(tmp_path):
     assert len(log.losses) == 1
 
 
+@pytest.mark.usefixtures("unthreaded")
 @pytest.mark.parametrize(
     "options", [{}, {"use_chunking": False}, {"compression": CompressionType.NONE}]
 )
@@ -342,6 +349,7 @@ def test_a_file_cut_anywhere_gives_what_comes_before(tmp_path, options):
             assert sorted(found) == sorted(expected)
 
 
+@pytest.mark.usefixtures("unthreaded")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
 @given(
     options=st.sampled_from(
