@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from quatprop.channel_values import FieldReading, clock_of, timed_values
 from quatprop.errors import (
     AmbiguousTopicError,
-    MessageError,
     NoRatesError,
     NoSuchTopicError,
     UndeclaredError,
@@ -24,18 +24,15 @@ from quatprop.errors import (
     plain,
     quoted,
 )
-from quatprop.messages.decoder import Decoder
-from quatprop.messages.rates import RateField, rate_field_at, rate_fields, time_field_at
-from quatprop.readers.base import Loss, is_table
-from quatprop.readers.merge import Columns, in_time
+from quatprop.messages.rates import RateField, rate_field_at, rate_fields
+from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from numpy.typing import NDArray
-
-    from quatprop.readers.base import Channel, MessageBlock, MessageLog, TableLog
+    from quatprop.channel_values import Clock
+    from quatprop.readers.base import Channel, MessageLog, TableLog
     from quatprop.selection import Selection
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
@@ -174,22 +171,13 @@ def _of_channel(
     log: MessageLog, channel: Channel, field: RateField, selection: Selection
 ) -> Source:
     unit = _unit(log, channel, field, selection)
-    clock = _clock(log, channel, field, selection)
-    if clock == "header" and selection.time_field is not None:
-        stamp = time_field_at(channel, selection.time_field, selection.time_unit, log.path)
-        if stamp is None:
-            raise UndeclaredError(
-                log.path,
-                f"the unit of the time in field {quoted(selection.time_field)}",
-                "--time-unit s|ms|us|ns",
-            )
-        field = replace(field, stamp=stamp)
+    clock = clock_of(log, channel, field.stamp, selection)
     return Source(
         name=channel.topic,
         type_name=channel.type_name,
         rate=field.name,
         unit=unit,
-        clock=clock,
+        clock=clock.name,
         remarks=(),
         batches=partial(_samples, log, channel, field, UNITS[unit], clock),
         measured=field.measured,
@@ -207,85 +195,13 @@ def _unit(log: MessageLog, channel: Channel, field: RateField, selection: Select
     return unit
 
 
-def _clock(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:
-    has_stamp = field.stamp is not None or selection.time_field is not None
-    if selection.clock == "header" and not has_stamp:
-        raise UsageError(
-            f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
-            "choose --clock log|publish or name the stamp with --time-field"
-        )
-    return selection.clock or ("header" if has_stamp else "log")
-
-
 def _samples(
-    log: MessageLog, channel: Channel, field: RateField, scale: float, clock: str
+    log: MessageLog, channel: Channel, field: RateField, scale: float, clock: Clock
 ) -> Iterator[GyroSeries]:
     """Yield the rates of one channel in order of their log times."""
-    reading = _Reading(log, channel, field, scale, clock)
-    for columns in in_time([map(reading.columns, log.blocks(channel))]):
-        t_ns, rate = columns.values
-        yield GyroSeries(t_ns, rate)
-
-
-class _Reading:
-    """Turns blocks of messages into stamps and rates; messages that do not fit are lost."""
-
-    def __init__(
-        self, log: MessageLog, channel: Channel, field: RateField, scale: float, clock: str
-    ) -> None:
-        self._log = log
-        self._field = field
-        self._scale = scale
-        self._clock = clock
-        self._stamp = field.stamp if clock == "header" else None
-        stamp_fields = self._stamp.fields if self._stamp else ()
-        absent_fields = (field.absent,) if field.absent else ()
-        self._cuts = (len(field.rate), len(field.rate) + len(stamp_fields))
-        self._decoder = Decoder(channel, [*field.rate, *stamp_fields, *absent_fields], log.path)
-
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, rate)``; the order is the block's."""
-        try:
-            return self._columns(block)
-        except MessageError as error:
-            if not error.positions:
-                raise
-            self._log.losses.append(
-                Loss(f"topic {self._decoder.channel.topic}", error.reason, len(error.positions))
-            )
-            return self.columns(_without(block, error.positions))
-
-    def _columns(self, block: MessageBlock) -> Columns:
-        fields = self._decoder.columns(block)
-        first, second = self._cuts
-        rate = self._rate(fields[:first])
-        for absent in fields[second:]:
-            if (absent == -1.0).any():
-                rate[absent == -1.0] = np.nan
-        if self._stamp is not None:
-            t_ns = self._stamp.ns(fields[first:second], self._log.path)
-        else:
-            t_ns = block.log_ns if self._clock == "log" else block.publish_ns
-        return Columns(block.log_ns, (t_ns, rate), block.not_before_ns)
-
-    def _rate(self, parts: list[NDArray[Any]]) -> NDArray[np.float64]:
-        joined = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
-        rate = np.array(joined, dtype=np.float64, order="C")
-        if self._scale != 1.0:
-            rate *= self._scale
-        return rate
-
-
-def _without(block: MessageBlock, positions: tuple[int, ...]) -> MessageBlock:
-    keep = np.ones(len(block), dtype=np.bool_)
-    keep[list(positions)] = False
-    return replace(
-        block,
-        starts=block.starts[keep],
-        ends=block.ends[keep],
-        log_ns=block.log_ns[keep],
-        publish_ns=block.publish_ns[keep],
-    )
+    reading = FieldReading(log, channel, field.rate, clock, field.absent)
+    for t_ns, rate in timed_values(log, channel, reading):
+        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale)
 
 
 def _same_topic(log: MessageLog | TableLog, found: list[Source]) -> UsageError:

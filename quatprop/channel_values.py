@@ -1,0 +1,213 @@
+"""From the blocks of a channel to stamps and values, in the order of the log.
+
+What rates and orientations have in common: fields are decoded as columns, the clock is chosen,
+values that a message marks as absent become NaN, and messages that do not fit their definition
+are lost and told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
+from quatprop.messages.decoder import Decoder
+from quatprop.messages.rates import time_field_at
+from quatprop.readers.base import Loss
+from quatprop.readers.merge import Columns, in_time
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.stamps import Stamp
+    from quatprop.readers.base import Channel, MessageBlock, MessageLog
+    from quatprop.selection import Selection
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+ABSENT = -1.0
+"""What the first number of a covariance is where the value beside it is not measured."""
+
+
+class Clock(NamedTuple):
+    """Whose time the values of a channel have.
+
+    Parameters
+    ----------
+    name
+        ``"header"``, ``"log"`` or ``"publish"``.
+    stamp
+        The field of the message, for a header clock.
+    """
+
+    name: str
+    stamp: Stamp | None = None
+
+    def ns(self, fields: Sequence[NDArray[Any]], block: MessageBlock, path: Path | str) -> Int64:
+        """Return the time of every message of a block, shape ``(N,)``, int64 ns.
+
+        Parameters
+        ----------
+        fields
+            The fields of the stamp, as decoded; empty for the other clocks.
+        block
+            The messages.
+        path
+            The log, for errors.
+        """
+        if self.stamp is not None:
+            return self.stamp.ns(fields, path)
+        return block.log_ns if self.name == "log" else block.publish_ns
+
+
+class Reading(Protocol):
+    """How the blocks of one channel become rows."""
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, values)``, shapes ``(N,)`` and ``(N, k)``.
+
+        Raises
+        ------
+        MessageError
+            Messages do not fit; its `positions` say which.
+        """
+
+
+def timed_values(
+    log: MessageLog, channel: Channel, reading: Reading
+) -> Iterator[tuple[Int64, Float64]]:
+    """Yield the values of one channel with their stamps, in order of their log times.
+
+    Parameters
+    ----------
+    log
+        The container; what cannot be read is added to its losses.
+    channel
+        One of its channels.
+    reading
+        How its blocks become rows.
+
+    Yields
+    ------
+    tuple
+        Stamps, shape ``(N,)``, int64 ns, and values, shape ``(N, k)``, float64.
+    """
+    batches = (_kept(log, channel, reading, block) for block in log.blocks(channel))
+    for columns in in_time([batches]):
+        t_ns, values = columns.values
+        yield t_ns, values
+
+
+def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: Selection) -> Clock:
+    """Return whose time to read, from the options and what a message has.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    stamp
+        The message's own stamp, if it is known to have one.
+    selection
+        The options `clock`, `time_field` and `time_unit`.
+
+    Raises
+    ------
+    UsageError
+        A header stamp is asked for and there is none.
+    UndeclaredError
+        The unit of a time field is not said.
+    """
+    has_stamp = stamp is not None or selection.time_field is not None
+    if selection.clock == "header" and not has_stamp:
+        raise UsageError(
+            f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
+            "choose --clock log|publish or name the stamp with --time-field"
+        )
+    clock = selection.clock or ("header" if has_stamp else "log")
+    if clock != "header":
+        return Clock(clock)
+    if selection.time_field is not None:
+        stamp = time_field_at(channel, selection.time_field, selection.time_unit, log.path)
+        if stamp is None:
+            raise UndeclaredError(
+                log.path,
+                f"the unit of the time in field {quoted(selection.time_field)}",
+                "--time-unit s|ms|us|ns",
+            )
+    return Clock(clock, stamp)
+
+
+class FieldReading:
+    """Reads fields that every message has.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    fields
+        Dotted paths of the values: one of a row of numbers, or several of one.
+    clock
+        Whose time.
+    absent
+        Dotted path of a number that is -1 where the values are absent.
+    """
+
+    def __init__(
+        self,
+        log: MessageLog,
+        channel: Channel,
+        fields: Sequence[str],
+        clock: Clock,
+        absent: str | None = None,
+    ) -> None:
+        self._path = log.path
+        self._clock = clock
+        stamp_fields = clock.stamp.fields if clock.stamp else ()
+        absent_fields = (absent,) if absent else ()
+        self._cuts = (len(fields), len(fields) + len(stamp_fields))
+        self._decoder = Decoder(channel, [*fields, *stamp_fields, *absent_fields], log.path)
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, values)``; the order is the block's."""
+        fields = self._decoder.columns(block)
+        first, second = self._cuts
+        values = _rows(fields[:first])
+        for absent in fields[second:]:
+            if (absent == ABSENT).any():
+                values[absent == ABSENT] = np.nan
+        t_ns = self._clock.ns(fields[first:second], block, self._path)
+        return Columns(block.log_ns, (t_ns, values), block.not_before_ns)
+
+
+def _kept(log: MessageLog, channel: Channel, reading: Reading, block: MessageBlock) -> Columns:
+    """Return the rows of a block without the messages that do not fit."""
+    try:
+        return reading.columns(block)
+    except MessageError as error:
+        if not error.positions:
+            raise
+        log.losses.append(Loss(f"topic {channel.topic}", error.reason, len(error.positions)))
+        return _kept(log, channel, reading, _without(block, error.positions))
+
+
+def _rows(parts: list[NDArray[Any]]) -> Float64:
+    joined = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
+    return np.array(joined, dtype=np.float64, order="C")
+
+
+def _without(block: MessageBlock, positions: tuple[int, ...]) -> MessageBlock:
+    keep = np.ones(len(block), dtype=np.bool_)
+    keep[list(positions)] = False
+    return replace(
+        block,
+        starts=block.starts[keep],
+        ends=block.ends[keep],
+        log_ns=block.log_ns[keep],
+        publish_ns=block.publish_ns[keep],
+    )
