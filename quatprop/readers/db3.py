@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import quote
 
 import apsw
@@ -12,7 +12,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
 from quatprop.readers.base import Channel, Loss, MessageBlock
-from quatprop.readers.packed_messages import is_packed, joined, together, unpacked
+from quatprop.readers.packed_messages import is_packed, unpacked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,14 +20,24 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
+    from numpy.typing import NDArray
+
 _ROWS = 512
 """Rows that are fetched together: enough to share the costs, few enough to stay in the cache."""
 
-_PIECES = 8
+_FETCHES = 8
 """Fetches that make a block: enough to share the costs of decoding it."""
 
 _BYTES = 4 << 20
 """Bytes above which a block is not made larger, for large messages."""
+
+
+class _Fetch(NamedTuple):
+    """Rows that were fetched together: times, ns, and lengths and bytes of the messages."""
+
+    times: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    data: bytes
 
 
 class Db3Log:
@@ -139,17 +149,20 @@ class Db3Log:
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, in order of their log times."""
-        pieces: list[MessageBlock] = []
-        for piece in self._pieces(channel):
-            pieces.append(piece)
-            if len(pieces) == _PIECES or sum(len(one.data) for one in pieces) > _BYTES:
-                yield together(pieces)
-                pieces.clear()
-        if pieces:
-            yield together(pieces)
+        fetches = self._fetches(channel)
+        damaged = 0
+        while some := _some(fetches):
+            block = _joined(some)
+            if self._packed or (channel.encoding == "cdr" and is_packed(block)):
+                block, lost = unpacked(block)
+                damaged += lost
+            if len(block):
+                yield block
+        if damaged:
+            self._lose(channel, "their zstd data is damaged", damaged)
 
-    def _pieces(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield messages as they are fetched, until the end or the damage."""
+    def _fetches(self, channel: Channel) -> Iterator[_Fetch]:
+        """Fetch messages in time order, until the end or the damage."""
         numbers = [number for number, found in self._topics.items() if found == channel]
         marks = ", ".join("?" * len(numbers))
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
@@ -157,24 +170,21 @@ class Db3Log:
             "SELECT timestamp, data FROM messages "  # noqa: S608  # only question marks go in
             f"WHERE topic_id IN ({marks}) ORDER BY timestamp, rowid"
         )
-        count, damaged, rows = 0, 0, 64
+        count, rows = 0, 64
         try:
             cursor = self._database.execute(query, numbers)
             while fetched := list(islice(cursor, rows)):
                 stamps, messages = zip(*fetched, strict=True)
-                times = np.fromiter(stamps, np.int64, len(stamps))
-                block = joined(messages, times, times, int(times[-1]))
+                fetch = _Fetch(
+                    np.fromiter(stamps, np.int64, len(stamps)),
+                    np.fromiter(map(len, messages), np.int64, len(messages)),
+                    b"".join(messages),
+                )
+                yield fetch
                 count += len(fetched)
-                rows = min(_ROWS, max(1, _BYTES * len(fetched) // (len(block.data) + 1)))
-                if self._packed or (channel.encoding == "cdr" and is_packed(block)):
-                    block, lost = unpacked(block)
-                    damaged += lost
-                if len(block):
-                    yield block
+                rows = min(_ROWS, max(1, _BYTES * len(fetched) // (len(fetch.data) + 1)))
         except (apsw.Error, TypeError, OverflowError) as error:
             self._lose(channel, f"what follows message {count} cannot be read ({error})")
-        if damaged:
-            self._lose(channel, "their zstd data is damaged", damaged)
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         loss = Loss(f"topic {quoted(channel.topic)}", reason, messages)
@@ -197,6 +207,27 @@ class Db3Log:
         /,
     ) -> None:
         self.close()
+
+
+def _some(fetches: Iterator[_Fetch]) -> list[_Fetch]:
+    """Take as many fetches as make a block; none at the end."""
+    some: list[_Fetch] = []
+    size = 0
+    for fetch in fetches:
+        some.append(fetch)
+        size += len(fetch.data)
+        if len(some) == _FETCHES or size > _BYTES:
+            break
+    return some
+
+
+def _joined(fetches: list[_Fetch]) -> MessageBlock:
+    """Return fetches as one block."""
+    every, sizes, data = zip(*fetches, strict=True)
+    times, lengths = np.concatenate(every), np.concatenate(sizes)
+    ends = np.cumsum(lengths)
+    buffer = np.frombuffer(b"".join(data), np.uint8)
+    return MessageBlock(buffer, ends - lengths, ends, times, times, int(times[-1]))
 
 
 def _opened(address: str) -> apsw.Connection:
