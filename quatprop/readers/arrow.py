@@ -16,21 +16,25 @@ from quatprop.errors import (
     plain,
     quoted,
 )
+from quatprop.provenance import provenance_in
 from quatprop.readers import columns as choosing
 from quatprop.readers import decimal_time
 from quatprop.readers.base import Loss
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
     from typing import Self
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import TableColumns
+    from quatprop.readers.base import TableColumns, TimedColumns
     from quatprop.selection import Selection
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
 
 _BATCH_ROWS = 1 << 16
 _DAMAGE = (pa.ArrowInvalid, OSError)
@@ -79,25 +83,31 @@ class _ArrowLog:
         """Return the column names in order, fields of structs as ``column.field``."""
         return [leaf.name for leaf in self._leaves]
 
-    def choose(self, selection: Selection) -> TableColumns:
-        """Return which columns hold time and rates; see :func:`quatprop.readers.columns.choose`.
+    @property
+    def notes(self) -> choosing.Notes:
+        """Columns of timestamps carry their own unit."""
+        return choosing.Notes(
+            declared={
+                k: leaf.type.unit
+                for k, leaf in enumerate(self._leaves)
+                if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
+            }
+        )
 
-        Columns of timestamps carry their own unit.
+    def provenance(self) -> dict[str, Any]:
+        """Return how the content came about, as written beside it; empty where it is not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
         """
-        declared = {
-            k: leaf.type.unit
-            for k, leaf in enumerate(self._leaves)
-            if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
-        }
-        notes = choosing.Notes(declared=declared)
-        columns = choosing.choose(self.path, self.columns(), selection, notes)
-        for k in (*columns.rate, *columns.time):
-            leaf = self._leaves[k]
-            is_stamp = k in columns.time and k in declared
-            if not is_stamp and not _is_number(leaf.type):
-                raise UnsupportedLogError(
-                    self.path, f"column {quoted(leaf.name)} holds {leaf.type}, not numbers"
-                )
+        return provenance_in(self._metadata(), self.path)
+
+    def choose(self, selection: Selection) -> TableColumns:
+        """Return which columns hold time and rates; see :func:`quatprop.readers.columns.choose`."""
+        columns = choosing.choose(self.path, self.columns(), selection, self.notes)
+        self._refuse_other_than_numbers(columns.timed)
         return columns
 
     def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
@@ -106,12 +116,24 @@ class _ArrowLog:
         Raises
         ------
         UnsupportedLogError
-            A stamp does not fit in int64 ns.
+            A column does not hold numbers, or a stamp does not fit in int64 ns.
         """
+        for t_ns, rate in self.rows(columns.timed):
+            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
+
+    def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
+        """Yield the chosen columns as stamps in ns and numbers as stored, batch after batch.
+
+        Raises
+        ------
+        UnsupportedLogError
+            A column does not hold numbers, or a stamp does not fit in int64 ns.
+        """
+        self._refuse_other_than_numbers(columns)
         if self._known_losses is None:
             self._known_losses = len(self.losses)
         del self.losses[self._known_losses :]
-        wanted = [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.rate))]
+        wanted = [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
         first = 0
         for part in self._parts(wanted):
             read = 0
@@ -125,7 +147,7 @@ class _ArrowLog:
                     break
                 if batch is None:
                     break
-                yield self._series(batch, columns, first + read)
+                yield self._rows(batch, columns, first + read)
                 read += batch.num_rows
             first += max(part.rows, read)
 
@@ -148,18 +170,32 @@ class _ArrowLog:
     def _schema(self) -> pa.Schema:
         raise NotImplementedError
 
+    def _metadata(self) -> Mapping[bytes, bytes]:
+        return self._schema().metadata or {}
+
+    def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
+        declared = self.notes.declared
+        for k in (*columns.numbers, *columns.time):
+            leaf = self._leaves[k]
+            is_stamp = k in columns.time and k in declared
+            if not is_stamp and not _is_number(leaf.type):
+                raise UnsupportedLogError(
+                    self.path, f"column {quoted(leaf.name)} holds {leaf.type}, not numbers"
+                )
+
     def _parts(self, wanted: list[_Leaf]) -> Iterator[_Part]:
         raise NotImplementedError
 
-    def _series(self, batch: pa.RecordBatch, columns: TableColumns, first: int) -> GyroSeries:
-        rate = np.empty((batch.num_rows, len(columns.rate)))
-        for axis, k in enumerate(columns.rate):
+    def _rows(
+        self, batch: pa.RecordBatch, columns: TimedColumns, first: int
+    ) -> tuple[Int64, Float64]:
+        numbers = np.empty((batch.num_rows, len(columns.numbers)))
+        for axis, k in enumerate(columns.numbers):
             values = _column(batch, self._leaves[k])
-            rate[:, axis] = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-        rate = choosing.in_rad_s(rate, columns)
+            numbers[:, axis] = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
         if not columns.time:
             t_ns = decimal_time.counted(first, batch.num_rows, columns.sample_rate or 1.0)
-            return GyroSeries(t_ns, rate)
+            return t_ns, numbers
         timed = np.ones(batch.num_rows, np.bool_)
         for k in columns.time:
             timed &= _has_value(_column(batch, self._leaves[k]))
@@ -167,10 +203,10 @@ class _ArrowLog:
             lost = int(np.count_nonzero(~timed))
             place = f"rows {first + 1} to {first + batch.num_rows}"
             self.losses.append(Loss(place, "rows without a time", lost))
-            batch, rate = batch.filter(pa.array(timed)), rate[timed]
-        return GyroSeries(self._stamps(batch, columns), rate)
+            batch, numbers = batch.filter(pa.array(timed)), numbers[timed]
+        return self._stamps(batch, columns), numbers
 
-    def _stamps(self, batch: pa.RecordBatch, columns: TableColumns) -> NDArray[np.int64]:
+    def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
         units = (columns.time_unit, "ns")
         try:
             return decimal_time.total(
@@ -209,6 +245,9 @@ class ParquetLog(_ArrowLog):
 
         self._parquet = ParquetFile(self._file)
         return self._parquet.schema_arrow
+
+    def _metadata(self) -> Mapping[bytes, bytes]:
+        return self._parquet.metadata.metadata or {}
 
     def _parts(self, wanted: list[_Leaf]) -> Iterator[_Part]:
         names = [leaf.name for leaf in wanted]

@@ -7,7 +7,7 @@ mean is the business of :mod:`quatprop.messages`. A table has its columns alread
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 
@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.readers.columns import Notes
     from quatprop.selection import Selection
     from quatprop.series import GyroSeries
+
+    Numbers = NDArray[np.float64]
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that promises nothing about the blocks after it."""
@@ -152,6 +155,29 @@ class MessageLog(Log, Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class TimedColumns:
+    """Which columns of a table to read as numbers, and which as the time.
+
+    Parameters
+    ----------
+    numbers
+        Positions of the columns of numbers.
+    time
+        Positions of the time column; of seconds and nanoseconds where they are two; empty where
+        rows are counted at `sample_rate`.
+    time_unit
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
+    sample_rate
+        Rows a second, Hz, where there is no time column.
+    """
+
+    numbers: tuple[int, ...]
+    time: tuple[int, ...]
+    time_unit: str = "ns"
+    sample_rate: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class TableColumns:
     """Which columns of a table are the time and the rates, and in what units.
 
@@ -182,12 +208,28 @@ class TableColumns:
     dialect: str = ""
     rate_scale: float = 1.0
 
+    @property
+    def timed(self) -> TimedColumns:
+        """The columns to read, whatever their numbers mean."""
+        return TimedColumns(self.rate, self.time, self.time_unit, self.sample_rate)
+
 
 class TableLog(Log, Protocol):
-    """Rows of named or numbered columns: CSV, Parquet, Feather."""
+    """Rows of named or numbered columns: CSV, Parquet, Feather.
+
+    Attributes
+    ----------
+    notes
+        What is known besides the column names.
+    """
+
+    notes: Notes
 
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+
+    def provenance(self) -> dict[str, Any]:
+        """Return how the content came about, as written beside it; empty where it is not."""
 
     def choose(self, selection: Selection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header.
@@ -202,6 +244,9 @@ class TableLog(Log, Protocol):
 
     def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
         """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch."""
+
+    def rows(self, columns: TimedColumns) -> Iterator[tuple[NDArray[np.int64], Numbers]]:
+        """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``."""
 
 
 def is_table(log: MessageLog | TableLog) -> TypeGuard[TableLog]:

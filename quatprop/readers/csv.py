@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -21,10 +21,15 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import Self
 
-    from quatprop.readers.base import TableColumns
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import TableColumns, TimedColumns
     from quatprop.readers.headers import Layout
     from quatprop.readers.text_blocks import Block
     from quatprop.selection import Selection
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
 
 _PIECE_BYTES = 1 << 16
 _LOSSES_A_BLOCK = 8
@@ -63,16 +68,36 @@ class CsvLog:
         self._layout = sniff(self._head, self.path)
         self._known_losses: int | None = None
 
+    @property
+    def notes(self) -> choosing.Notes:
+        """What the lines before the header say."""
+        return self._layout.notes
+
+    def provenance(self) -> dict[str, Any]:
+        """Return nothing: text has no room for how it came about."""
+        return {}
+
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
 
     def choose(self, selection: Selection) -> TableColumns:
         """Return which columns hold time and rates; see :func:`quatprop.readers.columns.choose`."""
-        return choosing.choose(self.path, self._layout.names, selection, self._layout.notes)
+        return choosing.choose(self.path, self._layout.names, selection, self.notes)
 
     def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
         """Yield the chosen columns as rates in rad/s and stamps in ns, block after block.
+
+        Raises
+        ------
+        UnsupportedLogError
+            Most rows do not fit.
+        """
+        for t_ns, rate in self.rows(columns.timed):
+            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
+
+    def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
+        """Yield the chosen columns as stamps in ns and numbers as stored, block after block.
 
         Rows that do not fit are left out and told in :attr:`losses`.
 
@@ -87,10 +112,10 @@ class CsvLog:
         scan = _Scan(self._layout, columns, lines, self.losses)
         try:
             for block in blocks(text):
-                series = scan.read(block)
+                t_ns, numbers = scan.read(block)
                 scan.refuse_mostly_lost(self.path)
-                if len(series):
-                    yield series
+                if len(t_ns):
+                    yield t_ns, numbers
             if text.damage:
                 self.losses.append(Loss("end of the file", text.damage))
         finally:
@@ -143,7 +168,7 @@ class _Scan:
     """One reading of a table: what it has to remember from block to block."""
 
     def __init__(
-        self, layout: Layout, columns: TableColumns, lines: LineCounter, losses: list[Loss]
+        self, layout: Layout, columns: TimedColumns, lines: LineCounter, losses: list[Loss]
     ) -> None:
         self._layout = layout
         self._columns = columns
@@ -155,20 +180,17 @@ class _Scan:
         self._count = 0
         self._lost = 0
 
-    def read(self, block: Block) -> GyroSeries:
-        """Return the rows of a block that fit."""
+    def read(self, block: Block) -> tuple[Int64, Float64]:
+        """Return stamps and numbers of the rows of a block that fit."""
         try:
             parts = [self._block_parser.parse(block.data, quoted=block.quoted)]
         except MISFITS:
             parts = list(self._damaged(block))
-        series = [self._series(rows) for rows in parts]
+        stamps = [self._stamps(rows) for rows in parts]
         self._lines.passed(block)
-        if len(series) == 1:
-            return series[0]
-        return GyroSeries(
-            np.concatenate([one.t_ns for one in series]),
-            np.concatenate([one.rate for one in series]),
-        )
+        if len(parts) == 1:
+            return stamps[0], parts[0].numbers
+        return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
 
     def refuse_mostly_lost(self, path: Path) -> None:
         """Refuse a table of which more rows were lost than read."""
@@ -203,10 +225,10 @@ class _Scan:
             reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
             self._losses.append(Loss(place, reason, len(lost)))
 
-    def _series(self, rows: Rows) -> GyroSeries:
+    def _stamps(self, rows: Rows) -> Int64:
         t_ns = rows.t_ns
         if t_ns is None:
             t_ns = counted(self._count, rows.total, self._columns.sample_rate or 1.0)
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
         self._count += rows.total
-        return GyroSeries(t_ns, choosing.in_rad_s(rows.rate, self._columns))
+        return t_ns

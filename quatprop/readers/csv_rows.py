@@ -17,7 +17,7 @@ from quatprop.readers.headers import COMMENTS
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import TableColumns
+    from quatprop.readers.base import TimedColumns
     from quatprop.readers.headers import Layout
 
 MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
@@ -48,8 +48,8 @@ class Rows(NamedTuple):
     ----------
     t_ns
         Stamps, shape ``(N,)``, int64, ns; None for a table without time.
-    rate
-        Rates as stored, shape ``(N, 3)``, float64; NaN where a cell is empty.
+    numbers
+        Numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty.
     total
         Rows kept and lost.
     kept
@@ -59,20 +59,20 @@ class Rows(NamedTuple):
     """
 
     t_ns: NDArray[np.int64] | None
-    rate: NDArray[np.float64]
+    numbers: NDArray[np.float64]
     total: int
     kept: NDArray[np.int64] | None = None
     lost: tuple[tuple[int, str], ...] = ()
 
 
 class _Wanted:
-    """The columns to read of a table, in the order time, rates."""
+    """The columns to read of a table, in the order time, numbers."""
 
-    def __init__(self, layout: Layout, columns: TableColumns) -> None:
+    def __init__(self, layout: Layout, columns: TimedColumns) -> None:
         self.layout = layout
         self.units = (columns.time_unit, "ns")[: len(columns.time)]
         self.time = columns.time
-        self.rate = columns.rate
+        self.numbers = columns.numbers
 
     def _date_type(self, k: int) -> pa.DataType | None:
         if k not in self.layout.dates:
@@ -91,7 +91,7 @@ class BlockParser(_Wanted):
         Which columns to read.
     """
 
-    def __init__(self, layout: Layout, columns: TableColumns) -> None:
+    def __init__(self, layout: Layout, columns: TimedColumns) -> None:
         super().__init__(layout, columns)
         self._names = [str(k) for k in range(len(layout.names))]
         self._spare = 0
@@ -118,7 +118,7 @@ class BlockParser(_Wanted):
         return rows
 
     def _parse(self, data: bytes | memoryview, spare: int, quoted: bool) -> Rows:
-        types = {str(k): pa.float64() for k in self.rate}
+        types = {str(k): pa.float64() for k in self.numbers}
         for k, unit in zip(self.time, self.units, strict=True):
             types[str(k)] = self._date_type(k) or decimal_time.decimal_type(unit, spare)
         table = arrow_csv.read_csv(
@@ -137,10 +137,10 @@ class BlockParser(_Wanted):
                 decimal_point=self.layout.decimal,
             ),
         )
-        rate = np.empty((table.num_rows, len(self.rate)))
-        for axis, k in enumerate(self.rate):
-            rate[:, axis] = table.column(str(k)).to_numpy()
-        return Rows(self._stamps(table), rate, table.num_rows)
+        numbers = np.empty((table.num_rows, len(self.numbers)))
+        for place, k in enumerate(self.numbers):
+            numbers[:, place] = table.column(str(k)).to_numpy()
+        return Rows(self._stamps(table), numbers, table.num_rows)
 
     def _stamps(self, table: pa.Table) -> NDArray[np.int64] | None:
         if not self.time:
@@ -173,7 +173,7 @@ class RowParser(_Wanted):
             Number of the first line.
         """
         stamps: list[int] = []
-        rates: list[list[float]] = []
+        numbers: list[list[float]] = []
         kept: list[int] = []
         lost: list[tuple[int, str]] = []
         count = 0
@@ -181,17 +181,17 @@ class RowParser(_Wanted):
             if self._is_no_row(cells):
                 continue
             try:
-                stamp, rate = self._row(cells)
+                stamp, row = self._row(cells)
             except ValueError as error:
                 lost.append((place, str(error)))
             else:
                 stamps.append(stamp)
-                rates.append(rate)
+                numbers.append(row)
                 kept.append(count)
             count += 1
         return Rows(
             np.array(stamps, np.int64) if self.time else None,
-            np.array(rates, np.float64).reshape(-1, len(self.rate)),
+            np.array(numbers, np.float64).reshape(-1, len(self.numbers)),
             count,
             np.array(kept, np.int64),
             tuple(lost),
@@ -225,12 +225,12 @@ class RowParser(_Wanted):
         names = self.layout.names
         if len(cells) != len(names):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
-        rate = [self._number(cells[k], names[k]) for k in self.rate]
+        row = [self._number(cells[k], names[k]) for k in self.numbers]
         parts = zip(self.time, self.units, strict=True)
         stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
         if abs(stamp) > _LARGEST:
             raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")
-        return stamp, rate
+        return stamp, row
 
     def _number(self, cell: str, name: str) -> float:
         if cell.strip().lower() in _NOT_A_NUMBER:

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from quatprop.provenance import METADATA_KEY
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import AttitudeTable, Table
 
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
 
 ROW_GROUP = 1 << 18
 """Rows in a group: 10 MiB of attitudes, at fixed rows wherever a batch happened to end."""
-
-METADATA_KEY = b"quatprop"
-"""Key of the file's metadata that holds the provenance, as JSON."""
 
 
 def attitudes(target: Path | str, layout: Layout) -> AttitudeTable:
