@@ -13,17 +13,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import OutputError, listed, quoted
 from quatprop.layout import layout_named
 from quatprop.writers.atomic import is_stdout, is_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.writers.base import AttitudeWriter
+    from quatprop.writers.base import AttitudeWriter, Table
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,29 @@ class Format:
         ``module:function`` of a target and a layout, imported when it is needed.
     text
         Whether it may go to stdout.
+    table
+        ``module:class`` of a :class:`quatprop.writers.base.Table`, for formats whose columns may
+        be called anything; ``""`` for those that can say nothing but attitudes.
     """
 
     suffixes: tuple[str, ...]
     opener: str
     text: bool = False
+    table: str = ""
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": Format((".csv",), "quatprop.writers.csv:attitudes", text=True),
-    "parquet": Format((".parquet", ".pq"), "quatprop.writers.parquet:attitudes"),
+    "csv": Format(
+        (".csv",),
+        "quatprop.writers.csv:attitudes",
+        text=True,
+        table="quatprop.writers.csv:CsvTable",
+    ),
+    "parquet": Format(
+        (".parquet", ".pq"),
+        "quatprop.writers.parquet:attitudes",
+        table="quatprop.writers.parquet:ParquetTable",
+    ),
 }
 """Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
 
@@ -80,13 +93,54 @@ def open_writer(
     UsageError
         The layout is unknown.
     """
+    chosen = _format(target, kind)
+    order = layout_named(layout)
+    writer: AttitudeWriter = _loaded(chosen.opener)(target, order)
+    return writer
+
+
+def open_table(target: Path | str, kind: str | None, names: Sequence[str]) -> Table:
+    """Open a table of stamps and other columns than attitudes.
+
+    Parameters
+    ----------
+    target, kind
+        As for :func:`open_writer`.
+    names
+        Names of the float64 columns that follow ``t_ns``; they must say what is in them.
+
+    Returns
+    -------
+    Table
+        A context manager that removes what was not committed.
+
+    Raises
+    ------
+    OutputError
+        As for :func:`open_writer`; or the format can say nothing but attitudes.
+    """
+    chosen = _format(target, kind)
+    if not chosen.table:
+        others = listed(name for name, known in WRITERS.items() if known.table)
+        raise OutputError(
+            target,
+            f"a {kind_of(target, kind)} file holds Hamilton quaternions body to reference and "
+            f"nothing else; choose --to {others}",
+        )
+    table: Table = _loaded(chosen.table)(target, names)
+    return table
+
+
+def _format(target: Path | str, kind: str | None) -> Format:
     chosen = WRITERS[kind_of(target, kind)]
     if is_stdout(target) and not chosen.text:
         raise OutputError(target, "standard output takes CSV only; name a file for this kind")
-    order = layout_named(layout)
-    module, _, name = chosen.opener.partition(":")
-    writer: AttitudeWriter = getattr(import_module(module), name)(target, order)
-    return writer
+    return chosen
+
+
+def _loaded(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 def kind_of(target: Path | str, kind: str | None = None) -> str:
