@@ -184,6 +184,18 @@ def test_empty_sequences_of_doubles_are_not_padded_and_others_are():
     assert x.tolist() == [7, 9]
 
 
+def test_structs_in_an_array_are_padded_by_where_each_begins():
+    """The second element begins where the first ends, at another alignment than the first."""
+    element = Struct(
+        "pkg/msg/S", (("a", Primitive("u1")), ("b", Primitive("f8")), ("c", Primitive("u1")))
+    )
+    root = Struct("pkg/msg/T", (("s", Array(element, 3)), ("x", Primitive("u1"))))
+    # The elements begin at 0, 17 and 33, with b at 8, 24 and 40, and the last ends at 49.
+    message = b"\0\1\0\0" + bytes(49) + b"\x2a"
+    (x,) = Decoder(channel_of(root, "cdr"), ["x"], "log").columns(block_of([message]))
+    assert x.tolist() == [42]
+
+
 def test_a_block_without_messages_gives_empty_columns_of_the_right_kind():
     """Types and shapes do not depend on there being a message."""
     root = Struct("pkg/msg/T", (("x", Array(Primitive("f4"), 3)), ("y", Primitive("u2"))))

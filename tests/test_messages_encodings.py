@@ -53,7 +53,7 @@ def test_messages_of_all_plain_encapsulations_in_one_block_come_back_in_order():
 def test_a_short_message_among_several_encapsulations_is_named_by_its_place_in_the_block():
     """Sorting messages by encapsulation does not lose count of them."""
     messages = [
-        Encoder("cdr", "<>"[k % 2], 8).message(MIXED, value_of(k))[: 20 if k == 5 else None]
+        Encoder("cdr", "<>"[k % 2], 8).message(MIXED, value_of(k))[: -1 if k == 5 else None]
         for k in range(8)
     ]
     with pytest.raises(MessageError) as caught:
