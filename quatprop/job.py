@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from quatprop import __version__
 from quatprop.conditioning import Conditioning, condition
 from quatprop.errors import NoSamplesError, OutputError, UsageError
-from quatprop.propagate import propagate
-from quatprop.quaternion import IDENTITY, geodesic_angle, normalize
+from quatprop.propagate import propagate, unit_q0
+from quatprop.quaternion import geodesic_angle
 from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.signal import UNITS, Source, choose
@@ -23,12 +23,13 @@ from quatprop.timeline import Policy, Timeline, remarks
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.readers.base import Log
+    from quatprop.series import AttitudeSeries, GyroSeries
 
 CONVENTION = {
     "product": "Hamilton, ij = k",
@@ -104,6 +105,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         The result cannot be written.
     """
     began = time.perf_counter()
+    final = unit_q0(job.q0)
     _refuse_own_input(job)
     if job.log == "-" and job.conditioning.looks_ahead:
         raise UsageError(
@@ -113,12 +115,8 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         timeline = Timeline(job.policy, job.log)
-        attitudes = propagate(
-            timeline.apply(batches), q0=job.q0, method=job.method, rates=job.rates
-        )
-        final = IDENTITY
         with open_writer(job.output, job.to, layout=job.layout) as writer:
-            for series in attitudes:
+            for series in _attitudes(job, timeline, batches):
                 writer.write(series)
                 final = series.wxyz[-1]
                 tick(timeline.counts.used)
@@ -129,6 +127,18 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             writer.commit(report)
     report["timings"] = {"seconds": time.perf_counter() - began}
     return report
+
+
+def _attitudes(
+    job: Job, timeline: Timeline, batches: Iterable[GyroSeries]
+) -> Iterator[AttitudeSeries]:
+    """Propagate stretch after stretch; after a gap from q0, or from the attitude before it."""
+    q0 = unit_q0(job.q0)
+    for stretch in timeline.stretches(batches):
+        for series in propagate(stretch, q0=q0, method=job.method, rates=job.rates):
+            yield series
+            if job.policy.on_gap == "zero":
+                q0 = series.wxyz[-1]
 
 
 def _refuse_own_input(job: Job) -> None:
@@ -167,7 +177,7 @@ def _report(
             "method": job.method,
             "layout": job.layout,
             "time": "int64 nanoseconds",
-            "q0_wxyz": normalize(job.q0).tolist(),
+            "q0_wxyz": unit_q0(job.q0).tolist(),
         },
         "policy": asdict(job.policy),
         "counts": asdict(counts),

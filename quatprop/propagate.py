@@ -143,7 +143,7 @@ class _Run:
         rule_of(method)
         self._method = method
         self._inertial = rates == "inertial"
-        q0 = _unit(q0)
+        q0 = unit_q0(q0)
         self._attitude: Pairs = (conjugate(q0) if self._inertial else q0).view(np.complex128)
         self._sample: GyroSeries | None = None
         self._count = 0
@@ -187,7 +187,14 @@ class _Run:
         )
 
 
-def _unit(q0: ArrayLike) -> Float64:
+def unit_q0(q0: ArrayLike) -> Float64:
+    """Return an initial attitude wxyz, ``(4,)``, scaled to unit length.
+
+    Raises
+    ------
+    SeriesError
+        It is not four finite numbers with a direction.
+    """
     try:
         q = np.asarray(q0, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -8,6 +8,8 @@ repaired silently: what a policy changed stands in the counts.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -43,14 +45,14 @@ class Policy:
         finite rate; ``"keep"`` them, for looking only.
     on_gap
         Intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
-        ``"error"``; ``"zero"`` takes the rate across as zero.
+        ``"error"``; ``"zero"`` takes the rate across as zero; ``"split"`` begins again at q0.
     max_gap_ns
         The longest interval that is no gap, ns; None means :data:`GAP_FACTOR` median intervals.
     """
 
     on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
     on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
-    on_gap: Literal["hold", "zero", "error"] = "hold"
+    on_gap: Literal["hold", "zero", "split", "error"] = "hold"
     max_gap_ns: int | None = None
 
 
@@ -181,6 +183,44 @@ class Timeline:
         for batch in reblock(self._with_gap_limit(ordered)):
             self._measure(batch)
             yield batch
+
+    def stretches(self, batches: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
+        """Yield what :meth:`apply` does, cut where a gap is not to be propagated across.
+
+        Parameters
+        ----------
+        batches
+            Samples in the order of the log.
+
+        Yields
+        ------
+        iterator of GyroSeries
+            The samples of one stretch; take them all before the next stretch.
+        """
+        applied = self.apply(batches)
+        if self.policy.on_gap not in {"zero", "split"}:
+            yield applied
+            return
+        for _, numbered in groupby(self._numbered(applied), key=itemgetter(0)):
+            yield (series for _, series in numbered)
+
+    def _numbered(self, blocks: Iterable[GyroSeries]) -> Iterator[tuple[int, GyroSeries]]:
+        """Cut blocks at gaps and number the stretches."""
+        number, last_ns = 0, None
+        for block in blocks:
+            limit = self.counts.gap_limit_ns
+            before = block.t_ns[0] if last_ns is None else last_ns
+            last_ns = block.t_ns[-1]
+            if limit is None:
+                yield number, block
+                continue
+            starts = np.flatnonzero(np.diff(block.t_ns, prepend=before) > limit)
+            edges = [0, *starts.tolist(), len(block)]
+            for start, stop in pairwise(edges):
+                # Every edge but the block's own beginning is the end of a gap.
+                number += start in starts
+                if stop > start:
+                    yield number, GyroSeries(block.t_ns[start:stop], block.rate[start:stop])
 
     def _located(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         for batch in batches:
@@ -318,8 +358,8 @@ class Timeline:
             raise TimelineError(
                 self.path,
                 f"a gap ends at sample {counts.gaps.first_index} (t = {counts.gaps.first_ns} ns), "
-                f"longer than {duration_text(limit)}; choose --on-gap hold|zero or a longer "
-                "--max-gap",
+                f"longer than {duration_text(limit)}; choose --on-gap hold|zero|split or a "
+                "longer --max-gap",
             )
 
 
@@ -339,7 +379,9 @@ def remarks(counts: Counts, policy: Policy) -> list[str]:
         "nonfinite": {"drop": "dropped", "hold": "replaced by the rate before"}.get(
             policy.on_nonfinite, "kept"
         ),
-        "gaps": "taken as no rotation" if policy.on_gap == "zero" else "propagated across",
+        "gaps": {"zero": "taken as no rotation", "split": "begun again at q0"}.get(
+            policy.on_gap, "propagated across"
+        ),
     }
     limit = duration_text(counts.gap_limit_ns or 0)
     what = {

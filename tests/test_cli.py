@@ -140,6 +140,24 @@ def test_the_report_is_json(log, tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("on_gap", "degrees"), [("hold", [0, 10, 20, 120, 130]), ("zero", [0, 10, 20, 20, 30]),
+                            ("split", [0, 10, 20, 0, 10])],
+)  # fmt: skip
+def test_what_happens_across_a_gap(tmp_path, on_gap, degrees):
+    """The rate before holds across, or nothing turns, or the attitude begins again at q0."""
+    path, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    rows = [f"{t * 1_000_000_000},0,0,{np.radians(10)!s}\n" for t in (0, 1, 2, 12, 13)]
+    path.write_text(EUROC + "".join(rows))
+    result = run("propagate", path, "-o", out, "--max-gap", "5s", "--on-gap", on_gap)
+    assert result.exit_code == 0, result.output
+    assert "1 interval longer than 5 s" in result.stderr
+    for row, angle in zip(out.read_text().splitlines()[1:], degrees, strict=True):
+        half = np.radians(angle) / 2
+        expected = [np.cos(half), 0, 0, np.sin(half)]
+        assert geodesic_angle([float(q) for q in row.split(",")[1:]], expected) < 1e-15
+
+
 def test_inertial_rates_multiply_on_the_left(tmp_path):
     """About another axis than q0's, the side shows: dq q0 for inertial rates, q0 dq for body."""
     path = tmp_path / "log.csv"

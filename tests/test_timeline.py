@@ -149,9 +149,33 @@ def test_a_gap_can_be_an_error():
     with pytest.raises(
         TimelineError,
         match=r"^log\.csv: a gap ends at sample 2 \(t = 40000000 ns\), longer than 20 ms; "
-        r"choose --on-gap hold\|zero or a longer --max-gap$",
+        r"choose --on-gap hold\|zero\|split or a "
+        r"longer --max-gap$",
     ):
         applied(Policy(on_gap="error", max_gap_ns=20 * MS), gyro([0, 10, 40, 50]))
+
+
+@pytest.mark.parametrize("on_gap", ["zero", "split"])
+@pytest.mark.parametrize("size", [1, 2, 3, 100])
+def test_stretches_end_where_gaps_begin(on_gap, size, monkeypatch):
+    """A gap ends a stretch, also between blocks; gaps in a row make stretches of one sample."""
+    monkeypatch.setattr("quatprop.timeline.reblock", lambda batches: batches)
+    t_ms = [0, 10, 20, 90, 100, 200, 300, 310]
+    batches = [gyro(t_ms[at : at + size]) for at in range(0, len(t_ms), size)]
+    timeline = Timeline(Policy(on_gap=on_gap, max_gap_ns=50 * MS), "log.csv")
+    stretches = [
+        [int(t_ns) // MS for series in stretch for t_ns in series.t_ns]
+        for stretch in timeline.stretches(batches)
+    ]
+    assert stretches == [[0, 10, 20], [90, 100], [200], [300, 310]]
+    assert timeline.counts.gaps.count == 3
+
+
+def test_other_gap_policies_know_one_stretch():
+    """Held gaps are propagated across."""
+    timeline = Timeline(Policy(max_gap_ns=50 * MS), "log.csv")
+    (stretch,) = timeline.stretches([gyro([0, 10, 100])])
+    assert sum(map(len, stretch)) == 3
 
 
 def test_time_that_does_not_pass_is_remarked():

@@ -98,10 +98,11 @@ LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 )
 @click.option(
     "--on-gap",
-    type=click.Choice(("hold", "zero", "error")),
+    type=click.Choice(("hold", "zero", "split", "error")),
     default="hold",
     show_default=True,
-    help="Gaps: propagate across and warn, take the rate across as zero, or refuse.",
+    help="Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, or "
+    "refuse.",
 )
 @click.option(
     "--report",
