@@ -207,7 +207,7 @@ def test_blocks_of_small_messages_are_long(tmp_path):
     path = old_bag(tmp_path / "a.db3", ((k, HEADER + k.to_bytes(4, "big")) for k in range(9000)))
     with Db3Log(path) as log:
         (imu,) = log.channels()
-        assert [len(block) for block in log.blocks(imu)] == [64 + 7 * 512, 8 * 512, 9000 - 7744]
+        assert [len(block) for block in log.blocks(imu)] == [64 + 15 * 256, 16 * 256, 1000]
         assert rows_of(log, imu) == [(k, HEADER + k.to_bytes(4, "big")) for k in range(9000)]
 
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_ROWS = 512
+_ROWS = 256
 """Rows that are fetched together: enough to share the costs, few enough to stay in the cache."""
 
-_FETCHES = 8
+_FETCHES = 16
 """Fetches that make a block: enough to share the costs of decoding it."""
 
 _BYTES = 4 << 20
