@@ -6,7 +6,8 @@ import pytest
 
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.readers.base import TableColumns
-from quatprop.readers.columns import Notes, choose
+from quatprop.readers.chooser import Notes
+from quatprop.readers.columns import choose
 from quatprop.readers.dialects import DIALECTS, column
 from quatprop.selection import Selection
 

@@ -20,6 +20,7 @@ from quatprop.provenance import provenance_in
 from quatprop.readers import columns as choosing
 from quatprop.readers import decimal_time
 from quatprop.readers.base import Loss
+from quatprop.readers.chooser import Notes
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
@@ -84,9 +85,9 @@ class _ArrowLog:
         return [leaf.name for leaf in self._leaves]
 
     @property
-    def notes(self) -> choosing.Notes:
+    def notes(self) -> Notes:
         """Columns of timestamps carry their own unit."""
-        return choosing.Notes(
+        return Notes(
             declared={
                 k: leaf.type.unit
                 for k, leaf in enumerate(self._leaves)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.columns import Notes
+    from quatprop.readers.chooser import Notes
     from quatprop.selection import Selection
     from quatprop.series import GyroSeries
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.readers.base import TableColumns, TimedColumns
+    from quatprop.readers.chooser import Notes
     from quatprop.readers.headers import Layout
     from quatprop.readers.text_blocks import Block
     from quatprop.selection import Selection
@@ -69,7 +70,7 @@ class CsvLog:
         self._known_losses: int | None = None
 
     @property
-    def notes(self) -> choosing.Notes:
+    def notes(self) -> Notes:
         """What the lines before the header say."""
         return self._layout.notes
 

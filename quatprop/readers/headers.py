@@ -10,7 +10,7 @@ from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.readers.columns import Notes
+from quatprop.readers.chooser import Notes
 from quatprop.readers.dialects import RATE_UNITS, TIME_UNITS, column
 
 if TYPE_CHECKING:
