@@ -13,11 +13,14 @@
     │   ├── SchemaError                a message definition that cannot be used
     │   ├── MessageError               a message that does not fit its definition
     │   ├── NoRatesError               nothing in the log carries body rates
+    │   ├── NoAttitudesError           nothing in the log carries attitudes
+    │   ├── NotRotationsError          rows that should be attitudes are no rotations
     │   ├── NoSamplesError             the chosen source, or the chosen part of it, is empty
     │   ├── NoSuchTopicError           the topic asked for is not there, or has no rates
     │   ├── AmbiguousTopicError        several topics carry rates and none was chosen
     │   ├── UndeclaredError            unit, column or time that only the user can know
     │   └── TimelineError              stamps or rates that the chosen policy refuses
+    ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
 Constructors take facts and compose the sentence: where, what, and the way out. Text that comes
@@ -187,6 +190,34 @@ class NoRatesError(LogError):
         )
 
 
+class NoAttitudesError(LogError):
+    """Nothing in the log carries attitudes.
+
+    Parameters
+    ----------
+    path
+        The log.
+    seen
+        What it holds instead: topics with their types, or columns.
+    what
+        ``"topics"`` or ``"columns"``.
+    """
+
+    def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
+        names = listed(seen)
+        way_out = (
+            "name the field with --topic and --quat-field"
+            if what == "topics"
+            else "name the columns with --quat-cols, --from-layout and --time-col"
+        )
+        held = f"its {what} are {names}; {way_out}" if names else f"it has no {what} with messages"
+        super().__init__(path, f"no attitudes found; {held}")
+
+
+class NotRotationsError(LogError):
+    """Rows that should be attitudes are no rotations: zero, not of unit length, not numbers."""
+
+
 class NoSamplesError(LogError):
     """The chosen source holds no samples, or none in the chosen part of the log.
 
@@ -215,12 +246,16 @@ class NoSuchTopicError(LogError):
         The topic asked for.
     available
         The topics that could be asked for.
+    what
+        What they should carry.
     """
 
-    def __init__(self, path: Path | str, topic: str, available: Iterable[str]) -> None:
+    def __init__(
+        self, path: Path | str, topic: str, available: Iterable[str], what: str = "body rates"
+    ) -> None:
         names = listed(available)
         choices = f"choose one of {names}" if names else "no topic of this log does"
-        super().__init__(path, f"no topic {quoted(topic)} that carries body rates; {choices}")
+        super().__init__(path, f"no topic {quoted(topic)} that carries {what}; {choices}")
 
 
 class AmbiguousTopicError(LogError):
@@ -232,11 +267,15 @@ class AmbiguousTopicError(LogError):
         The log.
     candidates
         The topics that carry rates.
+    what
+        What they carry.
     """
 
-    def __init__(self, path: Path | str, candidates: Iterable[str]) -> None:
+    def __init__(
+        self, path: Path | str, candidates: Iterable[str], what: str = "body rates"
+    ) -> None:
         super().__init__(
-            path, f"several topics carry body rates: {listed(candidates)}; choose one with --topic"
+            path, f"several topics carry {what}: {listed(candidates)}; choose one with --topic"
         )
 
 
@@ -259,6 +298,10 @@ class UndeclaredError(LogError):
 
 class TimelineError(LogError):
     """Stamps or rates that the chosen policy refuses."""
+
+
+class ComparisonError(QuatpropError):
+    """Two attitude series that cannot be compared as asked."""
 
 
 class OutputError(QuatpropError):

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from quatprop.errors import SchemaError, quoted
 from quatprop.messages.decoder import ENCODINGS
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import around, at, find, numbers, structs
-from quatprop.messages.stamps import Stamp, stamp_of
+from quatprop.messages.schema import at, find, numbers, structs
+from quatprop.messages.stamps import Stamp, stamp_around, stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 AXES = 3
 """Numbers in a rate."""
-
-STAMPS = ("header.stamp", "stamp", "timestamp")
-"""Where a message keeps its time, when the table does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +178,7 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
             f"field {quoted(rate_field)} of {quoted(channel.type_name)} is not three numbers; "
             "name a field of x, y, z or three numbers as a,b,c",
         )
-    return RateField(names, stamp=_stamp_around(root, names[0]))
+    return RateField(names, stamp=stamp_around(root, names[0]))
 
 
 def time_field_at(
@@ -251,7 +248,7 @@ def _placed(row: RateField, root: Struct, prefix: str) -> RateField:
 
     stamp = row.stamp and row.stamp.under(prefix)
     if stamp is None or any(find(root, name) is None for name in stamp.fields):
-        stamp = _stamp_around(root, prefix + row.rate[0])
+        stamp = stamp_around(root, prefix + row.rate[0])
     return replace(
         row,
         rate=tuple(prefix + name for name in row.rate),
@@ -262,17 +259,6 @@ def _placed(row: RateField, root: Struct, prefix: str) -> RateField:
         acceleration=there(row.acceleration),
         acceleration_absent=there(row.acceleration_absent),
     )
-
-
-def _stamp_around(root: Struct, name: str) -> Stamp | None:
-    """Return the stamp of the nearest struct around a field that has one."""
-    for prefix, kind in around(root, name):
-        for place in STAMPS:
-            found = find(kind, place)
-            stamp = None if found is None else stamp_of(prefix + place, found)
-            if stamp is not None:
-                return stamp
-    return None
 
 
 def _count(kind: Type | None) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from quatprop.errors import MessageError, listed
-from quatprop.messages.schema import Primitive, Struct
+from quatprop.messages.schema import Primitive, Struct, around, find
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 SECONDS = ("sec", "secs")
 NANOSECONDS = ("nanosec", "nsec", "nsecs")
 """Names of the two parts of a time, in the generations of ROS and its neighbours."""
+
+
+STAMPS = ("header.stamp", "stamp", "timestamp")
+"""Where a message keeps its time, when nothing says where."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,4 +118,23 @@ def stamp_of(place: str, kind: Type) -> Stamp | None:
     integers = all(isinstance(t, Primitive) and t.code[0] in "iu" for t in (first, second))
     if integers and seconds in SECONDS and nanoseconds in NANOSECONDS:
         return Stamp((f"{place}.{seconds}", f"{place}.{nanoseconds}"))
+    return None
+
+
+def stamp_around(root: Struct, name: str) -> Stamp | None:
+    """Return the stamp of the nearest struct around a field that has one.
+
+    Parameters
+    ----------
+    root
+        The message.
+    name
+        Dotted path of the field.
+    """
+    for prefix, kind in around(root, name):
+        for place in STAMPS:
+            found = find(kind, place)
+            stamp = None if found is None else stamp_of(prefix + place, found)
+            if stamp is not None:
+                return stamp
     return None
