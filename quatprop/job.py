@@ -7,7 +7,7 @@ batches of logs both come through here.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.signal import UNITS, Source, choose
 from quatprop.timeline import Policy, Timeline, remarks
-from quatprop.writers import open_writer
+from quatprop.writers import kind_of, layout_of, open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -58,7 +58,10 @@ class Job:
     policy
         What the stamps are allowed to do.
     layout
-        ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written.
+        ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is what
+        the format prescribes, or scalar-first where it leaves the choice.
+    comment
+        Write the report in a comment at the beginning of the output.
     method
         Which samples rule an interval: a key of :data:`quatprop.increments.METHODS`.
     rates
@@ -75,7 +78,8 @@ class Job:
     to: str | None = None
     selection: Selection = field(default_factory=Selection)
     policy: Policy = field(default_factory=Policy)
-    layout: str = "scalar-first"
+    layout: str | None = None
+    comment: bool = False
     method: str = "start"
     rates: str = "body"
     q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
@@ -107,6 +111,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
     began = time.perf_counter()
     final = unit_q0(job.q0)
     _refuse_own_input(job)
+    job = replace(job, layout=layout_of(kind_of(job.output, job.to), job.layout).name)
     if job.log == "-" and job.conditioning.looks_ahead:
         raise UsageError(
             "stdin can be read only once: --bias static and relative --start and --end need a file"
@@ -115,7 +120,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         timeline = Timeline(job.policy, job.log)
-        with open_writer(job.output, job.to, layout=job.layout) as writer:
+        with open_writer(job.output, job.to, layout=job.layout, comment=job.comment) as writer:
             for series in _attitudes(job, timeline, batches):
                 writer.write(series)
                 final = series.wxyz[-1]

@@ -107,6 +107,14 @@ def test_the_kinds_of_the_command_line_are_those_of_the_table():
     assert tuple(READERS) == KINDS
 
 
+def test_the_output_kinds_of_the_command_line_are_those_of_the_table():
+    """--to lists exactly the kinds that have a writer."""
+    from quatprop.cli.propagate import KINDS
+    from quatprop.writers import WRITERS
+
+    assert tuple(WRITERS) == KINDS
+
+
 def test_every_dependency_is_pinned_for_development():
     """Tests and sample logs run on the versions of .ci/constraints.txt."""
     root = PACKAGE.parent

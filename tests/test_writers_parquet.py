@@ -9,7 +9,7 @@ import pytest
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.parquet import ROW_GROUP
+from quatprop.writers.arrow import GROUP
 
 
 @pytest.mark.parametrize(
@@ -47,11 +47,11 @@ def test_provenance_is_kept_as_json(tmp_path):
 
 def test_batches_of_any_size_give_the_same_bytes(tmp_path):
     """Row groups sit at fixed rows, wherever a batch happened to end."""
-    n = ROW_GROUP + 1000
+    n = GROUP + 1000
     rng = np.random.default_rng(7)
     t_ns, wxyz = np.arange(n) * 1_000_003, rng.standard_normal((n, 4))
     files = []
-    for cuts in ([], [1, 17, 17, 70_000, ROW_GROUP + 1], [ROW_GROUP]):
+    for cuts in ([], [1, 17, 17, 70_000, GROUP + 1], [GROUP]):
         path = tmp_path / f"{len(files)}.parquet"
         with open_writer(path) as writer:
             for rows in np.split(np.arange(n), cuts):
@@ -63,4 +63,4 @@ def test_batches_of_any_size_give_the_same_bytes(tmp_path):
     np.testing.assert_array_equal(table["t_ns"].to_numpy(), t_ns)
     np.testing.assert_array_equal(table["qz"].to_numpy(), wxyz[:, 3])
     metadata = pq.read_metadata(tmp_path / "0.parquet")
-    assert [metadata.row_group(k).num_rows for k in range(2)] == [ROW_GROUP, 1000]
+    assert [metadata.row_group(k).num_rows for k in range(2)] == [GROUP, 1000]

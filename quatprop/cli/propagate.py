@@ -10,6 +10,9 @@ from quatprop.cli.options import Bias, Duration, Numbers, Time, selection, selec
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 
+KINDS = ("csv", "tsv", "jsonl", "parquet", "feather", "npy", "npz", "tum", "euroc")
+"""The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
+
 
 @click.command(no_args_is_help=True)
 @click.argument("log")
@@ -21,14 +24,21 @@ LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
     help="Where the attitudes go; - is CSV on stdout.",
 )
 @click.option(
-    "--to", metavar="KIND", help="Format of the output: csv or parquet.  [default: by suffix]"
+    "--to",
+    type=click.Choice(KINDS),
+    help="Format of the output.  [default: by suffix]",
 )
 @click.option(
     "--layout",
     type=click.Choice(LAYOUTS),
-    default="scalar-first",
-    show_default=True,
-    help="Order of the quaternion's columns; a matter of storage only.",
+    help="Order of the quaternion's columns; a matter of storage only.  [default: scalar-first, "
+    "but as the format prescribes for tum and euroc]",
+)
+@click.option(
+    "--header-comment",
+    "comment",
+    is_flag=True,
+    help="Begin csv, tsv, tum or euroc with the report in a # comment.",
 )
 @click.option(
     "--method",
@@ -132,6 +142,7 @@ def command(**chosen: Any) -> None:
     q0_order = layout_named(chosen.pop("q0_layout")).order
     q0 = chosen.pop("q0")
     bias = chosen.pop("bias")
+    layout = chosen.pop("layout")
     job = Job(
         log=chosen.pop("log"),
         selection=selection(chosen),
@@ -142,7 +153,7 @@ def command(**chosen: Any) -> None:
             max_gap_ns=chosen.pop("max_gap"),
         ),
         q0=tuple(q0[q0_order.index(part)] for part in range(4)) if q0 else (1.0, 0.0, 0.0, 0.0),
-        layout=layout_named(chosen.pop("layout")).name,
+        layout=layout and layout_named(layout).name,
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
             static_ns=bias if isinstance(bias, int) else None,

@@ -13,16 +13,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError, listed, quoted
+from quatprop.errors import OutputError, UsageError, listed, quoted
 from quatprop.layout import layout_named
 from quatprop.writers.atomic import is_stdout, is_stream
+from quatprop.writers.base import AttitudeTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
+    from typing import Any
 
+    from quatprop.layout import Layout
     from quatprop.writers.base import AttitudeWriter, Table
 
 
@@ -33,40 +36,60 @@ class Format:
     Parameters
     ----------
     suffixes
-        File name endings that mean this format.
+        File name endings that mean this format; ``""`` is a name without one.
     opener
-        ``module:function`` of a target and a layout, imported when it is needed.
+        ``module:name`` of what writes it, imported when it is needed: of a target and the names
+        of columns for a table, of a target and a layout for others.
+    table
+        Whether the opener gives a table of any columns.
     text
         Whether it may go to stdout.
-    table
-        ``module:class`` of a :class:`quatprop.writers.base.Table`, for formats whose columns may
-        be called anything; ``""`` for those that can say nothing but attitudes.
+    comments
+        Whether it has comments, in which the provenance can stand.
+    layout
+        The layout that the format's own definition prescribes; None where there is a choice.
     """
 
     suffixes: tuple[str, ...]
     opener: str
+    table: bool = False
     text: bool = False
-    table: str = ""
+    comments: bool = False
+    layout: str | None = None
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": Format(
-        (".csv",),
-        "quatprop.writers.csv:attitudes",
-        text=True,
-        table="quatprop.writers.csv:CsvTable",
+    "csv": Format((".csv",), "quatprop.writers.csv:CsvTable", table=True, text=True, comments=True),
+    "tsv": Format((".tsv",), "quatprop.writers.csv:TsvTable", table=True, text=True, comments=True),
+    "jsonl": Format(
+        (".jsonl", ".ndjson"), "quatprop.writers.jsonl:JsonLinesTable", table=True, text=True
     ),
-    "parquet": Format(
-        (".parquet", ".pq"),
-        "quatprop.writers.parquet:attitudes",
-        table="quatprop.writers.parquet:ParquetTable",
+    "parquet": Format((".parquet", ".pq"), "quatprop.writers.parquet:ParquetTable", table=True),
+    "feather": Format((".feather", ".arrow"), "quatprop.writers.feather:FeatherTable", table=True),
+    "npy": Format((".npy",), "quatprop.writers.npy:NpyTable", table=True),
+    "npz": Format((".npz",), "quatprop.writers.npy:NpzTable", table=True),
+    "tum": Format(
+        (".tum",),
+        "quatprop.writers.tum:attitudes",
+        text=True,
+        comments=True,
+        layout="scalar-last",
+    ),
+    "euroc": Format(
+        (), "quatprop.writers.euroc:attitudes", text=True, comments=True, layout="scalar-first"
     ),
 }
 """Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
 
+DEFAULT_LAYOUT = "scalar-first"
+
 
 def open_writer(
-    target: Path | str, kind: str | None = None, *, layout: str = "scalar-first"
+    target: Path | str,
+    kind: str | None = None,
+    *,
+    layout: str | None = None,
+    comment: bool = False,
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
@@ -78,7 +101,10 @@ def open_writer(
         A key of :data:`WRITERS`; without it, the suffix of `target` decides. Stdout, pipes and
         devices have no suffix to speak of and get CSV.
     layout
-        A name in :data:`quatprop.layout.LAYOUTS`.
+        A name in :data:`quatprop.layout.LAYOUTS`; None is what the format prescribes, or
+        scalar-first where it leaves the choice.
+    comment
+        Write the provenance in a comment at the beginning.
 
     Returns
     -------
@@ -91,56 +117,76 @@ def open_writer(
         The kind or the suffix is unknown, the target is a folder, its folder does not exist,
         writing there is not permitted, or the kind cannot go to stdout.
     UsageError
-        The layout is unknown.
+        The layout is unknown or not that of the format, or the format has no comments.
     """
-    chosen = _format(target, kind)
-    order = layout_named(layout)
-    writer: AttitudeWriter = _loaded(chosen.opener)(target, order)
+    kind = kind_of(target, kind)
+    order = layout_of(kind, layout)
+    opener, options = _opener(target, kind, comment=comment)
+    if WRITERS[kind].table:
+        return AttitudeTable(opener(target, order.columns, **options), order)
+    writer: AttitudeWriter = opener(target, order, **options)
     return writer
 
 
-def open_table(target: Path | str, kind: str | None, names: Sequence[str]) -> Table:
-    """Open a table of stamps and other columns than attitudes.
+def open_table(
+    target: Path | str, names: Sequence[str], kind: str | None = None, *, comment: bool = False
+) -> Table:
+    """Open a table of any columns, in a format that has tables.
 
     Parameters
     ----------
-    target, kind
+    target, kind, comment
         As for :func:`open_writer`.
     names
-        Names of the float64 columns that follow ``t_ns``; they must say what is in them.
-
-    Returns
-    -------
-    Table
-        A context manager that removes what was not committed.
+        Names of the float64 columns that follow ``t_ns``.
 
     Raises
     ------
     OutputError
-        As for :func:`open_writer`; or the format can say nothing but attitudes.
+        As for :func:`open_writer`, or the kind holds attitudes only.
+    UsageError
+        The format has no comments.
     """
-    chosen = _format(target, kind)
-    if not chosen.table:
-        others = listed(name for name, known in WRITERS.items() if known.table)
+    kind = kind_of(target, kind)
+    if not WRITERS[kind].table:
+        tables = [name for name, known in WRITERS.items() if known.table]
         raise OutputError(
-            target,
-            f"a {kind_of(target, kind)} file holds Hamilton quaternions body to reference and "
-            f"nothing else; choose --to {others}",
+            target, f"kind {quoted(kind)} holds quaternions only; choose {listed(tables)}"
         )
-    table: Table = _loaded(chosen.table)(target, names)
+    opener, options = _opener(target, kind, comment=comment)
+    table: Table = opener(target, names, **options)
     return table
 
 
-def _format(target: Path | str, kind: str | None) -> Format:
-    chosen = WRITERS[kind_of(target, kind)]
-    if is_stdout(target) and not chosen.text:
-        raise OutputError(target, "standard output takes CSV only; name a file for this kind")
-    return chosen
+def layout_of(kind: str, layout: str | None = None) -> Layout:
+    """Return the layout in which a kind of file is written.
 
+    Parameters
+    ----------
+    kind
+        A key of :data:`WRITERS`.
+    layout
+        The layout asked for; None where nothing was said.
 
-def _loaded(place: str) -> Any:
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
+    Raises
+    ------
+    UsageError
+        The layout is unknown, or the format's definition prescribes the other one.
+
+    Examples
+    --------
+    >>> layout_of("csv").name, layout_of("tum").name
+    ('scalar-first', 'scalar-last')
+    """
+    prescribed = WRITERS[kind].layout
+    if layout is None:
+        return layout_named(prescribed or DEFAULT_LAYOUT)
+    asked = layout_named(layout)
+    if prescribed is not None and asked.name != prescribed:
+        raise UsageError(
+            f"{kind} is {prescribed} by its own definition, not {asked.name}; leave --layout out"
+        )
+    return asked
 
 
 def kind_of(target: Path | str, kind: str | None = None) -> str:
@@ -158,16 +204,28 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     """
     if kind is not None:
         if kind not in WRITERS:
-            raise OutputError(target, f"no output kind {quoted(kind)}; choose {listed(WRITERS)}")
+            raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(WRITERS)}")
         return kind
-    for name, known in WRITERS.items():
-        if str(target).lower().endswith(known.suffixes):
-            return name
     if is_stdout(target) or is_stream(target):
         return "csv"
+    suffix = Path(target).suffix.lower()
+    for name, known in WRITERS.items():
+        if suffix in known.suffixes:
+            return name
     suffixes = ", ".join(suffix for known in WRITERS.values() for suffix in known.suffixes)
     raise OutputError(
         target,
         f"the suffix does not tell the output format; use one of {suffixes} "
         f"or say --to {'|'.join(WRITERS)}",
     )
+
+
+def _opener(target: Path | str, kind: str, *, comment: bool) -> tuple[Any, dict[str, Any]]:
+    """Return what opens a format and the options it is called with."""
+    chosen = WRITERS[kind]
+    if is_stdout(target) and not chosen.text:
+        raise OutputError(target, "standard output takes text only; name a file for this kind")
+    if comment and not chosen.comments:
+        raise UsageError(f"{kind} has no comments; leave --header-comment out")
+    module, _, name = chosen.opener.partition(":")
+    return getattr(import_module(module), name), {"comment": True} if comment else {}

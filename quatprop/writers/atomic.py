@@ -12,9 +12,10 @@ import secrets
 import shutil
 import stat
 import sys
+import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError
 
@@ -140,6 +141,21 @@ def replacing(target: Path | str) -> Iterator[BinaryIO]:
         output.commit()
     finally:
         output.discard()
+
+
+def scratch(target: Path | str) -> BinaryIO:
+    """Open a nameless file for what must wait until its beginning is known.
+
+    Parameters
+    ----------
+    target
+        Where the content will go in the end. The file is on the same disk, which has to have
+        room for the content anyway.
+    """
+    elsewhere = is_stdout(target) or is_stream(target)
+    with reported(target):
+        folder = None if elsewhere else Path(os.path.realpath(target)).parent
+        return cast("BinaryIO", tempfile.TemporaryFile(dir=folder))
 
 
 class Replacement:

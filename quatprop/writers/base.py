@@ -52,7 +52,10 @@ class Uncommitted(ABC):
 
 
 class AttitudeWriter(Uncommitted):
-    """Takes batches of attitudes in order."""
+    """Takes batches of attitudes in order.
+
+    What a batch holds may be looked at until the commit: nobody changes it meanwhile.
+    """
 
     @abstractmethod
     def write(self, series: AttitudeSeries) -> None:

@@ -1,35 +1,22 @@
-"""Tables as CSV: one header line, no quotes, a newline after every row.
+"""Tables as CSV and TSV: one header line, no quotes, a newline after every row.
 
-Each number is the shortest decimal that reads back as the same float64. CSV has no room for
-provenance; the names of the columns tell the layout.
+Each number is the shortest decimal that reads back as the same float64. The names of the columns
+tell the layout; the provenance has room in a comment ahead of them, for readers that pass over
+comments.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import pyarrow as pa
-import pyarrow.csv
-
-from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeTable, Table
+from quatprop.writers.text import TextTable, delimited
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
-    from typing import Any
-
-    from numpy.typing import NDArray
-
-    from quatprop.layout import Layout
 
 
-def attitudes(target: Path | str, layout: Layout) -> AttitudeTable:
-    """Open a CSV file of attitudes; ``"-"`` is stdout."""
-    return AttitudeTable(CsvTable(target, layout.columns), layout)
-
-
-class CsvTable(Table):
+class CsvTable(TextTable):
     """Write columns as CSV.
 
     Parameters
@@ -38,32 +25,19 @@ class CsvTable(Table):
         A path, or ``"-"`` for stdout.
     names
         Names of the float64 columns that follow ``t_ns``.
+    comment
+        Begin with the provenance, in a comment.
     """
 
-    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
-        self._output = Output(target)
-        with reported(target):
-            # pyarrow would put the names in quotes.
-            self._output.stream.write((",".join(self._schema.names) + "\n").encode())
-            self._csv = pyarrow.csv.CSVWriter(
-                self._output.stream,
-                self._schema,
-                write_options=pyarrow.csv.WriteOptions(include_header=False),
-            )
+    separator = ","
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
-        arrays = [pa.array(column) for column in (t_ns, *columns)]
-        with reported(self._output.target):
-            self._csv.write_batch(pa.record_batch(arrays, schema=self._schema))
+    def __init__(self, target: Path | str, names: Sequence[str], *, comment: bool = False) -> None:
+        every = ("t_ns", *names)
+        form = delimited(self.separator, every)
+        super().__init__(target, self.separator.join(every) + "\n", form, comment=comment)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:  # noqa: ARG002  # no room for it
-        """Finish the file and put it in its place."""
-        with reported(self._output.target):
-            self._csv.close()
-        self._output.commit()
 
-    def abort(self) -> None:
-        """Remove what was not committed."""
-        self._output.discard()
+class TsvTable(CsvTable):
+    """Write columns with tabs between them; parameters as above."""
+
+    separator = "\t"

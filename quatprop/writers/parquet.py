@@ -8,37 +8,23 @@ the most time. Steady stamps have nearly constant differences, hence the delta e
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import numpy as np
-import pyarrow as pa
 import pyarrow.parquet
 
-from quatprop.provenance import METADATA_KEY
-from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeTable, Table
+from quatprop.writers.arrow import GROUP, ArrowTable, metadata
+from quatprop.writers.atomic import reported
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
     from typing import Any
 
-    from numpy.typing import NDArray
-
-    from quatprop.layout import Layout
-
-ROW_GROUP = 1 << 18
-"""Rows in a group: 10 MiB of attitudes, at fixed rows wherever a batch happened to end."""
+    import pyarrow as pa
 
 
-def attitudes(target: Path | str, layout: Layout) -> AttitudeTable:
-    """Open a Parquet file of attitudes."""
-    return AttitudeTable(ParquetTable(target, layout.columns), layout)
-
-
-class ParquetTable(Table):
+class ParquetTable(ArrowTable):
     """Write columns as Parquet.
 
     Parameters
@@ -50,11 +36,7 @@ class ParquetTable(Table):
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
-        self._output = Output(target)
-        self._t_ns = np.empty(ROW_GROUP, np.int64)
-        self._columns = np.empty((len(names), ROW_GROUP), np.float64)
-        self._filled = 0
+        super().__init__(target, names)
         with reported(target):
             self._parquet = pyarrow.parquet.ParquetWriter(
                 self._output.stream,
@@ -68,27 +50,11 @@ class ParquetTable(Table):
                 },
             )
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
-        done = 0
-        while done < len(t_ns):
-            take = min(len(t_ns) - done, ROW_GROUP - self._filled)
-            rows, place = slice(done, done + take), slice(self._filled, self._filled + take)
-            self._t_ns[place] = t_ns[rows]
-            for kept, column in zip(self._columns, columns, strict=True):
-                kept[place] = column[rows]
-            self._filled += take
-            done += take
-            if self._filled == ROW_GROUP:
-                self._write_group()
-
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        if self._filled:
-            self._write_group()
-        words = json.dumps(provenance, sort_keys=True, ensure_ascii=False)
+        self._finish_rows()
         with reported(self._output.target):
-            self._parquet.add_key_value_metadata({METADATA_KEY: words.encode()})
+            self._parquet.add_key_value_metadata(metadata(provenance))
             self._parquet.close()
         self._output.commit()
 
@@ -99,11 +65,5 @@ class ParquetTable(Table):
         with suppress(Exception):
             self._parquet.close()
 
-    def _write_group(self) -> None:
-        rows = slice(0, self._filled)
-        arrays = [pa.array(self._t_ns[rows]), *(pa.array(kept[rows]) for kept in self._columns)]
-        with reported(self._output.target):
-            self._parquet.write_batch(
-                pa.record_batch(arrays, schema=self._schema), row_group_size=ROW_GROUP
-            )
-        self._filled = 0
+    def _put(self, group: pa.RecordBatch) -> None:
+        self._parquet.write_batch(group, row_group_size=GROUP)

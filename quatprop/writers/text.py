@@ -1,0 +1,118 @@
+"""Tables as text: rows become bytes in threads, piece by piece, and are written in order.
+
+Finding the shortest decimal of a float64 costs more than propagating it. pyarrow does it without
+holding the interpreter, so while one piece is formatted, the next is propagated or formatted too.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+import pyarrow.csv
+
+from quatprop.writers.atomic import Output, reported, scratch
+from quatprop.writers.base import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from concurrent.futures import Future
+    from pathlib import Path
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    Form = Callable[[list[NDArray[Any]]], pa.Buffer]
+
+PIECE = 1 << 14
+"""Rows that are formatted together: enough to make calls cheap, few enough to share out."""
+
+THREADS = 2
+AHEAD = 6
+"""Pieces in the works before the first of them must be written."""
+
+COMMENT = "# quatprop "
+"""What the comment starts with that holds the provenance, as JSON on one line."""
+
+
+class TextTable(Table):
+    """Write columns as lines of text.
+
+    Parameters
+    ----------
+    target
+        A path, or ``"-"`` for stdout.
+    head
+        What stands before the rows, such as a line of names.
+    form
+        Gives the lines of a piece: of its stamps and columns.
+    comment
+        Begin with the provenance, in a comment. It is complete only at the end, so the rows wait
+        in a file of their own.
+    """
+
+    def __init__(self, target: Path | str, head: str, form: Form, *, comment: bool = False) -> None:
+        self._form = form
+        self._output = Output(target)
+        self._body = scratch(target) if comment else self._output.stream
+        self._threads = ThreadPoolExecutor(THREADS)
+        self._works: deque[Future[pa.Buffer]] = deque()
+        with reported(target):
+            self._body.write(head.encode())
+
+    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows."""
+        for begin in range(0, len(t_ns), PIECE):
+            rows = slice(begin, begin + PIECE)
+            piece = [t_ns[rows], *(column[rows] for column in columns)]
+            self._works.append(self._threads.submit(self._form, piece))
+            if len(self._works) > AHEAD:
+                self._put()
+
+    def commit(self, provenance: Mapping[str, Any]) -> None:
+        """Finish the file and put it in its place."""
+        while self._works:
+            self._put()
+        self._threads.shutdown()
+        if self._body is not self._output.stream:
+            words = json.dumps(provenance, sort_keys=True)
+            with reported(self._output.target), self._body as body:
+                self._output.stream.write(f"{COMMENT}{words}\n".encode())
+                body.seek(0)
+                shutil.copyfileobj(body, self._output.stream, 1 << 20)
+        self._output.commit()
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._threads.shutdown(cancel_futures=True)
+        self._works.clear()
+        if self._body is not self._output.stream:
+            self._body.close()
+        self._output.discard()
+
+    def _put(self) -> None:
+        text = self._works.popleft().result()
+        with reported(self._output.target):
+            self._body.write(text)
+
+
+def delimited(separator: str, names: Sequence[str]) -> Form:
+    """Return what formats columns as values between separators.
+
+    Each number is the shortest decimal that reads back as the same float64.
+    """
+    options = pyarrow.csv.WriteOptions(
+        include_header=False, delimiter=separator, quoting_style="none"
+    )
+
+    def form(columns: list[NDArray[Any]]) -> pa.Buffer:
+        batch = pa.record_batch([pa.array(column) for column in columns], names=list(names))
+        lines = pa.BufferOutputStream()
+        pyarrow.csv.write_csv(batch, lines, options)
+        return lines.getvalue()
+
+    return form
