@@ -1,0 +1,227 @@
+"""What stored numbers mean: convention, direction, sign, and other ways to write a rotation.
+
+Inside quatprop an attitude is a Hamilton quaternion q that turns body coordinates into reference
+coordinates, v_ref = q v_body q*. Files of others hold the same rotation in other numbers:
+
+==========  ===========  =======
+convention  direction    numbers
+==========  ===========  =======
+hamilton    body-to-ref  q
+hamilton    ref-to-body  q*
+jpl         ref-to-body  q
+jpl         body-to-ref  q*
+==========  ===========  =======
+
+because a JPL quaternion with components p turns vectors as the Hamilton quaternion p* does. How
+the four numbers are laid out in storage is a separate matter: :mod:`quatprop.layout`.
+
+References
+----------
+Breckenridge, "Quaternions - Proposed Standard Conventions", JPL interoffice memorandum
+343-79-1199, 1979. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, table 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import UsageError, listed, quoted
+from quatprop.quaternion import conjugate, log, normalize, rotation_matrix
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+
+CONVENTIONS = ("hamilton", "jpl")
+DIRECTIONS = ("body-to-ref", "ref-to-body")
+SIGNS = ("keep", "continuous", "positive")
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """Which rotation four numbers are, whatever their layout.
+
+    Parameters
+    ----------
+    convention
+        ``"hamilton"`` or ``"jpl"``.
+    direction
+        ``"body-to-ref"`` or ``"ref-to-body"``: which coordinates it turns into which.
+
+    Raises
+    ------
+    UsageError
+        There is no such convention or direction.
+    """
+
+    convention: str = "hamilton"
+    direction: str = "body-to-ref"
+
+    def __post_init__(self) -> None:
+        for what, name, known in (("convention", self.convention, CONVENTIONS),
+                                  ("direction", self.direction, DIRECTIONS)):  # fmt: skip
+            if name not in known:
+                raise UsageError(f"no {what} {quoted(name)}; choose one of {listed(known)}")
+
+    @property
+    def is_conjugate(self) -> bool:
+        """Whether the numbers are q* where q is the attitude Hamilton, body to reference."""
+        return (self.convention == "jpl") != (self.direction == "ref-to-body")
+
+    @property
+    def words(self) -> str:
+        """What the numbers q do to a vector, in one line."""
+        source, target = ("body", "ref") if self.direction == "body-to-ref" else ("ref", "body")
+        if self.convention == "jpl":
+            return f"JPL, ij = -k: v_{target} = q v_{source} q* in its product"
+        return f"Hamilton, ij = k: v_{target} = q v_{source} q*"
+
+    def restated(self, wxyz: Float64) -> Float64:
+        """Return attitudes in these terms, or numbers in these terms as attitudes.
+
+        Conjugation is its own inverse, so one function goes both ways, without rounding.
+
+        Parameters
+        ----------
+        wxyz
+            Quaternions, shape ``(..., 4)``, scalar first.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(..., 4)``.
+
+        Examples
+        --------
+        >>> Meaning("jpl", "ref-to-body").restated(np.array([0.6, 0.8, 0.0, 0.0])).tolist()
+        [0.6, 0.8, 0.0, 0.0]
+        """
+        return conjugate(wxyz) if self.is_conjugate else wxyz
+
+
+HAMILTON = Meaning()
+"""What attitudes mean inside quatprop."""
+
+
+class Signs:
+    """Chooses between q and -q, which are the same attitude, along a series.
+
+    Parameters
+    ----------
+    sign
+        ``"keep"`` as they are; ``"positive"``, w >= 0; ``"continuous"``, every quaternion on the
+        side of the one before it (dot product >= 0), the first as it is.
+
+    Raises
+    ------
+    UsageError
+        There is no such choice.
+    """
+
+    def __init__(self, sign: str) -> None:
+        if sign not in SIGNS:
+            raise UsageError(f"no sign {quoted(sign)}; choose one of {listed(SIGNS)}")
+        self._sign = sign
+        self._last: Float64 | None = None
+
+    def applied(self, wxyz: Float64) -> Float64:
+        """Return the next batch of the series, shape ``(N, 4)``."""
+        if self._sign == "keep" or not len(wxyz):
+            return wxyz
+        if self._sign == "positive":
+            return np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
+        before = wxyz[:1] if self._last is None else self._last[None]
+        dots = np.einsum("ij,ij->i", np.concatenate([before, wxyz[:-1]]), wxyz)
+        flips = np.cumprod(np.where(dots < 0, -1.0, 1.0))
+        signed: Float64 = wxyz * flips[:, None]
+        self._last = signed[-1].copy()
+        return signed
+
+
+def euler_zyx(wxyz: Float64) -> Float64:
+    """Return yaw, pitch and roll: q = q_z(yaw) q_y(pitch) q_x(roll).
+
+    Yaw turns about z, pitch about the new y, roll about the newest x. From half sums and half
+    differences of yaw and roll, which stay exact where the two cannot be told apart (pitch of 90
+    degrees); there they are shared equally.
+
+    Parameters
+    ----------
+    wxyz
+        Quaternions, shape ``(N, 4)``; their length does not matter.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(N, 3)``, rad: yaw and roll from -pi to pi, pitch from -pi/2 to pi/2.
+
+    References
+    ----------
+    Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 17(11), 2022.
+
+    Examples
+    --------
+    >>> euler_zyx(np.array([[np.cos(0.1), 0, 0, np.sin(0.1)]])).round(15).tolist()
+    [[0.2, 0.0, 0.0]]
+    """
+    w, x, y, z = wxyz.T
+    half_sum = np.arctan2(x + z, w - y)
+    half_difference = np.arctan2(z - x, w + y)
+    pitch = 2 * np.arctan2(np.hypot(w + y, z - x), np.hypot(w - y, x + z)) - np.pi / 2
+    yaw, roll = half_sum + half_difference, half_sum - half_difference
+    return np.stack([_within_half_turn(yaw), pitch, _within_half_turn(roll)], axis=1)
+
+
+def _within_half_turn(angle: Float64) -> Float64:
+    turned: Float64 = angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
+    return turned
+
+
+@dataclass(frozen=True, slots=True)
+class Representation:
+    """A way to write a rotation other than a quaternion.
+
+    Parameters
+    ----------
+    columns
+        Names of the columns, which say what is in them and in which unit.
+    values
+        From unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``.
+    signed
+        Whether q and -q are written differently.
+    """
+
+    columns: tuple[str, ...]
+    values: Callable[[Float64], Float64]
+    signed: bool = False
+
+
+def _rotation_vectors(wxyz: Float64) -> Float64:
+    return log(normalize(wxyz))
+
+
+def _matrices(wxyz: Float64) -> Float64:
+    return rotation_matrix(normalize(wxyz)).reshape(-1, 9)
+
+
+def _euler_degrees(wxyz: Float64) -> Float64:
+    return np.degrees(euler_zyx(wxyz))
+
+
+REPRESENTATIONS: Mapping[str, Representation] = {
+    "rotvec": Representation(
+        ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), _rotation_vectors, signed=True
+    ),
+    "euler-zyx": Representation(("yaw_rad", "pitch_rad", "roll_rad"), euler_zyx),
+    "euler-zyx-deg": Representation(("yaw_deg", "pitch_deg", "roll_deg"), _euler_degrees),
+    "matrix": Representation(
+        tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)), _matrices
+    ),
+}
+"""Every representation besides quaternions; rows of a matrix follow one another."""

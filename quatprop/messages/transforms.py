@@ -1,0 +1,292 @@
+"""The transforms in TF messages: a list of any length in each, taken out by their frames.
+
+A plan leads to fields that every message has; the elements of a list are not. So the lists are
+walked here, the same element of all messages at a time. The type has not changed since it was
+made; the definition that a log carries is compared with it before it is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quoted
+from quatprop.messages.decoder import ENCAPSULATIONS
+from quatprop.messages.definitions import message_type
+from quatprop.messages.layout import ROS1, XCDR1
+from quatprop.messages.schema import Sequence, Struct, find, numbers
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.layout import Layout
+    from quatprop.readers.base import Channel, MessageBlock
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types that are a list of ``geometry_msgs/TransformStamped`` and nothing else."""
+
+SECOND_NS = 1_000_000_000
+
+_TRANSLATION_AND_ROTATION = 3 + 4
+
+
+class Frames(NamedTuple):
+    """Whose attitude a transform is: that of the child in the parent."""
+
+    parent: str
+    child: str
+
+
+@dataclass(frozen=True, slots=True)
+class Transforms:
+    """The transforms of a block, in the order of its messages and of the list in each.
+
+    Parameters
+    ----------
+    message
+        Which message of the block each is in, shape ``(N,)``, int64.
+    t_ns
+        Header stamps, shape ``(N,)``, int64 ns.
+    frames
+        Which of the known frames it relates, shape ``(N,)``, int64.
+    wxyz
+        Rotations child -> parent, shape ``(N, 4)``, float64.
+    """
+
+    message: Int64
+    t_ns: Int64
+    frames: Int64
+    wxyz: Float64
+
+
+class TransformDecoder:
+    """Takes the transforms out of the messages of a channel.
+
+    Parameters
+    ----------
+    channel
+        Whose messages.
+    path
+        The log, for errors.
+
+    Attributes
+    ----------
+    known
+        Every pair of frames met so far, in that order; :attr:`Transforms.frames` counts in it.
+
+    Raises
+    ------
+    SchemaError
+        The log's own definition of the type is another one.
+    """
+
+    def __init__(self, channel: Channel, path: Path | str) -> None:
+        self.known: list[Frames] = []
+        self._channel = channel
+        self._path = path
+        if not _is_list_of_transforms(message_type(channel, path)):
+            raise SchemaError(
+                path,
+                f"topic {quoted(channel.topic)} is of type {quoted(channel.type_name)}, but the "
+                "definition that the log carries is not that of a list of transforms",
+            )
+
+    def transforms(self, block: MessageBlock) -> Transforms:
+        """Return all transforms of a block.
+
+        Raises
+        ------
+        MessageError
+            Messages end before their lists do; its `positions` say which of the block.
+        UnsupportedLogError
+            Messages are encapsulated in a way that is not read.
+        """
+        elements = [
+            element
+            for messages, layout, order in self._groups(block)
+            for element in self._elements(_Cursor(block, messages, layout, order))
+        ]
+        if not elements:
+            none = np.empty(0, np.int64)
+            return Transforms(none, none, none, np.empty((0, 4)))
+        message = np.concatenate([element.message for element in elements])
+        # Of each message the first element of its list comes first: the sort keeps that.
+        order = np.argsort(message, kind="stable")
+        return Transforms(
+            message[order],
+            np.concatenate([element.t_ns for element in elements])[order],
+            np.concatenate([element.frames for element in elements])[order],
+            np.concatenate([element.wxyz for element in elements])[order],
+        )
+
+    def _groups(self, block: MessageBlock) -> list[tuple[Int64, Layout, str]]:
+        """Return the messages of each encapsulation, with its layout and byte order."""
+        if self._channel.encoding == "ros1":
+            return [(np.arange(len(block)), ROS1, "<")]
+        short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
+        if len(short):
+            raise self._too_short(block, short)
+        identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+        groups = []
+        for identifier in np.unique(identifiers).tolist():
+            layout, order = ENCAPSULATIONS.get(identifier, (None, ""))
+            if layout is not XCDR1:
+                raise UnsupportedLogError(
+                    self._path,
+                    f"messages of topic {quoted(self._channel.topic)} are encapsulated as "
+                    f"0x{identifier:04x}, in which lists of transforms are not read; "
+                    "record with plain CDR",
+                )
+            groups.append((np.flatnonzero(identifiers == identifier), layout, order))
+        return groups
+
+    def _elements(self, cursor: _Cursor) -> list[Transforms]:
+        """Return the first transform of every list, then the second, until all lists end."""
+        elements: list[Transforms] = []
+        try:
+            left = cursor.numbers("u4").astype(np.int64)
+            while True:
+                # A count that lies runs into the end of its message: every element takes bytes.
+                cursor.keep(left > 0)
+                left = left[left > 0] - 1
+                if not len(left):
+                    return elements
+                elements.append(self._element(cursor))
+        except _ShortError as error:
+            raise self._too_short(cursor.block, error.positions) from None
+
+    def _element(self, cursor: _Cursor) -> Transforms:
+        if cursor.layout is ROS1:
+            cursor.numbers("u4")  # the sequence number, which ROS 2 has dropped
+        unsigned = cursor.layout is ROS1
+        t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * SECOND_NS
+        t_ns += cursor.numbers("u4")
+        frames = self._frames(cursor.block, cursor.name(), cursor.name())
+        found = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)
+        wxyz = found[:, [6, 3, 4, 5]].astype(np.float64)
+        return Transforms(cursor.messages, t_ns, frames, wxyz)
+
+    def _frames(self, block: MessageBlock, parent: _Names, child: _Names) -> Int64:
+        """Return which of the known frames each pair of names is; new ones become known."""
+        frames = np.full(len(parent.begin), -1)
+        number = 0
+        while len(waiting := np.flatnonzero(frames < 0)):
+            if number == len(self.known):
+                row = int(waiting[0])
+                self.known.append(Frames(parent.text(block, row), child.text(block, row)))
+            pair = self.known[number]
+            same = parent.are(pair.parent, block, waiting)
+            same &= child.are(pair.child, block, waiting)
+            frames[waiting[same]] = number
+            number += 1
+        return frames
+
+    def _too_short(self, block: MessageBlock, positions: NDArray[np.intp]) -> MessageError:
+        return MessageError(
+            self._path,
+            f"the message of topic {quoted(self._channel.topic)} recorded at "
+            f"{block.log_ns[positions[0]]} ns ends before its list of transforms; "
+            "the log is damaged",
+            positions.tolist(),
+        )
+
+
+class _ShortError(Exception):
+    """Some messages end before what is wanted of them."""
+
+    def __init__(self, positions: Int64) -> None:
+        super().__init__()
+        self.positions = positions
+
+
+class _Names(NamedTuple):
+    """Where a name stands in each message, without the zero that may end it."""
+
+    begin: Int64
+    length: Int64
+
+    def text(self, block: MessageBlock, row: int) -> str:
+        begin = int(self.begin[row])
+        name = bytes(block.data[begin : begin + int(self.length[row])])
+        return name.decode(errors="surrogateescape")
+
+    def are(self, name: str, block: MessageBlock, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return for which of some rows this is the name."""
+        wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
+        same: NDArray[np.bool_] = self.length[rows] == len(wanted)
+        text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
+        same[same] = (text == wanted).all(axis=1)
+        return same
+
+
+class _Cursor:
+    """A place in each of several messages, moved on together; names make them drift apart."""
+
+    def __init__(self, block: MessageBlock, messages: Int64, layout: Layout, order: str) -> None:
+        self.block = block
+        self.messages = messages
+        self.layout = layout
+        self._order = order
+        self._origin = block.starts[messages] + layout.header
+        self._at = self._origin.copy()
+        self._ends = block.ends[messages]
+
+    def keep(self, chosen: NDArray[np.bool_]) -> None:
+        """Go on with some of the messages."""
+        if not chosen.all():
+            self.messages = self.messages[chosen]
+            self._origin, self._at = self._origin[chosen], self._at[chosen]
+            self._ends = self._ends[chosen]
+
+    def numbers(self, code: str, count: int = 1) -> NDArray[Any]:
+        """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
+        kind = np.dtype(self._order + code)
+        alignment = min(kind.itemsize, self.layout.alignment)
+        self._at = self._at + (self._origin - self._at) % alignment
+        begin = self._moved_over(kind.itemsize * count)
+        places = begin[:, None] + np.arange(kind.itemsize * count)
+        taken: NDArray[Any] = self.block.data[places].view(kind)
+        return taken[:, 0] if count == 1 else taken
+
+    def name(self) -> _Names:
+        """Take a string."""
+        length = self.numbers("u4").astype(np.int64)
+        begin = self._moved_over(length)
+        if self.layout is not ROS1:
+            # CDR counts the zero at the end; some writers leave it out of an empty string.
+            length = length - (length > 0)
+        return _Names(begin, length)
+
+    def _moved_over(self, size: int | Int64) -> Int64:
+        begin = self._at
+        self._at = begin + size
+        short = self._at > self._ends
+        if short.any():
+            raise _ShortError(self.messages[short])
+        return begin
+
+
+def _is_list_of_transforms(root: Struct) -> bool:
+    if len(root.fields) != 1 or not isinstance(kind := root.fields[0][1], Sequence):
+        return False
+    element = kind.element
+    if not isinstance(element, Struct):
+        return False
+    names = [name for name, _ in element.fields]
+    rotation = find(element, "transform.rotation")
+    transform = find(element, "transform")
+    return (
+        names == ["header", "child_frame_id", "transform"]
+        and isinstance(rotation, Struct)
+        and [name for name, _ in rotation.fields] == list("xyzw")
+        and transform is not None
+        and (found := numbers(transform)) is not None
+        and (found[0].code, found[1]) == ("f8", _TRANSLATION_AND_ROTATION)
+    )

@@ -1,0 +1,89 @@
+"""Reading one pair of frames out of a topic that carries lists of transforms."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.errors import MessageError, NoSamplesError, UsageError, listed, plain, quoted
+from quatprop.messages.transforms import TransformDecoder
+from quatprop.readers.merge import Columns
+
+if TYPE_CHECKING:
+    from quatprop.channel_values import Clock
+    from quatprop.messages.transforms import Frames
+    from quatprop.readers.base import Channel, MessageBlock, MessageLog
+
+
+class TransformReading:
+    """Reads the transforms between two frames; see :class:`quatprop.channel_values.Reading`.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    frames
+        Which transforms.
+    clock
+        Whose time.
+    """
+
+    def __init__(self, log: MessageLog, channel: Channel, frames: Frames, clock: Clock) -> None:
+        self._decoder = TransformDecoder(channel, log.path)
+        self._decoder.known.append(frames)
+        self._clock = clock
+        self._path = log.path
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, wxyz)``; none, one or more rows of a message."""
+        found = self._decoder.transforms(block)
+        ours = found.frames == 0
+        message = found.message[ours]
+        if self._clock.name == "header":
+            t_ns = found.t_ns[ours]
+        else:
+            t_ns = self._clock.ns((), block, self._path)[message]
+        return Columns(block.log_ns[message], (t_ns, found.wxyz[ours]), block.not_before_ns)
+
+
+def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Frames:
+    """Return the pair of frames to read, after looking through the topic for all there are.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    wanted
+        ``"child"`` or ``"parent:child"``; None for the only pair there is.
+
+    Raises
+    ------
+    UsageError
+        There is no such pair, or several.
+    NoSamplesError
+        The topic has no transforms at all.
+    """
+    decoder = TransformDecoder(channel, log.path)
+    for block in log.blocks(channel):
+        try:
+            decoder.transforms(block)
+        except MessageError as error:
+            if not error.positions:
+                raise
+    if not decoder.known:
+        raise NoSamplesError(log.path, channel.topic)
+    parent, _, child = (wanted or "").rpartition(":")
+    found = [
+        frames
+        for frames in decoder.known
+        if child in ("", frames.child) and parent in ("", frames.parent)
+    ]
+    if len(found) == 1:
+        return found[0]
+    there = listed(f"{frames.parent}:{frames.child}" for frames in found or decoder.known)
+    what = "has the transforms" if wanted is None else f"has, for --frame {quoted(wanted)},"
+    if not found:
+        what = f"has no transform {quoted(wanted)}, but"
+    raise UsageError(
+        f"{plain(log.path)}: topic {quoted(channel.topic)} {what} {there}; "
+        "choose one with --frame PARENT:CHILD"
+    )
