@@ -1,21 +1,27 @@
 """How a file came about, kept inside it: the key under which it stands, and how it is read.
 
-The content is JSON: convention, layout, method, q0, source, policies, counts, versions.
+The content is JSON: convention, layout, method, q0, source, policies, counts, versions. Files of
+Arrow keep it in their metadata, text in a comment if that was asked for.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import DamagedLogError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
 METADATA_KEY = b"quatprop"
 """Key of a file's metadata that holds the provenance, as JSON."""
+
+
+COMMENT = b"# quatprop "
+"""How the first line of a text begins that holds the provenance."""
 
 
 def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str, Any]:
@@ -50,3 +56,31 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str
             path, "its metadata 'quatprop' is not the JSON it should be; write the file again"
         )
     return provenance
+
+
+def fingerprint(path: Path | str) -> dict[str, Any]:
+    """Return by what a source can be told again: its bytes and their SHA-256.
+
+    Parameters
+    ----------
+    path
+        A file; of a folder, its files in order of their names; ``"-"`` cannot be read again.
+
+    Returns
+    -------
+    dict
+        ``bytes`` and ``sha256``, None where there is nothing to read.
+    """
+    place = Path(path)
+    files = sorted(place.iterdir()) if place.is_dir() else [place]
+    files = [file for file in files if file.is_file()]
+    if not files:
+        return {"bytes": None, "sha256": None}
+    digest = hashlib.sha256()
+    size = 0
+    for file in files:
+        with file.open("rb") as stream:
+            while data := stream.read(1 << 20):
+                digest.update(data)
+                size += len(data)
+    return {"bytes": size, "sha256": digest.hexdigest()}

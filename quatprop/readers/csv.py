@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
+from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
 from quatprop.readers import columns as choosing
 from quatprop.readers.base import Loss
 from quatprop.readers.csv_rows import MISFITS, BlockParser, RowParser, Rows
@@ -75,8 +76,16 @@ class CsvLog:
         return self._layout.notes
 
     def provenance(self) -> dict[str, Any]:
-        """Return nothing: text has no room for how it came about."""
-        return {}
+        """Return how the content came about, as the first line may say; empty where it does not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        first, _, _ = self._head.partition(b"\n")
+        told = first.startswith(COMMENT)
+        return provenance_in({METADATA_KEY: first.removeprefix(COMMENT)} if told else {}, self.path)
 
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
