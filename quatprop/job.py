@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from quatprop.errors import NoSamplesError, OutputError, UsageError
 from quatprop.propagate import propagate, unit_q0
 from quatprop.quaternion import geodesic_angle
 from quatprop.readers import open_log
+from quatprop.resample import Steady, at_times, every
 from quatprop.selection import Selection
 from quatprop.signal import UNITS, Source, choose
 from quatprop.timeline import Policy, Timeline, remarks
@@ -24,6 +26,7 @@ from quatprop.writers import kind_of, layout_of, open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from fractions import Fraction
 
     import numpy as np
     from numpy.typing import NDArray
@@ -70,6 +73,10 @@ class Job:
         Attitude body -> reference at the first sample, wxyz.
     conditioning
         Bias, mounting and the part of the log to use.
+    every
+        Write every so-manieth attitude; None is all.
+    rate
+        Write attitudes so often a second, Hz, exact at those times; None is at the samples.
     """
 
     log: str
@@ -84,6 +91,8 @@ class Job:
     rates: str = "body"
     q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     conditioning: Conditioning = field(default_factory=Conditioning)
+    every: int | None = None
+    rate: Fraction | None = None
 
 
 def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[str, Any]:
@@ -109,9 +118,11 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         The result cannot be written.
     """
     began = time.perf_counter()
-    final = unit_q0(job.q0)
+    unit_q0(job.q0)
     _refuse_own_input(job)
     job = replace(job, layout=layout_of(kind_of(job.output, job.to), job.layout).name)
+    if job.every is not None and job.rate is not None:
+        raise UsageError("--every counts samples and --rate counts seconds; choose one")
     if job.log == "-" and job.conditioning.looks_ahead:
         raise UsageError(
             "stdin can be read only once: --bias static and relative --start and --end need a file"
@@ -120,30 +131,50 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         timeline = Timeline(job.policy, job.log)
+        run = _Run(job, timeline)
         with open_writer(job.output, job.to, layout=job.layout, comment=job.comment) as writer:
-            for series in _attitudes(job, timeline, batches):
+            rows = 0
+            for series in run.attitudes(batches):
                 writer.write(series)
-                final = series.wxyz[-1]
+                rows += len(series)
                 tick(timeline.counts.used)
             if not timeline.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            report = _report(job, log, source, timeline, final)
+            report = _report(job, log, source, timeline, run.final)
+            report["result"]["rows"] = rows
             report["conditioning"] = conditioned
             writer.commit(report)
     report["timings"] = {"seconds": time.perf_counter() - began}
     return report
 
 
-def _attitudes(
-    job: Job, timeline: Timeline, batches: Iterable[GyroSeries]
-) -> Iterator[AttitudeSeries]:
-    """Propagate stretch after stretch; after a gap from q0, or from the attitude before it."""
-    q0 = unit_q0(job.q0)
-    for stretch in timeline.stretches(batches):
+class _Run:
+    """The attitudes of one job as they are to be written, and the last one reached."""
+
+    def __init__(self, job: Job, timeline: Timeline) -> None:
+        self._job = job
+        self._timeline = timeline
+        self._times = None if job.rate is None else Steady(job.rate)
+        self.final = unit_q0(job.q0)
+
+    def attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
+        """Yield every attitude, or those that are wanted."""
+        series = chain.from_iterable(map(self._wanted, self._timeline.stretches(batches)))
+        return series if self._job.every is None else every(series, self._job.every)
+
+    def _wanted(self, stretch: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
+        if self._times is None:
+            return self._propagated(stretch)
+        job = self._job
+        return at_times(stretch, self._propagated, self._times, method=job.method, rates=job.rates)
+
+    def _propagated(self, stretch: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
+        """Propagate one stretch; after a gap from q0, or from the attitude before it."""
+        job = self._job
+        q0 = unit_q0(job.q0) if job.policy.on_gap == "split" else self.final
         for series in propagate(stretch, q0=q0, method=job.method, rates=job.rates):
+            self.final = series.wxyz[-1]
             yield series
-            if job.policy.on_gap == "zero":
-                q0 = series.wxyz[-1]
 
 
 def _refuse_own_input(job: Job) -> None:

@@ -304,6 +304,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
         (["--bias", "statically"], "'statically' is neither X,Y,Z nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
+        (["--rate", "0"], "'0' is no rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
         (["--rate-cols", "x,y"], "'x,y' does not name three columns X,Y,Z"),
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' mirrors the axes, which no rotation does"),
@@ -379,6 +380,27 @@ def test_a_mounting_turns_the_axes(tmp_path):
         assert result.exit_code == 0, result.output
         row = [float(q) for q in (tmp_path / "o.csv").read_text().splitlines()[-1].split(",")[1:]]
         assert geodesic_angle(row, [np.cos(0.5), 0, np.sin(0.5), 0]) < 1e-15
+
+
+def test_fewer_rows_out(log, tmp_path):
+    """--every keeps every n-th sample; --rate gives the attitude at other times, exactly."""
+    out = tmp_path / "o.csv"
+    result = run("propagate", log, "-o", out, "--every", "4")
+    assert "samples   11 over 1 s, 10 Hz; 3 attitudes written" in result.stderr
+    assert [row.split(",")[0] for row in out.read_text().splitlines()[1:]] == [
+        "0", "400000000", "800000000"
+    ]  # fmt: skip
+    run("propagate", log, "-o", out, "--rate", "3")
+    rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
+    assert [row[0] for row in rows] == ["0", "333333333", "666666666", "1000000000"]
+    for t_ns, *wxyz in rows:
+        half = int(t_ns) * 1e-9 / 2
+        expected = [np.cos(half), 0, 0, np.sin(half)]
+        assert geodesic_angle([float(q) for q in wxyz], expected) < 1e-15
+    refused(
+        run("propagate", log, "-o", out, "--rate", "3", "--every", "2"),
+        "--every counts samples and --rate counts seconds; choose one",
+    )
 
 
 def test_info_is_a_table_and_json(log):

@@ -22,6 +22,13 @@ KINDS = ("mcap", "bag", "db3", "rosbag2", "parquet", "feather", "csv")
 """The keys of :data:`quatprop.readers.READERS`; spelled out so that help imports no reader."""
 
 
+MAX_RATE = 1_000_000_000
+"""Hz: stamps are whole nanoseconds."""
+
+MAX_DENOMINATOR = 1001
+"""Of a rate, so that times are exact in 64 bits; that of the television rates."""
+
+
 class Numbers(ParamType):
     """A fixed count of numbers separated by commas.
 
@@ -83,6 +90,24 @@ class Duration(ParamType):
             return duration_ns(value)
         except UsageError as error:
             self.fail(str(error), param, ctx)
+
+
+class Frequency(ParamType):
+    """How often a second, as the decimal or the fraction it is written as."""
+
+    name = "HZ"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return a :class:`fractions.Fraction` above zero."""
+        from fractions import Fraction
+
+        try:
+            rate = Fraction(value)
+        except (ValueError, ZeroDivisionError):
+            rate = Fraction(0)
+        if not 0 < rate <= MAX_RATE or rate.denominator > MAX_DENOMINATOR:
+            self.fail(f"{value!r} is no rate in Hz; write 100, 29.97 or 30000/1001", param, ctx)
+        return rate
 
 
 class Time(ParamType):

@@ -6,7 +6,15 @@ from typing import Any
 
 import click
 
-from quatprop.cli.options import Bias, Duration, Numbers, Time, selection, selection_options
+from quatprop.cli.options import (
+    Bias,
+    Duration,
+    Frequency,
+    Numbers,
+    Time,
+    selection,
+    selection_options,
+)
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 
@@ -113,6 +121,18 @@ KINDS = ("csv", "tsv", "jsonl", "parquet", "feather", "npy", "npz", "tum", "euro
     show_default=True,
     help="Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, or "
     "refuse.",
+)
+@click.option(
+    "--every",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Write every N-th attitude only.  [default: all]",
+)
+@click.option(
+    "--rate",
+    type=Frequency(),
+    help="Write attitudes so often a second, exact at those times under the method.  "
+    "[default: at the samples]",
 )
 @click.option(
     "--report",

@@ -98,6 +98,8 @@ def _samples(counts: dict[str, Any], result: dict[str, Any]) -> str:
     if result["span_s"]:
         span = result["last_ns"] - result["first_ns"]
         said += f" over {duration_text(span)}, {result['sample_rate_hz']:.6g} Hz"
+    if result["rows"] != result["samples"]:
+        said += f"; {result['rows']} attitudes written"
     return said
 
 

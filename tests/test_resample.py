@@ -1,0 +1,124 @@
+"""Attitudes at other times: exact under the method, wherever batches end."""
+
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quatprop.propagate import attitudes, propagate
+from quatprop.quaternion import geodesic_angle
+from quatprop.resample import Listed, Steady, at_times, every
+from quatprop.series import AttitudeSeries, GyroSeries, reblock
+
+S = 1_000_000_000
+
+
+def series(seed=1, samples=50):
+    """Return rates that change direction, at jittered stamps with a duplicate."""
+    random = np.random.default_rng(seed)
+    t_ns = np.cumsum(random.integers(8_000_000, 12_000_000, samples))
+    t_ns[7] = t_ns[6]
+    return GyroSeries(t_ns, random.normal(0, 3, (samples, 3)))
+
+
+def resampled(gyro, times, method="start", rates="body", size=1000):
+    """Return stamps and attitudes at times, from blocks of a given size."""
+    out = list(
+        at_times(
+            reblock([gyro], size),
+            lambda blocks: blocked(blocks, method, rates, size),
+            times,
+            method=method,
+            rates=rates,
+        )
+    )
+    if not out:
+        return np.zeros(0, np.int64), np.zeros((0, 4))
+    return np.concatenate([o.t_ns for o in out]), np.concatenate([o.wxyz for o in out])
+
+
+def blocked(blocks, method, rates, size):
+    """Propagate and give the attitudes in the same blocks as the samples."""
+    whole = list(blocks)
+    (joined,) = propagate(whole, method=method, rates=rates)
+    for start in range(0, len(joined), size):
+        part = slice(start, start + size)
+        yield AttitudeSeries(joined.t_ns[part], joined.wxyz[part])
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+@pytest.mark.parametrize("method", ["start", "end", "mean", "coning"])
+def test_a_time_between_samples_is_as_if_a_sample_were_there(method, rates):
+    """Propagating with one more sample, which follows the method's own model, gives the same."""
+    gyro = series()
+    wxyz = attitudes(gyro.t_ns, gyro.rate, method=method, rates=rates)
+    for k in (0, 20, 48):
+        (t0, t1), (w0, w1) = gyro.t_ns[k : k + 2], gyro.rate[k : k + 2]
+        between = (2 * t0 + t1) // 3
+        share = (between - t0) / (t1 - t0)
+        ruling = {
+            "start": [w0, w0, w1],
+            "end": [w0, w1, w1],
+            "mean": [(w0 + w1) / 2] * 3,
+            "coning": [w0, w0 + share * (w1 - w0), w1],
+        }[method]
+        finer = attitudes(
+            np.array([t0, between, t1]), np.array(ruling), q0=wxyz[k], method=method, rates=rates
+        )
+        _, (found,) = resampled(gyro, Listed(np.array([between])), method, rates)
+        assert geodesic_angle(found, finer[1]) < 1e-15
+        # For coning the two halves agree with the whole to the method's own order only.
+        assert geodesic_angle(finer[2], wxyz[k + 1]) < (1e-5 if method == "coning" else 2e-15)
+
+
+def test_times_at_samples_are_the_samples():
+    """At a stamp the attitude is that of the sample, to the bit; of equal stamps the later one."""
+    gyro = series()
+    wxyz = attitudes(gyro.t_ns, gyro.rate, method="end")
+    stamps, found = resampled(gyro, Listed(gyro.t_ns), "end")
+    assert (stamps == gyro.t_ns).all()
+    expected = wxyz.copy()
+    expected[6] = wxyz[7]
+    assert (found == expected).all()
+
+
+def test_times_outside_have_no_attitude():
+    """Before the first sample and after the last nothing is known."""
+    gyro = series()
+    first, last = gyro.t_ns[0], gyro.t_ns[-1]
+    stamps, _ = resampled(gyro, Listed(np.array([first - 1, first, last, last + 1])))
+    assert stamps.tolist() == [first, last]
+
+
+@given(st.integers(1, 60), st.integers(1, 7), st.sampled_from(["start", "coning"]))
+def test_batches_do_not_matter(size, rate, method):
+    """The same times and, but for rounding, the same attitudes come out of any blocks."""
+    gyro = series()
+    one = resampled(gyro, Steady(Fraction(1000, rate)), method, size=1000)
+    other = resampled(gyro, Steady(Fraction(1000, rate)), method, size=size)
+    assert (one[0] == other[0]).all()
+    assert abs(one[1] - other[1]).max() < 4e-16
+
+
+def test_steady_times_do_not_drift():
+    """The k-th of 29.97 times a second is k / 29.97 s, rounded down, after a million too."""
+    steady = Steady(Fraction(2997, 100))
+    t_ns = np.concatenate([steady.up_to(5, 5 + end * S) for end in (1, 2, 33_367)])
+    expected = [5 + k * 100 * S // 2997 for k in range(len(t_ns))]
+    assert t_ns.tolist() == expected
+    assert len(t_ns) == 33_367 * 2997 // 100 + 1
+
+
+@given(st.lists(st.integers(0, 9), max_size=8), st.integers(1, 7))
+def test_every_nth_attitude(sizes, step):
+    """Every n-th sample is kept, counted over all batches, the first among them."""
+    total = sum(sizes)
+    t_ns = np.arange(total)
+    wxyz = np.tile([1.0, 0, 0, 0], (total, 1))
+    edges = np.cumsum([0, *sizes])
+    batches = [AttitudeSeries(t_ns[a:b], wxyz[a:b]) for a, b in pairwise(edges)]
+    kept = [int(t) for batch in every(batches, step) for t in batch.t_ns]
+    assert kept == list(range(0, total, step))
