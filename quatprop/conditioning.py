@@ -13,13 +13,13 @@ import numpy as np
 
 from quatprop.errors import UsageError, quoted
 from quatprop.quaternion import normalize, rotation_matrix
-from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
+    from quatprop.series import GyroSeries
     from quatprop.times import Instant
 
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -186,7 +186,7 @@ def conditioned(
             rate = rate - bias
         if mount is not None:
             rate = rate @ mount.T
-        yield GyroSeries(batch.t_ns, rate)
+        yield batch.with_rate(rate)
 
 
 def clipped(
@@ -200,7 +200,7 @@ def clipped(
         if inside.all():
             yield batch
         elif inside.any():
-            yield GyroSeries(batch.t_ns[inside], batch.rate[inside])
+            yield batch[inside]
 
 
 def _absolute(moment: Instant | None, first_ns: int, last_ns: int) -> int | None:

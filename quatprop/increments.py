@@ -2,6 +2,9 @@
 
 Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle
 that the body turns in it, resolved in the body frame at its start.
+
+Sensors that integrate by themselves give that vector instead of a rate. It is taken as it is: no
+method rules it, and it is not integrated again.
 """
 
 from __future__ import annotations
@@ -83,7 +86,9 @@ def rule_of(method: str) -> Rule:
     return METHODS[method]
 
 
-def rotation_vectors(t_ns: Int64, rate: Float64, method: str = "start") -> Float64:
+def rotation_vectors(
+    t_ns: Int64, rate: Float64, method: str = "start", span_ns: Int64 | None = None
+) -> Float64:
     """Return how the body turned between neighbouring samples.
 
     Parameters
@@ -99,6 +104,11 @@ def rotation_vectors(t_ns: Int64, rate: Float64, method: str = "start") -> Float
         ``"end"``, sample k + 1 does; ``"mean"``, the average of the two; ``"coning"``, a rate
         linear between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is
         linear, of second order elsewhere.
+    span_ns
+        Where samples are increments: the time over which the sensor integrated each, shape
+        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k then turns by
+        the increment of sample k + 1 under every method; by nothing where no time passes, because
+        a stamp that repeats is a message that does.
 
     Returns
     -------
@@ -120,6 +130,9 @@ def rotation_vectors(t_ns: Int64, rate: Float64, method: str = "start") -> Float
     array([[0., 0., 1.]])
     """
     rule = rule_of(method)
+    if span_ns is not None:
+        dt = np.where(t_ns[1:] > t_ns[:-1], span_ns[1:], 0) / NANOSECONDS
+        return _end(rate[:-1].T, rate[1:].T, dt).T
     dt = np.diff(t_ns) / NANOSECONDS
     return rule(rate[:-1].T, rate[1:].T, dt).T
 

@@ -157,13 +157,14 @@ class _Run:
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(series), TILE):
                 stop = start + TILE
-                self._advance_tile(*self._with_previous(series, start, stop), rows[start:stop])
+                self._advance_tile(self._with_previous(series, start, stop), rows[start:stop])
         if len(series):
-            self._sample = GyroSeries(series.t_ns[-1:].copy(), series.rate[-1:].copy())
+            self._sample = series[np.array([len(series) - 1])]
         return rows
 
-    def _advance_tile(self, t_ns: Int64, rate: Float64, rows: Float64) -> None:
-        steps = _steps(rotation_vectors(t_ns, 0.0 - rate if self._inertial else rate, self._method))
+    def _advance_tile(self, samples: GyroSeries, rows: Float64) -> None:
+        rate = 0.0 - samples.rate if self._inertial else samples.rate
+        steps = _steps(rotation_vectors(samples.t_ns, rate, self._method, samples.span_ns))
         _write_rows(_product_scan(self._attitude, steps)[:, 1:], rows)
         self._attitude = rows[-1].copy().view(np.complex128)
         if not np.isfinite(rows[-1]).all():
@@ -178,16 +179,12 @@ class _Run:
                 # Not a negation: that would write zeros as -0.
                 np.subtract(0.0, component, out=component)
 
-    def _with_previous(self, series: GyroSeries, start: int, stop: int) -> tuple[Int64, Float64]:
+    def _with_previous(self, series: GyroSeries, start: int, stop: int) -> GyroSeries:
         """Return the samples of a tile and the one before them."""
         if start:
-            return series.t_ns[start - 1 : stop], series.rate[start - 1 : stop]
+            return series[start - 1 : stop]
         # Before the very first sample comes itself: a step of no time leads to it.
-        previous = self._sample or GyroSeries(series.t_ns[:1], series.rate[:1])
-        return (
-            np.concatenate([previous.t_ns, series.t_ns[:stop]]),
-            np.concatenate([previous.rate, series.rate[:stop]]),
-        )
+        return GyroSeries.joined([self._sample or series[:1], series[:stop]])
 
 
 def unit_q0(q0: ArrayLike) -> Float64:

@@ -6,7 +6,7 @@ one are the same type: readers yield many short series in order, writers take th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -14,7 +14,8 @@ import numpy as np
 from quatprop.errors import SeriesError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -38,6 +39,10 @@ class GyroSeries:
     rate
         Angular rate, shape ``(N, 3)``, float64, rad/s. Resolved in the body frame unless the
         propagation is told ``rates="inertial"``.
+    span_ns
+        For samples that are increments, integrated by the sensor: the time over which each was,
+        shape ``(N,)``, int64, ns, ending at its stamp. The increment is the rate times this, and
+        is taken as it is, whatever lies between the stamps. None for rates.
 
     Raises
     ------
@@ -52,13 +57,41 @@ class GyroSeries:
 
     t_ns: Int64
     rate: Float64
+    span_ns: Int64 | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _stamps(self.t_ns))
+        object.__setattr__(self, "t_ns", _stamps("t_ns", self.t_ns))
         object.__setattr__(self, "rate", _rows("rate", self.rate, self.t_ns, 3))
+        if self.span_ns is not None:
+            object.__setattr__(self, "span_ns", _stamps("span_ns", self.span_ns))
+            if len(self.span_ns) != len(self.t_ns):
+                raise SeriesError(
+                    f"Expected `span_ns` of shape ({len(self.t_ns)},), got {self.span_ns.shape}"
+                )
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Return some samples: views for a slice, copies for a mask or positions."""
+        span_ns = None if self.span_ns is None else self.span_ns[chosen]
+        return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns)
+
+    def with_rate(self, rate: Float64) -> Self:
+        """Return the same samples with other rates, shape ``(N, 3)``, rad/s."""
+        return replace(self, rate=rate)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return series, at least one and all of the same kind, as one."""
+        if len(parts) == 1:
+            return parts[0]
+        spans = [part.span_ns for part in parts if part.span_ns is not None]
+        return cls(
+            np.concatenate([part.t_ns for part in parts]),
+            np.concatenate([part.rate for part in parts]),
+            np.concatenate(spans) if spans else None,
+        )
 
 
 def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
@@ -84,25 +117,13 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
         start = 0
         while count + len(batch) - start >= size:
             stop = start + size - count
-            yield _joined([*held, _part(batch, start, stop)])
+            yield GyroSeries.joined([*held, batch[start:stop]])
             held, count, start = [], 0, stop
         if start < len(batch):
-            held.append(_part(batch, start, len(batch)))
+            held.append(batch[start:])
             count += len(batch) - start
     if count:
-        yield _joined(held)
-
-
-def _part(series: GyroSeries, start: int, stop: int) -> GyroSeries:
-    return GyroSeries(series.t_ns[start:stop], series.rate[start:stop])
-
-
-def _joined(parts: list[GyroSeries]) -> GyroSeries:
-    if len(parts) == 1:
-        return parts[0]
-    return GyroSeries(
-        np.concatenate([part.t_ns for part in parts]), np.concatenate([part.rate for part in parts])
-    )
+        yield GyroSeries.joined(held)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,19 +147,19 @@ class AttitudeSeries:
     wxyz: Float64
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _stamps(self.t_ns))
+        object.__setattr__(self, "t_ns", _stamps("t_ns", self.t_ns))
         object.__setattr__(self, "wxyz", _rows("wxyz", self.wxyz, self.t_ns, 4))
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
 
-def _stamps(t_ns: Int64) -> Int64:
-    if t_ns.ndim != 1 or t_ns.dtype != np.int64:
+def _stamps(name: str, values: Int64) -> Int64:
+    if values.ndim != 1 or values.dtype != np.int64:
         raise SeriesError(
-            f"Expected `t_ns` of shape (N,) and type int64, got {t_ns.shape} {t_ns.dtype}"
+            f"Expected `{name}` of shape (N,) and type int64, got {values.shape} {values.dtype}"
         )
-    return _read_only(t_ns)
+    return _read_only(values)
 
 
 def _rows(name: str, values: Float64, t_ns: Int64, width: int) -> Float64:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 GAP_FACTOR = 10
 """A gap is an interval longer than this many median intervals, unless told otherwise."""
 
+INTEGRATED_SHARE = 0.001
+"""Increments that miss more than this share of the log's time are remarked on."""
+
 MEDIAN_WINDOW = 65_536
 """The median interval is that of the first so many intervals: exact, and flat in memory."""
 
@@ -103,7 +106,10 @@ class Counts:
     max_rate
         Largest finite magnitude of the angular rate, rad/s.
     turned
-        Angle turned on the way, rad: the sum of abs(w) dt with the rate at each interval's start.
+        Angle turned on the way, rad: the sum of abs(w) dt with the rate at each interval's start,
+        or of the increments.
+    integrated_ns
+        For increments: the time over which the sensor integrated them, ns, in all intervals.
     gap_limit_ns
         Intervals longer than this were counted as gaps.
     duplicates, backwards, nonfinite, gaps
@@ -120,6 +126,7 @@ class Counts:
     max_dt_ns: int | None = None
     max_rate: float = 0.0
     turned: float = 0.0
+    integrated_ns: int | None = None
     gap_limit_ns: int | None = None
     duplicates: Event = field(default_factory=Event)
     backwards: Event = field(default_factory=Event)
@@ -220,7 +227,7 @@ class Timeline:
                 # Every edge but the block's own beginning is the end of a gap.
                 number += start in starts
                 if stop > start:
-                    yield number, GyroSeries(block.t_ns[start:stop], block.rate[start:stop])
+                    yield number, block[start:stop]
 
     def _located(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         for batch in batches:
@@ -244,7 +251,7 @@ class Timeline:
                 "choose --on-nonfinite drop|hold",
             )
         if self.policy.on_nonfinite == "drop":
-            return GyroSeries(batch.t_ns[good], batch.rate[good])
+            return batch[good]
         if self.policy.on_nonfinite == "hold":
             return self._hold(batch, good)
         return batch
@@ -255,7 +262,7 @@ class Timeline:
         latest_good = np.maximum.accumulate(np.where(good, np.arange(1, len(rows)), 0))
         rate = rows[latest_good]
         self._held = rate[-1]
-        return GyroSeries(batch.t_ns, rate)
+        return batch.with_rate(rate)
 
     def _forward(self, batch: GyroSeries) -> GyroSeries:
         """Find stamps that are earlier than one before, and drop them."""
@@ -288,18 +295,16 @@ class Timeline:
             )
         if self.policy.on_backwards == "keep":
             return batch
-        return GyroSeries(t_ns[~back], batch.rate[~back])
+        return batch[~back]
 
     def _sorted(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         whole = list(batches)
         if not whole:
             return
-        t_ns = np.concatenate([batch.t_ns for batch in whole])
-        rate = np.concatenate([batch.rate for batch in whole])
-        back = np.flatnonzero(t_ns < np.maximum.accumulate(t_ns))
-        self.counts.backwards.add(back, 0, t_ns)
-        order = np.argsort(t_ns, kind="stable")
-        yield GyroSeries(t_ns[order], rate[order])
+        log = GyroSeries.joined(whole)
+        back = np.flatnonzero(log.t_ns < np.maximum.accumulate(log.t_ns))
+        self.counts.backwards.add(back, 0, log.t_ns)
+        yield log[np.argsort(log.t_ns, kind="stable")]
 
     def _with_gap_limit(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Hold the first samples back until the median interval is known."""
@@ -334,7 +339,12 @@ class Timeline:
             intervals = np.diff(t_ns, prepend=np.int64(counts.last_ns))
             ruling, ends = np.append(self._last_magnitude, magnitude[:-1]), t_ns
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))
-        counts.turned += float(ruling @ intervals) * 1e-9
+        lasting = intervals
+        if batch.span_ns is not None:
+            first = len(t_ns) - len(ends)
+            ruling, lasting = magnitude[first:], batch.span_ns[first:]
+            counts.integrated_ns = (counts.integrated_ns or 0) + int(lasting.sum())
+        counts.turned += float(ruling @ lasting) * 1e-9
         if len(intervals):
             self._measure_intervals(intervals, ends)
         self._last_magnitude = magnitude[-1]
@@ -397,6 +407,14 @@ def remarks(counts: Counts, policy: Policy) -> list[str]:
             said.append(
                 f"{event.count} {words[event.count > 1]} ({done[name]}), "
                 f"first at sample {event.first_index}, t = {event.first_ns} ns"
+            )
+    if counts.integrated_ns is not None:
+        missed = counts.span_ns - counts.integrated_ns
+        if abs(missed) > INTEGRATED_SHARE * counts.span_ns:
+            said.append(
+                f"the increments were integrated over {duration_text(counts.integrated_ns)} of the "
+                f"{duration_text(counts.span_ns)} between the first stamp and the last"
+                + (": the rest is taken as no rotation" if missed > 0 else "")
             )
     if counts.used > 1 and counts.span_ns == 0:
         said.append(f"all stamps are {plain(counts.first_ns)} ns: time does not pass; try --clock")
