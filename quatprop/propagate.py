@@ -247,23 +247,26 @@ def _product_loop(first: Pairs, steps: Pairs) -> Pairs:
 
 
 def _multiply(p: Pairs, q: Pairs, out: Pairs) -> None:
-    """Write the Hamilton products p q."""
-    a, b = p
-    np.multiply(a, q, out=out)
-    swapped = q.conj()
-    swapped *= b
-    out[0] -= swapped[1]
-    out[1] += swapped[0]
+    """Write the Hamilton products p q: a c - b d* and a d + b c*."""
+    (a, b), (c, d), (left, right) = p, q, out
+    np.multiply(a, c, out=left)
+    term = d.conj()
+    term *= b
+    left -= term
+    np.multiply(a, d, out=right)
+    np.conjugate(c, out=term)
+    term *= b
+    right += term
 
 
 def _write_rows(pairs: Pairs, rows: Float64) -> None:
     """Write pairs ``(2, n)`` as rows wxyz ``(n, 4)`` of unit length."""
-    squares = np.square(pairs.view(np.float64))
-    squares[0] += squares[1]
-    scale = np.zeros(len(rows), np.complex128)
-    # 1/sqrt(s) where s differs from 1 by rounding errors only. It is complex since a mixed
-    # product would convert it, chunk by chunk, at four times the price.
-    half = squares[0, 0::2] + squares[0, 1::2]
-    half *= 0.5
-    np.subtract(1.5, half, out=scale.real)
-    np.multiply(pairs, scale, out=rows.view(np.complex128).T)
+    a, b = pairs
+    components = (a.real, a.imag, b.real, b.imag)
+    squares = np.zeros(len(rows))
+    for component in components:
+        squares += np.square(component)
+    # 1/sqrt(s), where s differs from 1 by rounding errors only.
+    scale = 1.5 - 0.5 * squares
+    for component, column in zip(components, rows.T, strict=True):
+        np.multiply(component, scale, out=column)
