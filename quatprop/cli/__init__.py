@@ -17,6 +17,7 @@ COMMANDS = {
     "info": "Show what a log holds: every source of body rates.",
     "propagate": "Turn the body rates of one log into its attitude series.",
     "convert": "Write an attitude series in another layout, convention, form or format.",
+    "compare": "Measure the error between two attitude series.",
     "simulate": "Write a log whose true attitude is known.",
 }
 """Every command with its one-line help, so that ``--help`` imports none of them."""

@@ -30,14 +30,17 @@ MIN_MOTIONS = 10
 MIN_TURN = np.radians(0.1)
 """RMS relative rotation, rad, below which there is no motion that could show a mounting."""
 
-ENOUGH_TURN = np.radians(30.0)
-"""RMS relative rotation, rad, that is looked for: large against noise, small against drift."""
-
 MAX_TURN = np.radians(150.0)
 """Larger relative rotations are left out: near half a turn their axes change sign."""
 
 MIN_EXCITATION = 0.02
 """Least rotation about the second axis, as a share of that about the first."""
+
+MAX_STD = np.radians(5.0)
+"""Standard deviation, rad, above which a mounting is none."""
+
+WAY_OUT = "choose --align mean, or a longer part of the recording"
+"""What to do where the motion shows no mounting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,16 +51,19 @@ class Mounting:
     ----------
     motions
         How many relative rotations.
+    stride
+        Over how many samples each.
     turn_rad
         Their RMS angle, rad.
     singular_values
-        RMS of the relative rotations along their three principal axes, in units of sin(angle/2),
-        largest first. Two have to be well above zero.
+        Roots of the singular values of the fit: RMS sin(angle/2) about the three principal axes
+        that A and B have in common, largest first. Two have to be well above zero.
     std_rad
         Standard deviation of the mounting about its least certain axis, rad, from the residual.
     """
 
     motions: int
+    stride: int
     turn_rad: float
     singular_values: list[float]
     std_rad: float
@@ -174,29 +180,41 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
     Kabsch's solution by singular values.
     """
-    stride = _stride(a)
-    in_a, in_b = _relative(a, stride), _relative(b, stride)
+    found: tuple[Float64, Mounting] | None = None
+    for stride in _strides(len(a)):
+        mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), stride)
+        if found is None or mounting.std_rad < found[1].std_rad:
+            found = mount, mounting
+    if found is None:
+        raise ComparisonError(
+            f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
+            f"attitudes; {WAY_OUT}"
+        )
+    _refuse_unexcited(found[1])
+    return found
+
+
+def _strides(samples: int) -> list[int]:
+    """Return over how many samples to try rotations: powers of two.
+
+    Short ones drown in noise and long ones in drift; which is best shows in the residual.
+    """
+    return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
+
+
+def _fitted(in_a: Float64, in_b: Float64, stride: int) -> tuple[Float64, Mounting]:
+    """Return the mounting from rotations that overlap over `stride` samples."""
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
-    turn = _rms_angle(in_a[usable])
-    squares = np.linalg.eigvalsh(x.T @ x / max(len(x), 1))[::-1]
-    spread = np.sqrt(np.maximum(squares, 0.0))
-    _refuse_unexcited(len(x), turn, spread)
-    mount = _kabsch(x, y)
-    residual = y - rotate(mount, x)
+    if len(x) < MIN_MOTIONS:
+        return IDENTITY, Mounting(len(x), stride, 0.0, [0.0, 0.0, 0.0], np.inf)
+    mount, excited = _kabsch(x, y)
     # Overlapping rotations repeat each other: only every stride-th is new.
-    independent = max(len(x) / stride, 1.0)
-    weakest = spread[1] ** 2 + spread[2] ** 2
-    std = np.sqrt((residual**2).sum(axis=1).mean() / 3 / (weakest * independent))
-    return mount, Mounting(len(x), turn, spread.tolist(), float(std))
-
-
-def _stride(a: Float64) -> int:
-    """Return over how many samples to take rotations: as few as give enough of a turn."""
-    stride = 1
-    while len(a) - 2 * stride >= MIN_MOTIONS and _rms_angle(_relative(a, stride)) < ENOUGH_TURN:
-        stride *= 2
-    return stride
+    information = (excited[1] + excited[2]) * max(len(x) / stride, 1.0)
+    residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
+    std = np.sqrt(residual / information) if information else np.inf
+    singular_values = np.sqrt(excited).tolist()
+    return mount, Mounting(len(x), stride, _rms_angle(in_a[usable]), singular_values, float(std))
 
 
 def _relative(q: Float64, stride: int) -> Float64:
@@ -210,11 +228,15 @@ def _rms_angle(q: Float64) -> float:
     return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
 
 
-def _kabsch(x: Float64, y: Float64) -> Float64:
-    """Return the rotation m with y = m x m* in the least squares sense, shape ``(4,)``."""
-    left, _, right = np.linalg.svd(y.T @ x)
+def _kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    """Return the rotation m with y = m x m* in the least squares sense, and what excites it.
+
+    The latter are the singular values of the mean of y x^T, shape ``(3,)``: of noise in x and y
+    nothing is left in them, as it would be in those of x alone.
+    """
+    left, excited, right = np.linalg.svd(y.T @ x / len(x))
     flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
-    return from_matrix((left * flip) @ right)
+    return from_matrix((left * flip) @ right), excited
 
 
 def from_matrix(matrix: Float64) -> Float64:
@@ -238,19 +260,20 @@ def from_matrix(matrix: Float64) -> Float64:
     return np.asarray(vectors[:, -1] * np.copysign(1.0, vectors[0, -1]))
 
 
-def _refuse_unexcited(motions: int, turn: float, spread: Float64) -> None:
-    way_out = "choose --align mean, or a longer part of the recording"
-    if motions < MIN_MOTIONS:
+def _refuse_unexcited(mounting: Mounting) -> None:
+    first, second, _ = mounting.singular_values
+    if mounting.turn_rad < MIN_TURN:
         raise ComparisonError(
-            f"a mounting needs {MIN_MOTIONS} relative rotations, and there are {motions}; {way_out}"
+            f"the body turns by {np.degrees(mounting.turn_rad):.2g} deg only, which shows no "
+            f"mounting; {WAY_OUT}"
         )
-    if turn < MIN_TURN:
+    if second < MIN_EXCITATION * first:
         raise ComparisonError(
-            f"the body turns by {np.degrees(turn):.2g} deg only, which shows no mounting; {way_out}"
+            f"the body turns about one axis only (about the second by {second / first:.2%} of the "
+            f"first), so the mounting about it cannot be told; {WAY_OUT}"
         )
-    if spread[1] < MIN_EXCITATION * spread[0]:
+    if mounting.std_rad > MAX_STD:
         raise ComparisonError(
-            "the body turns about one axis only (about the second by "
-            f"{spread[1] / spread[0]:.2%} of the first), so the mounting about it cannot be told; "
-            f"{way_out}"
+            f"the mounting cannot be told better than to {np.degrees(mounting.std_rad):.2g} deg: A "
+            f"and B hardly turn together, or about one axis only; {WAY_OUT}"
         )

@@ -53,7 +53,8 @@ class Pairs:
     max_dt_ns
         How far a sample was allowed to be from its partner, ns; 0 for equal stamps.
     candidates
-        How many samples could have been matched at best: those of the smaller series.
+        How many could have been matched at best: samples in the time that both series cover, of
+        the one that has fewer.
     """
 
     t_ns: Int64
@@ -93,7 +94,7 @@ def associate(
         How far a sample may be from its partner, for interpolation from both neighbours, ns.
         None: half the median interval for nearest, ten for interpolate, of the series looked up.
     min_matched
-        Share of the samples of the smaller series that must be matched, 0 to 1.
+        Share of the samples in the time that both cover that must be matched, 0 to 1.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def associate(
     """
     if match is None:
         exact = _exact(a, b)
-        if 2 * len(exact) >= exact.candidates:
+        if exact.candidates and 2 * len(exact) >= exact.candidates:
             return _enough(exact, a, b, min_matched)
         match = "interpolate" if max_dt_ns is None else "nearest"
     if match not in MATCHES:
@@ -126,7 +127,7 @@ def associate(
         at=at,
         match=match,
         max_dt_ns=max_dt_ns,
-        candidates=min(len(a), len(b)),
+        candidates=_candidates(a, b),
     )
     return _enough(pairs, a, b, min_matched)
 
@@ -172,8 +173,13 @@ def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
 
 def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
     t_ns, in_a, in_b = np.intersect1d(a.t_ns, b.t_ns, assume_unique=True, return_indices=True)
-    candidates = min(len(a), len(b))
-    return Pairs(t_ns, a.wxyz[in_a], b.wxyz[in_b], in_a, "A", "exact", 0, candidates)
+    return Pairs(t_ns, a.wxyz[in_a], b.wxyz[in_b], in_a, "A", "exact", 0, _candidates(a, b))
+
+
+def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
+    """Return how many samples lie in the common time, of the series that has fewer there."""
+    start, stop = max(a.t_ns[0], b.t_ns[0]), min(a.t_ns[-1], b.t_ns[-1])
+    return min(int(((s.t_ns >= start) & (s.t_ns <= stop)).sum()) for s in (a, b))
 
 
 def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:
@@ -209,9 +215,15 @@ def _enough(pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: flo
     needed = max(MIN_PAIRS, int(np.ceil(min_matched * pairs.candidates)))
     if len(pairs) >= needed:
         return pairs
+    spans = (
+        f"A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from {b.t_ns[0]} to {b.t_ns[-1]} ns; see "
+        "--time-offset"
+    )
+    if not pairs.candidates:
+        raise ComparisonError(f"A and B have no time in common: {spans}")
     within = f" within {duration_text(pairs.max_dt_ns)}" if pairs.max_dt_ns else ""
     raise ComparisonError(
-        f"only {len(pairs)} of {pairs.candidates} samples have a partner ({pairs.match}{within}) "
-        f"and at least {needed} must; A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from "
-        f"{b.t_ns[0]} to {b.t_ns[-1]} ns; see --match, --max-dt, --time-offset and --min-matched"
+        f"only {len(pairs)} of {pairs.candidates} samples in the common time have a partner "
+        f"({pairs.match}{within}) and at least {needed} must; {spans}, --match, --max-dt and "
+        "--min-matched"
     )

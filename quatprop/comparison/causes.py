@@ -160,7 +160,7 @@ def likely_cause(
         *_multiplied(pairs, alignment),
         *_shifted(series, alignment, again),
         *_drifting(pairs, alignment),
-        *_misread_and_turned(pairs, alignment),
+        *_with_free_reference(pairs, alignment),
     ]
     left = [rms(tried.error) for tried in every]
     best = min(left, default=before)
@@ -187,10 +187,10 @@ def _misread(pairs: Pairs, alignment: str) -> Iterator[_Tried]:
             yield _Tried(name, misreading.meaning, error)
 
 
-def _misread_and_turned(pairs: Pairs, alignment: str) -> Iterator[_Tried]:
-    """Try misreadings once more with free reference frames, where they were not free before."""
+def _with_free_reference(pairs: Pairs, alignment: str) -> Iterator[_Tried]:
+    """Try mistakes once more with free reference frames, where they were not free before."""
     if alignment in ("none", "first"):
-        for name, sentence, error in _misread(pairs, "mean"):
+        for name, sentence, error in (*_misread(pairs, "mean"), *_multiplied(pairs, "mean")):
             turned = f"{sentence}; besides, the reference frames are turned (--align mean)"
             yield _Tried(f"{name} and reference frame", turned, error)
 
@@ -323,9 +323,13 @@ def _drifting(pairs: Pairs, alignment: str) -> Iterator[_Tried]:
         if np.abs(vectors).max() > MAX_RAMP:
             continue
         fit, *_ = np.linalg.lstsq(design, vectors, rcond=None)
-        rate = np.degrees(np.linalg.norm(fit[1])) * S_PER_H
-        yield _Tried(
-            "drift",
-            f"B drifts away at a steady {rate:.6g} deg/h about an axis fixed in the {frame} frame",
-            np.asarray(np.linalg.norm(vectors - design @ fit, axis=1)),
+        left = np.asarray(np.linalg.norm(vectors - design @ fit, axis=1))
+        at_first, slope = np.degrees(np.linalg.norm(fit, axis=1))
+        begins = (
+            f"from {at_first:.6g} deg on, " if at_first > FACTOR * np.degrees(rms(left)) else ""
         )
+        sentence = (
+            f"{begins}B drifts away at a steady {slope * S_PER_H:.6g} deg/h about an axis fixed in "
+            f"the {frame} frame"
+        )
+        yield _Tried("drift", sentence, left)
