@@ -101,6 +101,9 @@ SCALES = {
 }
 """Ratios of rates that have a name."""
 
+NAMED = 0.02
+"""Relative difference of a measured ratio from a named one: gyroscopes are no better calibrated."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cause:
@@ -286,7 +289,7 @@ def _multiplied_up(steps: Float64, q0: Float64, frame: str) -> Float64:
 def _named(scale: float) -> str:
     ratio = max(scale, 1 / scale)
     for known, meaning in SCALES.items():
-        if abs(ratio / known - 1) < ONE_TO_ONE:
+        if abs(ratio / known - 1) < NAMED:
             return f": {meaning}"
     return ""
 

@@ -1,0 +1,236 @@
+"""`quatprop compare`: options in, figures and exit code out; real recordings too."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from quatprop.cli import cli
+from quatprop.cli.compare import ALIGNMENTS, MATCHES
+from quatprop.comparison import alignment, association
+
+FIRST_NS = 1_700_000_000_000_000_000
+
+
+def run(*arguments):
+    """Run the command line; errors come back as exit code and words."""
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments])
+
+
+def report(*arguments):
+    """Return the JSON of a comparison that passes."""
+    result = run("compare", *arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def write(path, rotation, t_ns):
+    """Write rotations as a table of attitudes."""
+    w, x, y, z = rotation.as_quat(scalar_first=True).T
+    pyarrow.csv.write_csv(pa.table({"t_ns": t_ns, "qw": w, "qx": x, "qy": y, "qz": z}), path)
+    return path
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Write a spin, and the same with 0.1 rad put on sample 30."""
+    t_ns = FIRST_NS + 10_000_000 * np.arange(100)
+    spin = Rotation.from_rotvec(np.arange(100)[:, None] * [[0.01, 0, 0.02]])
+    bump = np.zeros((100, 3))
+    bump[30] = [0, 0.1, 0]
+    a = write(tmp_path / "a.csv", spin, t_ns)
+    return a, write(tmp_path / "b.csv", spin * Rotation.from_rotvec(bump), t_ns)
+
+
+def test_the_names_are_those_of_the_mathematics():
+    """The spelled-out choices are what the modules know."""
+    assert ALIGNMENTS == alignment.ALIGNMENTS
+    assert MATCHES == association.MATCHES
+
+
+def test_a_file_has_no_error_against_itself(files):
+    """Exit code 0, and every line is there."""
+    a, _ = files
+    result = run("compare", a, a, "--tol", "1e-9rad")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0] == f"A         {a} (csv): qw,qx,qy,qz quatprop, 100 samples over 990 ms"
+    assert lines[2] == "matched   100 of 100 samples over 990 ms: equal stamps"
+    assert lines[3] == "error                rad            deg"
+    assert [line.split()[0] for line in lines[4:10]] == [
+        "max", "RMS", "mean", "median", "95", "final",
+    ]  # fmt: skip
+    assert lines[-1] == "passed    no error above the tolerance 1e-09 rad (5.72958e-08 deg)"
+
+
+def test_above_the_tolerance_is_exit_code_1(files):
+    """The first sample that exceeds it is named, and the likely cause."""
+    result = run("compare", *files, "--tol", "0.1deg")
+    assert result.exit_code == 1
+    assert (
+        "failed    above the tolerance 0.00174533 rad (0.1 deg), first at sample 30 of A, "
+        "1700000000300000000 ns, 300 ms after the first: 0.1 rad (5.72958 deg)\n"
+        "cause     likely (isolated samples): 1 of 100 samples carry the error, and the others are "
+        "right\n"
+    ) in result.stdout
+
+
+def test_json_has_everything_a_script_needs(files):
+    """Sources, association, figures, the worst place and the judgement are there."""
+    result = run("compare", *files, "--tol", "0.1deg", "--json")
+    assert result.exit_code == 1
+    found = json.loads(result.stdout)
+    assert found["error_rad"]["max"] == pytest.approx(0.1, abs=1e-12)
+    assert found["worst"]["index"] == found["first_exceeding"]["index"] == 30
+    assert (found["passed"], found["tolerance_rad"]) == (False, np.radians(0.1))
+    assert found["a"]["samples"] == found["association"]["matched"] == 100
+    assert found["likely_cause"]["name"] == "isolated samples"
+
+
+def test_quiet_leaves_the_exit_code(files):
+    """Nothing is said with -q."""
+    result = run("compare", *files, "--tol", "0.1deg", "-q")
+    assert (result.exit_code, result.output) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--tol", "0.1"], "'0.1' is not an angle; write a number with its unit, such as 1e-9rad"),
+        (["--time-offset", "soon"], "'soon' is not a duration; write a number with a unit"),
+        (["--time-offset", "auto"], "A turns at a constant speed, which shows no time offset"),
+        (["--align", "mount"], "the body turns about one axis only"),
+        (["--window", "1h"], "no two pairs are 3600 s apart: they span 990 ms"),
+        (["--quat-cols-b", "qw,qx"], "'qw,qx' does not name four columns A,B,C,D"),
+        (["--topic-b", "/imu"], "is a table"),
+    ],
+)
+def test_what_cannot_be_done_is_exit_code_2(files, options, words):
+    """Wrong usage and impossible comparisons end in one sentence."""
+    result = run("compare", files[0], files[0], *options)
+    assert result.exit_code == 2
+    assert words in result.output
+
+
+def test_conventions_of_a_side_can_be_told(files, tmp_path):
+    """A conjugate is none once its direction, or JPL, is said."""
+    a, _ = files
+    t_ns = FIRST_NS + 10_000_000 * np.arange(100)
+    spin = Rotation.from_rotvec(np.arange(100)[:, None] * [[0.01, 0, 0.02]])
+    conjugate = write(tmp_path / "conjugate.csv", spin.inv(), t_ns)
+    assert run("compare", a, conjugate, "--tol", "1e-9rad").exit_code == 1
+    for options in (["--from-direction-b", "ref-to-body"], ["--from-convention-b", "jpl"]):
+        assert run("compare", a, conjugate, "--tol", "1e-9rad", *options).exit_code == 0
+
+
+def test_a_layout_of_a_side_can_be_told(files, tmp_path):
+    """Columns are taken in the order that is said."""
+    a, _ = files
+    table = pyarrow.csv.read_csv(a)
+    renamed = table.select(["t_ns", "qx", "qy", "qz", "qw"]).rename_columns(["t_ns", *"abcd"])
+    pyarrow.csv.write_csv(renamed, tmp_path / "abcd.csv")
+    told = ["--quat-cols-b", "a,b,c,d", "--from-layout-b", "xyzw"]
+    assert run("compare", a, tmp_path / "abcd.csv", "--tol", "1e-9rad", *told).exit_code == 0
+
+
+def test_what_is_no_rotation_is_refused_or_left_out(files, tmp_path):
+    """A row of zeros is refused; with --on-invalid drop it is left out, counted, exit code 3."""
+    a, _ = files
+    lines = a.read_text().splitlines()
+    lines[41] = lines[41].split(",")[0] + ",0,0,0,0"
+    holed = tmp_path / "holed.csv"
+    holed.write_text("\n".join(lines) + "\n")
+    refused = run("compare", a, holed)
+    assert refused.exit_code == 2
+    assert "1 of 100 rows are no rotation (1 all zero), the first is row 40" in refused.output
+    dropped = run("compare", a, holed, "--on-invalid", "drop", "--tol", "1e-9rad")
+    assert dropped.exit_code == 3
+    assert "lost      1 rows of B are no rotation" in dropped.stdout
+
+
+# Real recordings.
+
+
+def propagated(tmp_path, log, *options):
+    """Propagate a recording and return the file."""
+    out = tmp_path / "propagated.parquet"
+    result = run("propagate", log, "-o", out, "--method", "mean", "-q", *options)
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def degrees(angle):
+    """Return an angle of a report in degrees."""
+    return float(np.degrees(angle))
+
+
+def test_a_flying_robot_against_motion_capture(shared_logs, tmp_path):
+    """Vicon sits 1.4 deg off the gyroscope's axes, and its clock some 0.01 s from the log's."""
+    log = shared_logs / "auk" / "auk.bag"
+    found = report(
+        propagated(tmp_path, log), log, "--topic-b", "/vicon/auk/auk", "--align", "mount",
+        "--time-offset", "auto",
+    )  # fmt: skip
+    assert degrees(found["alignment"]["mount_rad"]) == pytest.approx(1.35, abs=0.1)
+    assert degrees(found["alignment"]["mounting"]["std_rad"]) < 0.1
+    assert found["time_offset"]["added_to_b_ns"] == pytest.approx(-14_700_000, abs=500_000)
+    assert found["time_offset"]["found"]["correlation"] > 0.99
+
+
+def test_a_drone_against_ground_truth(shared_logs, tmp_path):
+    """With the true bias taken out, 1 s windows agree to 0.15 deg RMS."""
+    folder = shared_logs / "csv" / "euroc_v102"
+    truth = folder / "state_groundtruth_data.csv"
+    table = pyarrow.csv.read_csv(truth)
+    bias = ",".join(str(np.mean(table.column(column).to_numpy())) for column in (11, 12, 13))
+    out = propagated(tmp_path, folder / "imu0_data.csv", "--bias", bias)
+    found = report(out, truth, "--align", "mean", "--window", "1s")
+    assert degrees(found["window"]["rms_rad"]) < 0.15
+    assert degrees(found["error_rad"]["max"]) < 0.5
+    assert found["association"]["matched"] == 1560
+
+
+def test_the_bias_of_a_gyroscope_is_named(shared_logs, tmp_path):
+    """Without its bias taken out, the same recording is wrong by the bias, and that is said."""
+    folder = shared_logs / "csv" / "euroc_v102"
+    out = propagated(tmp_path, folder / "imu0_data.csv")
+    found = report(out, folder / "state_groundtruth_data.csv", "--align", "mean")
+    assert found["likely_cause"]["name"] == "rate bias"
+    assert found["likely_cause"]["rms_before"] > 100 * found["likely_cause"]["rms_after"]
+
+
+@pytest.mark.parametrize(
+    ("log", "against", "window_deg"),
+    [
+        (
+            "csv/xio3/Inertial.csv",
+            ["csv/xio3/Quaternion.csv", "--time-offset", "auto"],
+            2.0,
+        ),
+        (
+            "csv/px4/sample_sensor_combined_0.csv",
+            ["csv/px4/sample_vehicle_attitude_0.csv"],
+            0.3,
+        ),
+        ("husky/test1_husky.bag", ["husky/test1_husky.bag", "--topic-b", "/imu/data"], 0.8),
+    ],
+)
+def test_filters_agree_over_short_windows(shared_logs, tmp_path, log, against, window_deg):
+    """Over 1 s a filter's attitude and the gyroscope alone say the same."""
+    out = propagated(tmp_path, shared_logs / log)
+    reference, *options = against
+    found = report(out, shared_logs / reference, "--align", "mean", "--window", "1s", *options)
+    assert degrees(found["window"]["rms_rad"]) < window_deg
+
+
+def test_a_driver_that_scaled_its_rates_is_recognised(shared_logs, tmp_path):
+    """Rates that were taken from degrees to radians once too often turn 57 times too slowly."""
+    (log,) = (shared_logs / "nested_imu" / "kiran_11sec_motion").glob("*.mcap")
+    out = propagated(tmp_path, log)
+    found = report(out, log, "--topic-b", "/imu", "--align", "mean")
+    assert found["likely_cause"]["name"] == "scale"
+    assert "one of them took degrees for radians" in found["likely_cause"]["sentence"]
