@@ -1,0 +1,190 @@
+"""The attitude of a series at one time: where a propagation may begin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from quatprop.attitude_check import RotationCheck
+from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
+from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError
+from quatprop.quaternion import conjugate, exp, log, multiply, normalize
+from quatprop.readers import open_log
+from quatprop.readers.base import is_table
+from quatprop.selection import Selection
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.series import AttitudeSeries
+    from quatprop.signal import Source
+
+    Float64 = NDArray[np.float64]
+    Row = tuple[int, Float64]
+
+
+def attitude_at(
+    path: Path | str,
+    t_ns: int,
+    selection: AttitudeSelection | None = None,
+    kind: str | None = None,
+) -> Float64:
+    """Return the attitude that a file has at a time.
+
+    Parameters
+    ----------
+    path
+        An attitude series, or any log with attitudes.
+    t_ns
+        The time, ns.
+    selection
+        Which attitudes, and what their numbers mean; None for the only ones there are.
+    kind
+        Kind of the file; None means told by content and suffix.
+
+    Returns
+    -------
+    ndarray
+        wxyz, Hamilton, body -> reference, shape ``(4,)``. At a stamp of the series its row as it
+        is stored, otherwise a unit quaternion on the shortest arc between its neighbours in time.
+
+    Raises
+    ------
+    TimelineError
+        The time is before the first or after the last attitude.
+    LogError
+        The file cannot be used as asked.
+    """
+    with open_log(path, kind) as opened:
+        source = choose_attitudes(opened, selection or AttitudeSelection())
+        # Rows elsewhere in the series that are no rotations are no concern of this time.
+        check = RotationCheck(path, drop=True)
+        return attitude_in(check.apply(source.rows()), t_ns, path)
+
+
+def first_orientation(
+    log: MessageLog | TableLog, source: Source, t_ns: int | None = None
+) -> Float64:
+    """Return a log's own orientation where a propagation of its rates begins.
+
+    Parameters
+    ----------
+    log
+        An open log that can be read again.
+    source
+        Its source of rates, as :func:`quatprop.signal.choose` gives it: the orientation is that
+        of the same messages or rows, on the same clock.
+    t_ns
+        The stamp of the first sample that is used; None for the first of the log.
+
+    Returns
+    -------
+    ndarray
+        wxyz, Hamilton, body -> reference, as it is stored, shape ``(4,)``.
+
+    Raises
+    ------
+    NoAttitudesError
+        The messages or rows have no orientation, or all of them mark it as absent.
+    TimelineError
+        The time is outside the orientations that are there.
+    LogError
+        The log cannot be used as asked.
+    """
+    selection = AttitudeSelection()
+    if not is_table(log):
+        messages = cast("MessageLog", log)
+        samples = Selection(topic=source.name)
+        if source.clock in {"header", "log", "publish"}:
+            samples = replace(samples, clock=source.clock)
+        selection = AttitudeSelection(samples, quat_field=_beside(messages, source))
+    found = choose_attitudes(log, selection)
+    batches = RotationCheck(log.path, drop=True).apply(found.rows())
+    try:
+        if t_ns is not None:
+            return attitude_in(batches, t_ns, log.path)
+        for series in batches:
+            return series.wxyz[0]
+    except NoSamplesError:
+        pass
+    raise NoAttitudesError(
+        log.path, [f"{source.name} ({source.type_name}), all of them absent or no rotation"]
+    )
+
+
+def _beside(log: MessageLog, source: Source) -> str | None:
+    """Return the orientation in the same part of the message as the rate, if it is named so."""
+    from quatprop.messages.rates import rate_fields
+
+    return next(
+        (
+            field.orientation
+            for channel in log.channels()
+            if (channel.topic, channel.type_name) == (source.name, source.type_name)
+            for field in rate_fields(channel, log.path)
+            if field.name == source.rate
+        ),
+        None,
+    )
+
+
+def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
+    """Return the attitude of a series at a time; see :func:`attitude_at`.
+
+    Parameters
+    ----------
+    batches
+        The series, in any order of time.
+    t_ns
+        The time, ns.
+    path
+        The file, for errors.
+
+    Raises
+    ------
+    NoSamplesError
+        The series is empty.
+    TimelineError
+        The time is before the first or after the last attitude.
+    """
+    before: Row | None = None
+    after: Row | None = None
+    for series in batches:
+        stamps = series.t_ns
+        earlier, later = stamps <= t_ns, stamps >= t_ns
+        if earlier.any():
+            row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
+            if before is None or stamps[row] > before[0]:
+                before = int(stamps[row]), series.wxyz[row]
+            if before[0] == t_ns:
+                return before[1]
+        if later.any():
+            row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
+            if after is None or stamps[row] < after[0]:
+                after = int(stamps[row]), series.wxyz[row]
+    if before is None and after is None:
+        raise NoSamplesError(path, "its attitudes")
+    if before is None or after is None:
+        edge, word = (after, "first") if before is None else (before, "last")
+        where = "before" if word == "first" else "after"
+        stamp = cast("Row", edge)[0]
+        raise TimelineError(
+            path,
+            f"{t_ns} ns is {where} its {word} attitude at {stamp} ns; are both on the same clock?",
+        )
+    share = (t_ns - before[0]) / (after[0] - before[0])
+    return _on_arc(normalize(before[1]), normalize(after[1]), share)
+
+
+def _on_arc(p: Float64, q: Float64, share: float) -> Float64:
+    """Return the attitude after a share of the shortest rotation from p to q (slerp)."""
+    between = multiply(conjugate(p), q)
+    if between[0] < 0:
+        between = -between
+    return normalize(multiply(p, exp(share * log(between))))

@@ -1,0 +1,200 @@
+"""Layout, convention and direction of stored quaternions, worked out on paper.
+
+The attitude is (10 + i + 2j + 4k) / 11. With the Hamilton product and v_ref = q v_body q*, its
+matrix follows from R = (w^2 - |v|^2) I + 2 w [v x] + 2 v v^T, all over 121:
+
+    w^2 - |v|^2 = 100 - 21 = 79,    2 w [v x] = 20 [[0, -4, 2], [4, 0, -1], [-2, 1, 0]],
+    2 v v^T = 2 [[1, 2, 4], [2, 4, 8], [4, 8, 16]].
+"""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quatprop.cli import cli
+from quatprop.conventions import REPRESENTATIONS, Meaning, Signs, euler_zyx
+from quatprop.errors import UsageError
+from quatprop.quaternion import exp, geodesic_angle, multiply
+
+BODY_TO_REF = np.array([[81, -76, 48], [84, 87, -4], [-32, 36, 111]]) / 121
+
+STORED = {
+    ("scalar-first", "hamilton", "body-to-ref"): (10, 1, 2, 4),
+    ("scalar-first", "hamilton", "ref-to-body"): (10, -1, -2, -4),
+    ("scalar-first", "jpl", "ref-to-body"): (10, 1, 2, 4),
+    ("scalar-first", "jpl", "body-to-ref"): (10, -1, -2, -4),
+    ("scalar-last", "hamilton", "body-to-ref"): (1, 2, 4, 10),
+    ("scalar-last", "hamilton", "ref-to-body"): (-1, -2, -4, 10),
+    ("scalar-last", "jpl", "ref-to-body"): (1, 2, 4, 10),
+    ("scalar-last", "jpl", "body-to-ref"): (-1, -2, -4, 10),
+}
+"""The same attitude in all eight combinations, times 11."""
+
+COLUMNS = {"scalar-first": "qw,qx,qy,qz", "scalar-last": "qx,qy,qz,qw"}
+CANONICAL = ("scalar-first", "hamilton", "body-to-ref")
+VECTORS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3.0, -5.0, 7.0]])
+
+
+def cross_matrix(v):
+    """Return [v x]."""
+    x, y, z = v
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
+def textbook_matrix(convention, w, v):
+    """Return the matrix of a quaternion as the textbook of its convention writes it."""
+    v = np.asarray(v)
+    if convention == "jpl":  # Trawny and Roumeliotis 2005, eq. 62
+        return (2 * w**2 - 1) * np.eye(3) - 2 * w * cross_matrix(v) + 2 * np.outer(v, v)
+    return (w**2 - v @ v) * np.eye(3) + 2 * w * cross_matrix(v) + 2 * np.outer(v, v)
+
+
+def run(*arguments):
+    """Run `quatprop convert` and return its stdout."""
+    result = CliRunner().invoke(cli, ["convert", *map(str, arguments), "-q"])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def written(tmp_path, combination):
+    """Write the attitude in a combination and return the file."""
+    numbers = ",".join(repr(number / 11) for number in STORED[combination])
+    path = tmp_path / "in.csv"
+    path.write_text(f"t_ns,{COLUMNS[combination[0]]}\n5,{numbers}\n")
+    return path
+
+
+def split(combination, numbers):
+    """Return w and the vector of stored numbers."""
+    if combination[0] == "scalar-first":
+        return numbers[0], np.array(numbers[1:])
+    return numbers[3], np.array(numbers[:3])
+
+
+@pytest.mark.parametrize("combination", STORED)
+def test_the_table_worked_out_by_hand_turns_vectors_as_its_textbook_says(combination):
+    """Each row of the table, put into its own textbook's formula, is the written-out matrix."""
+    w, v = split(combination, np.array(STORED[combination]) / 11)
+    expected = BODY_TO_REF if combination[2] == "body-to-ref" else BODY_TO_REF.T
+    matrix = textbook_matrix(combination[1], w, v)
+    np.testing.assert_allclose(VECTORS @ matrix.T, VECTORS @ expected.T, atol=1e-14)
+
+
+@pytest.mark.parametrize("combination", STORED)
+def test_every_combination_is_written(tmp_path, combination):
+    """From scalar-first Hamilton body-to-ref, to the bit."""
+    layout, convention, direction = combination
+    out = run(written(tmp_path, CANONICAL), "-", "--layout", layout, "--convention", convention,
+              "--direction", direction)  # fmt: skip
+    header, row = out.splitlines()
+    assert header == f"t_ns,{COLUMNS[layout]}"
+    assert [float(cell) for cell in row.split(",")] == [5, *(k / 11 for k in STORED[combination])]
+
+
+@pytest.mark.parametrize("combination", STORED)
+def test_every_combination_is_read(tmp_path, combination):
+    """Into scalar-first Hamilton body-to-ref, to the bit."""
+    _, convention, direction = combination
+    out = run(written(tmp_path, combination), "-", "--from-convention", convention,
+              "--from-direction", direction)  # fmt: skip
+    row = out.splitlines()[1]
+    assert [float(cell) for cell in row.split(",")] == [5, *(k / 11 for k in STORED[CANONICAL])]
+
+
+@pytest.mark.parametrize("layout", COLUMNS)
+def test_scipy_reads_both_layouts(tmp_path, layout):
+    """Rotation.from_quat with the right scalar_first turns vectors as the written-out matrix."""
+    out = run(written(tmp_path, CANONICAL), "-", "--layout", layout)
+    quaternion = [float(cell) for cell in out.splitlines()[1].split(",")[1:]]
+    rotation = Rotation.from_quat(quaternion, scalar_first=layout == "scalar-first")
+    np.testing.assert_allclose(rotation.apply(VECTORS), VECTORS @ BODY_TO_REF.T, atol=1e-14)
+
+
+def test_the_matrix_is_the_one_written_out(tmp_path):
+    """--as matrix writes R row by row, and its transpose in the other direction."""
+    out = run(written(tmp_path, CANONICAL), "-", "--as", "matrix")
+    header, row = out.splitlines()
+    assert header == "t_ns,r11,r12,r13,r21,r22,r23,r31,r32,r33"
+    found = np.reshape([float(cell) for cell in row.split(",")[1:]], (3, 3))
+    np.testing.assert_allclose(found, BODY_TO_REF, atol=1e-15)
+    back = run(written(tmp_path, CANONICAL), "-", "--as", "matrix", "--direction", "ref-to-body")
+    found = np.reshape([float(cell) for cell in back.splitlines()[1].split(",")[1:]], (3, 3))
+    np.testing.assert_allclose(found, BODY_TO_REF.T, atol=1e-15)
+
+
+quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+    lambda q: np.linalg.norm(q) > 0.1
+)
+
+
+def unit(rows):
+    """Return rows at unit length."""
+    rows = np.array(rows)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+@given(st.lists(quaternions, min_size=1, max_size=20))
+def test_angles_are_those_of_scipy(rows):
+    """Yaw, pitch and roll compose to the same rotation as scipy's intrinsic ZYX."""
+    wxyz = unit(rows)
+    angles = euler_zyx(wxyz)
+    assert np.abs(angles[:, [0, 2]]).max() <= np.pi
+    assert np.abs(angles[:, 1]).max() <= np.pi / 2
+    back = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    assert geodesic_angle(back, wxyz).max() < 1e-14
+
+
+@pytest.mark.parametrize("yaw", [-3.0, 0.0, 0.4])
+@pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-9, 1e-6])
+def test_angles_keep_the_attitude_where_yaw_and_roll_cannot_be_told_apart(yaw, tilt):
+    """Looking straight up, the angles still compose to the attitude within rounding."""
+    q = multiply(multiply(exp([0, 0, yaw]), exp([0, np.pi / 2 - tilt, 0])), exp([0.3, 0, 0]))
+    angles = euler_zyx(q[None])
+    back = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+    assert geodesic_angle(back[0], q) < 1e-15 * 4
+
+
+@given(st.lists(quaternions, min_size=1, max_size=20))
+def test_rotation_vectors_are_those_of_scipy(rows):
+    """They are no longer than half a turn, and scipy makes the same rotations of them."""
+    wxyz = Signs("positive").applied(unit(rows))
+    vectors = REPRESENTATIONS["rotvec"].values(wxyz)
+    assert np.linalg.norm(vectors, axis=1).max() <= np.pi * (1 + 1e-15)
+    back = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
+    assert geodesic_angle(back, wxyz).max() < 1e-14
+
+
+@given(st.lists(quaternions, min_size=2, max_size=30), st.data())
+def test_a_continuous_sign_does_not_depend_on_batches(rows, data):
+    """Neighbours never have a negative dot product, however the series is cut."""
+    wxyz = unit(rows)
+    whole = Signs("continuous").applied(wxyz)
+    assert (np.einsum("ij,ij->i", whole[1:], whole[:-1]) >= 0).all()
+    assert (np.abs(whole) == np.abs(wxyz)).all()
+    cut = data.draw(st.integers(0, len(rows)))
+    signs = Signs("continuous")
+    parts = [signs.applied(wxyz[:cut]), signs.applied(wxyz[cut:])]
+    assert (np.concatenate(parts) == whole).all()
+
+
+@given(st.lists(quaternions, min_size=1, max_size=30))
+def test_a_positive_sign_has_no_negative_scalar(rows):
+    """No row has w below zero, and each is the q or the -q it was."""
+    wxyz = unit(rows)
+    positive = Signs("positive").applied(wxyz)
+    assert (positive[:, 0] >= 0).all()
+    kept = (positive == wxyz).all(axis=1)
+    assert (kept | (positive == -wxyz).all(axis=1)).all()
+
+
+def test_unknown_words_are_refused():
+    """The error lists what there is."""
+    with pytest.raises(UsageError, match=r"no convention 'shuster'; choose one of 'hamilton', 'jp"):
+        Meaning("shuster")
+    with pytest.raises(UsageError, match=r"no direction 'up'; choose one of 'body-to-ref', 'ref-t"):
+        Meaning(direction="up")
+    with pytest.raises(UsageError, match=r"no sign 'any'; choose one of 'keep', 'continuous', 'po"):
+        Signs("any")
