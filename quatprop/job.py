@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict, dataclass, field, replace
-from itertools import chain
+from itertools import chain, tee
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from quatprop.propagate import propagate, unit_q0
 from quatprop.quaternion import geodesic_angle
 from quatprop.readers import open_log
 from quatprop.resample import Steady, at_times, every
+from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
 from quatprop.signal import UNITS, Source, choose
 from quatprop.timeline import Policy, Timeline, remarks
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.readers.base import Log
+    from quatprop.writers.ros_messages import Message
     from quatprop.series import AttitudeSeries, GyroSeries
 
 CONVENTION = {
@@ -63,6 +65,8 @@ class Job:
     layout
         ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is what
         the format prescribes, or scalar-first where it leaves the choice.
+    message
+        What to write the attitudes as, where they are written as messages.
     comment
         Write the report in a comment at the beginning of the output.
     method
@@ -86,6 +90,7 @@ class Job:
     selection: Selection = field(default_factory=Selection)
     policy: Policy = field(default_factory=Policy)
     layout: str | None = None
+    message: Message | None = None
     comment: bool = False
     method: str = "start"
     rates: str = "body"
@@ -131,10 +136,12 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         timeline = Timeline(job.policy, job.log)
-        run = _Run(job, timeline)
-        with open_writer(job.output, job.to, layout=job.layout, comment=job.comment) as writer:
+        run, watch = _Run(job, timeline), Watch()
+        with open_writer(
+            job.output, job.to, layout=job.layout, message=job.message, comment=job.comment
+        ) as writer:
             rows = 0
-            for series in run.attitudes(batches):
+            for series in run.attitudes(watch.passing(batches)):
                 writer.write(series)
                 rows += len(series)
                 tick(timeline.counts.used)
@@ -142,6 +149,10 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
                 raise NoSamplesError(job.log, source.name)
             report = _report(job, log, source, timeline, run.final)
             report["result"]["rows"] = rows
+            report["result"]["method_difference_rad"] = run.method_difference
+            report["remarks"] += watch.remarks(timeline.counts.median_dt_ns)
+            if job.log != "-":
+                report["remarks"] += orientation_remarks(log, source)
             report["conditioning"] = conditioned
             writer.commit(report)
     report["timings"] = {"seconds": time.perf_counter() - began}
@@ -155,7 +166,8 @@ class _Run:
         self._job = job
         self._timeline = timeline
         self._times = None if job.rate is None else Steady(job.rate)
-        self.final = unit_q0(job.q0)
+        self._other = "start" if job.method == "coning" else "coning"
+        self.final = self._other_final = unit_q0(job.q0)
 
     def attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
         """Yield every attitude, or those that are wanted."""
@@ -171,10 +183,23 @@ class _Run:
     def _propagated(self, stretch: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
         """Propagate one stretch; after a gap from q0, or from the attitude before it."""
         job = self._job
-        q0 = unit_q0(job.q0) if job.policy.on_gap == "split" else self.final
-        for series in propagate(stretch, q0=q0, method=job.method, rates=job.rates):
-            self.final = series.wxyz[-1]
+        if job.policy.on_gap == "split":
+            self.final = self._other_final = unit_q0(job.q0)
+        for_this, for_other = tee(stretch)
+        this = propagate(for_this, q0=self.final, method=job.method, rates=job.rates)
+        other = propagate(for_other, q0=self._other_final, method=self._other, rates=job.rates)
+        for series, other_series in zip(this, other, strict=True):
+            self.final, self._other_final = series.wxyz[-1], other_series.wxyz[-1]
             yield series
+
+    @property
+    def method_difference(self) -> float:
+        """Angle between the ends of the coning method and of the one used, rad.
+
+        It tells what the samples leave open: how the body turned between them. For coning it is
+        held against start.
+        """
+        return float(geodesic_angle(self.final, self._other_final))
 
 
 def _refuse_own_input(job: Job) -> None:

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from quatprop.readers import open_log
+from quatprop.sanity import Watch, orientation_remarks
 from quatprop.signal import sources
 from quatprop.timeline import OBSERVE, Timeline, remarks
 
@@ -40,7 +41,12 @@ def survey(path: str, kind: str | None, selection: Selection) -> dict[str, Any]:
         The log cannot be read, or holds no body rates.
     """
     with open_log(path, kind) as log:
-        found = [_measured(source, path) for source in sources(log, selection)]
+        found = []
+        for source in sources(log, selection):
+            facts = _measured(source, path)
+            if path != "-":
+                facts["remarks"] += orientation_remarks(log, source)
+            found.append(facts)
         return {
             "path": path,
             "kind": log.kind,
@@ -51,7 +57,8 @@ def survey(path: str, kind: str | None, selection: Selection) -> dict[str, Any]:
 
 def _measured(source: Source, path: str) -> dict[str, Any]:
     timeline = Timeline(OBSERVE, path)
-    deque(timeline.apply(source.batches()), maxlen=0)
+    watch = Watch()
+    deque(timeline.apply(watch.passing(source.batches())), maxlen=0)
     counts = timeline.counts
     span_s = counts.span_ns * 1e-9
     return {
@@ -74,5 +81,9 @@ def _measured(source: Source, path: str) -> dict[str, Any]:
         "nonfinite": counts.nonfinite.count,
         "max_rate_rad_s": counts.max_rate,
         "max_rate_deg_s": math.degrees(counts.max_rate),
-        "remarks": [*source.remarks, *remarks(counts, OBSERVE)],
+        "remarks": [
+            *source.remarks,
+            *remarks(counts, OBSERVE),
+            *watch.remarks(counts.median_dt_ns),
+        ],
     }

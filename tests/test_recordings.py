@@ -119,3 +119,19 @@ def test_backward_stamps_are_refused_where_they_first_occur(shared_logs, tmp_pat
     assert result.exit_code == 2
     assert re.search(r"time steps back by .* at sample \d+ .* --on-backwards", result.stderr)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rates_scaled_once_too_often_are_flagged(shared_logs):
+    """A driver that multiplied by pi/180 twice is told by the log's own orientation, unasked."""
+    result = CliRunner().invoke(cli, ["info", str(shared_logs / "nested_imu/kiran_11sec_motion")])
+    assert "times as far as its rates: were they scaled by pi/180 once too often?" in result.stdout
+
+
+def test_nonsense_is_remarked_on(shared_logs, tmp_path):
+    """Rates of 131 rad/s and quaternions of length 196 are said, and propagated all the same."""
+    log = shared_logs / "rosbag2" / "plotjuggler_rosbag2_test"
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "a.csv")])
+    assert result.exit_code == 0
+    assert "warning: rates up to 133 rad/s are beyond any gyroscope" in result.stderr
+    assert "warning: every rate is the same" in result.stderr
+    assert "off unit length by up to 195" in result.stderr

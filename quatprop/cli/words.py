@@ -82,6 +82,12 @@ def _facts(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "rate", f"{plain(source['rate'])} in {source['rate_unit']}, {source['clock']} clock"
     yield "samples", _samples(counts, result)
     yield "method", f"{convention['method']}, {convention['rates']} rates: {convention['side']}"
+    other = "start" if convention["method"] == "coning" else "coning"
+    difference = math.degrees(result["method_difference_rad"])
+    yield (
+        "between",
+        f"{difference:.3g} deg at the end from method {other}: what the samples leave open",
+    )
     yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result["final_wxyz"])
     rotation = (
         f"{math.degrees(result['net_rotation_rad']):.6g} deg from q0 to the end, "
