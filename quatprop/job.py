@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.readers.base import Log
-    from quatprop.writers.ros_messages import Message
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.writers.ros_messages import Message
 
 CONVENTION = {
     "product": "Hamilton, ij = k",

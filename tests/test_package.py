@@ -109,10 +109,11 @@ def test_the_kinds_of_the_command_line_are_those_of_the_table():
 
 def test_the_output_kinds_of_the_command_line_are_those_of_the_table():
     """--to lists exactly the kinds that have a writer."""
-    from quatprop.cli.propagate import KINDS
-    from quatprop.writers import WRITERS
+    from quatprop.cli.propagate import KINDS, MESSAGES
+    from quatprop.writers import WRITERS, ros_messages
 
     assert tuple(WRITERS) == KINDS
+    assert tuple(ros_messages.MESSAGES) == MESSAGES
 
 
 def test_every_dependency_is_pinned_for_development():

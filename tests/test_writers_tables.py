@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import threading
 
 import numpy as np
 import pyarrow as pa
@@ -284,12 +283,9 @@ def test_npy_refuses_a_pipe(tmp_path):
     """The number of rows stands at the beginning, which has gone when it is known."""
     pipe = tmp_path / "a.npy"
     os.mkfifo(pipe)
-    reader = threading.Thread(target=pipe.read_bytes)
-    reader.start()
-    words = f"^{re.escape(str(pipe))}: a pipe cannot take a NumPy file; name a file$"
+    words = f"^{re.escape(str(pipe))}: a pipe or a device cannot take a NumPy file, whose beginning"
     with pytest.raises(OutputError, match=words):
         open_writer(pipe, "npy")
-    reader.join(timeout=10)
     assert pipe.is_fifo()
 
 

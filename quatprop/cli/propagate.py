@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,10 +16,30 @@ from quatprop.cli.options import (
     selection_options,
 )
 
+if TYPE_CHECKING:
+    from quatprop.writers.ros_messages import Message
+
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 
-KINDS = ("csv", "tsv", "jsonl", "parquet", "feather", "npy", "npz", "tum", "euroc")
+KINDS = (
+    "csv",
+    "tsv",
+    "jsonl",
+    "parquet",
+    "feather",
+    "npy",
+    "npz",
+    "tum",
+    "euroc",
+    "mcap",
+    "bag",
+    "rosbag2",
+    "rosbag2-mcap",
+)
 """The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
+
+MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
+"""The keys of :data:`quatprop.writers.ros_messages.MESSAGES`."""
 
 
 @click.command(no_args_is_help=True)
@@ -34,19 +54,35 @@ KINDS = ("csv", "tsv", "jsonl", "parquet", "feather", "npy", "npz", "tum", "euro
 @click.option(
     "--to",
     type=click.Choice(KINDS),
-    help="Format of the output.  [default: by suffix]",
+    help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 @click.option(
     "--layout",
     type=click.Choice(LAYOUTS),
     help="Order of the quaternion's columns; a matter of storage only.  [default: scalar-first, "
-    "but as the format prescribes for tum and euroc]",
+    "but what the format prescribes for tum, euroc and ROS messages]",
 )
 @click.option(
     "--header-comment",
     "comment",
     is_flag=True,
     help="Begin csv, tsv, tum or euroc with the report in a # comment.",
+)
+@click.option(
+    "--message",
+    type=click.Choice(MESSAGES),
+    help="What mcap and bags hold: the attitude, a pose, or a transform.  "
+    "[default: QuaternionStamped]",
+)
+@click.option(
+    "--out-topic",
+    metavar="NAME",
+    help="Topic of the messages.  [default: /attitude, or /tf for TFMessage]",
+)
+@click.option(
+    "--frames",
+    metavar="REFERENCE,BODY",
+    help="Names of the two frames in the messages.  [default: reference,body]",
 )
 @click.option(
     "--method",
@@ -174,6 +210,7 @@ def command(**chosen: Any) -> None:
         ),
         q0=tuple(q0[q0_order.index(part)] for part in range(4)) if q0 else (1.0, 0.0, 0.0, 0.0),
         layout=layout and layout_named(layout).name,
+        message=_message(chosen.pop("message"), chosen.pop("out_topic"), chosen.pop("frames")),
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
             static_ns=bias if isinstance(bias, int) else None,
@@ -191,3 +228,15 @@ def command(**chosen: Any) -> None:
         click.echo(words.summary(report, verbose=verbose), err=True)
     if report["data_lost"]:
         raise click.exceptions.Exit(3)
+
+
+def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
+    """Return what attitudes are written as, or None where nothing was said about it."""
+    from quatprop.writers.ros_messages import Message
+
+    if kind is None and topic is None and frames is None:
+        return None
+    reference, comma, body = (frames or "reference,body").partition(",")
+    if not comma:
+        raise click.BadParameter(f"{frames!r} is not two names; write REFERENCE,BODY")
+    return Message(kind or MESSAGES[0], topic, reference, body)

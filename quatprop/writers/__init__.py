@@ -20,6 +20,7 @@ from quatprop.errors import OutputError, UsageError, listed, quoted
 from quatprop.layout import layout_named
 from quatprop.writers.atomic import is_stdout, is_stream
 from quatprop.writers.base import AttitudeTable
+from quatprop.writers.ros_messages import Message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,8 +39,8 @@ class Format:
     suffixes
         File name endings that mean this format; ``""`` is a name without one.
     opener
-        ``module:name`` of what writes it, imported when it is needed: of a target and the names
-        of columns for a table, of a target and a layout for others.
+        ``module:name`` of what writes it, imported when it is needed: of a target and, for a
+        table, the names of columns, for messages a :class:`Message`, for others a layout.
     table
         Whether the opener gives a table of any columns.
     text
@@ -48,6 +49,8 @@ class Format:
         Whether it has comments, in which the provenance can stand.
     layout
         The layout that the format's own definition prescribes; None where there is a choice.
+    messages
+        Whether it holds ROS messages, of a type that can be chosen.
     """
 
     suffixes: tuple[str, ...]
@@ -56,6 +59,12 @@ class Format:
     text: bool = False
     comments: bool = False
     layout: str | None = None
+    messages: bool = False
+
+
+def _ros(suffixes: tuple[str, ...], opener: str) -> Format:
+    """Return a format of ROS messages, whose quaternions are x, y, z, w."""
+    return Format(suffixes, opener, layout="scalar-last", messages=True)
 
 
 WRITERS: Mapping[str, Format] = {
@@ -78,6 +87,10 @@ WRITERS: Mapping[str, Format] = {
     "euroc": Format(
         (), "quatprop.writers.euroc:attitudes", text=True, comments=True, layout="scalar-first"
     ),
+    "mcap": _ros((".mcap",), "quatprop.writers.mcap:McapAttitudes"),
+    "bag": _ros((".bag",), "quatprop.writers.rosbag1:Rosbag1Attitudes"),
+    "rosbag2": _ros(("",), "quatprop.writers.rosbag2:SqliteAttitudes"),
+    "rosbag2-mcap": _ros((), "quatprop.writers.rosbag2:McapFolderAttitudes"),
 }
 """Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
 
@@ -90,6 +103,7 @@ def open_writer(
     *,
     layout: str | None = None,
     comment: bool = False,
+    message: Message | None = None,
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
@@ -99,12 +113,15 @@ def open_writer(
         Where to write; ``"-"`` is stdout.
     kind
         A key of :data:`WRITERS`; without it, the suffix of `target` decides. Stdout, pipes and
-        devices have no suffix to speak of and get CSV.
+        devices have no suffix to speak of and get CSV; any other name without one is a ROS 2 bag
+        folder.
     layout
         A name in :data:`quatprop.layout.LAYOUTS`; None is what the format prescribes, or
         scalar-first where it leaves the choice.
     comment
         Write the provenance in a comment at the beginning.
+    message
+        What to write the attitudes as, where they are written as messages.
 
     Returns
     -------
@@ -117,14 +134,18 @@ def open_writer(
         The kind or the suffix is unknown, the target is a folder, its folder does not exist,
         writing there is not permitted, or the kind cannot go to stdout.
     UsageError
-        The layout is unknown or not that of the format, or the format has no comments.
+        The layout is unknown or not that of the format, or the format has no comments or no
+        messages.
     """
     kind = kind_of(target, kind)
+    if message is not None and not WRITERS[kind].messages:
+        raise UsageError(f"{kind} holds no messages; leave --message out")
     order = layout_of(kind, layout)
     opener, options = _opener(target, kind, comment=comment)
     if WRITERS[kind].table:
         return AttitudeTable(opener(target, order.columns, **options), order)
-    writer: AttitudeWriter = opener(target, order, **options)
+    told = (message or Message()) if WRITERS[kind].messages else order
+    writer: AttitudeWriter = opener(target, told, **options)
     return writer
 
 
@@ -212,11 +233,11 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     for name, known in WRITERS.items():
         if suffix in known.suffixes:
             return name
-    suffixes = ", ".join(suffix for known in WRITERS.values() for suffix in known.suffixes)
+    suffixes = ", ".join(s for known in WRITERS.values() for s in known.suffixes if s)
     raise OutputError(
         target,
-        f"the suffix does not tell the output format; use one of {suffixes} "
-        f"or say --to {'|'.join(WRITERS)}",
+        f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
+        f"folder, or say --to {'|'.join(WRITERS)}",
     )
 
 

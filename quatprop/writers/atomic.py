@@ -45,6 +45,21 @@ def is_stream(target: Path | str) -> bool:
     return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
 
 
+def refuse_streams(target: Path | str, what: str) -> None:
+    """Refuse pipes and devices for a format whose beginning is written last.
+
+    Raises
+    ------
+    OutputError
+        The target is one.
+    """
+    if is_stdout(target) or is_stream(target):
+        raise OutputError(
+            target,
+            f"a pipe or a device cannot take {what}, whose beginning is written last; name a file",
+        )
+
+
 @contextmanager
 def reported(target: Path | str) -> Iterator[None]:
     """Turn errors of the system into an :class:`OutputError` that names the target.

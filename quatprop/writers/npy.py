@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import OutputError
-from quatprop.writers.atomic import Output, reported, scratch
+from quatprop.writers.atomic import Output, refuse_streams, reported, scratch
 from quatprop.writers.base import Table
 
 if TYPE_CHECKING:
@@ -42,10 +41,8 @@ class NpyTable(Table):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         self._dtype = np.dtype([("t_ns", "<i8"), *((name, "<f8") for name in names)])
         self._count = 0
+        refuse_streams(target, "a NumPy file")
         self._output = Output(target)
-        if not self._output.stream.seekable():
-            self._output.discard()
-            raise OutputError(target, "a pipe cannot take a NumPy file; name a file")
         with reported(target):
             self._write_head()
 

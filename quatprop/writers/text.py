@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
@@ -17,10 +15,10 @@ import pyarrow.csv
 
 from quatprop.writers.atomic import Output, reported, scratch
 from quatprop.writers.base import Table
+from quatprop.writers.in_order import InOrder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
     from typing import Any
 
@@ -30,10 +28,6 @@ if TYPE_CHECKING:
 
 PIECE = 1 << 14
 """Rows that are formatted together: enough to make calls cheap, few enough to share out."""
-
-THREADS = 2
-AHEAD = 6
-"""Pieces in the works before the first of them must be written."""
 
 COMMENT = "# quatprop "
 """What the comment starts with that holds the provenance, as JSON on one line."""
@@ -56,11 +50,9 @@ class TextTable(Table):
     """
 
     def __init__(self, target: Path | str, head: str, form: Form, *, comment: bool = False) -> None:
-        self._form = form
         self._output = Output(target)
         self._body = scratch(target) if comment else self._output.stream
-        self._threads = ThreadPoolExecutor(THREADS)
-        self._works: deque[Future[pa.Buffer]] = deque()
+        self._works = InOrder(form, self._put)
         with reported(target):
             self._body.write(head.encode())
 
@@ -69,15 +61,12 @@ class TextTable(Table):
         for begin in range(0, len(t_ns), PIECE):
             rows = slice(begin, begin + PIECE)
             piece = [t_ns[rows], *(column[rows] for column in columns)]
-            self._works.append(self._threads.submit(self._form, piece))
-            if len(self._works) > AHEAD:
-                self._put()
+            self._works.give(piece)
 
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the file and put it in its place."""
-        while self._works:
-            self._put()
-        self._threads.shutdown()
+        self._works.finish()
+        self._works.stop()
         if self._body is not self._output.stream:
             words = json.dumps(provenance, sort_keys=True)
             with reported(self._output.target), self._body as body:
@@ -88,14 +77,12 @@ class TextTable(Table):
 
     def abort(self) -> None:
         """Remove what was not committed."""
-        self._threads.shutdown(cancel_futures=True)
-        self._works.clear()
+        self._works.stop()
         if self._body is not self._output.stream:
             self._body.close()
         self._output.discard()
 
-    def _put(self) -> None:
-        text = self._works.popleft().result()
+    def _put(self, text: pa.Buffer) -> None:
         with reported(self._output.target):
             self._body.write(text)
 

@@ -1,0 +1,66 @@
+"""Attitudes as MCAP: profile ros2, CDR messages, the definition embedded, provenance beside them.
+
+A message is logged at the time of its attitude.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+from quatprop.writers.atomic import Output, reported
+from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.mcap_file import McapFile
+from quatprop.writers.ros_messages import Encoder, Message
+from quatprop.writers.ros_types import ros2_types
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from typing import Any
+
+    from quatprop.series import AttitudeSeries
+
+METADATA = "quatprop"
+"""Name of the metadata record that holds the provenance, as JSON under the key ``provenance``."""
+
+
+class McapAttitudes(AttitudeWriter):
+    """Write attitudes as messages in an MCAP file.
+
+    Parameters
+    ----------
+    target
+        A path.
+    message
+        What to write them as.
+    """
+
+    def __init__(self, target: Path | str, message: Message) -> None:
+        kind = message.definition
+        self._encoder = Encoder(message)
+        definition, _ = ros2_types().generate_msgdef(kind.name, ros_version=2)
+        self._output = Output(target)
+        with reported(target):
+            self._file = McapFile(self._output.stream, "ros2", "zstd")
+            schema = self._file.add_schema(kind.name, "ros2msg", definition.encode())
+            self._channel = self._file.add_channel(message.topic or kind.topic, "cdr", schema)
+
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch."""
+        messages = self._encoder.encode(series, self._output.target)
+        with reported(self._output.target):
+            self._channel.write(series.t_ns, messages)
+
+    def commit(self, provenance: Mapping[str, Any]) -> None:
+        """Finish the file, with its provenance, and put it in its place."""
+        words = json.dumps(provenance, sort_keys=True, ensure_ascii=False)
+        with reported(self._output.target):
+            self._file.add_metadata(METADATA, {"provenance": words})
+            self._file.finish()
+        self._output.commit()
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._file.abort()
+        self._output.discard()
