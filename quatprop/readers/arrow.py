@@ -72,7 +72,9 @@ class _ArrowLog:
         except OSError as error:
             raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
         try:
-            self._leaves = list(_leaves(self._schema()))
+            schema = self._schema()
+            self._schema_metadata: Mapping[bytes, bytes] = schema.metadata or {}
+            self._leaves = list(_leaves(schema))
         except _DAMAGE as error:
             self._file.close()
             raise DamagedLogError(
@@ -172,7 +174,7 @@ class _ArrowLog:
         raise NotImplementedError
 
     def _metadata(self) -> Mapping[bytes, bytes]:
-        return self._schema().metadata or {}
+        return self._schema_metadata
 
     def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
         declared = self.notes.declared
