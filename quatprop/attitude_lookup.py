@@ -110,7 +110,8 @@ def first_orientation(
         if t_ns is not None:
             return attitude_in(batches, t_ns, log.path)
         for series in batches:
-            return series.wxyz[0]
+            first: Float64 = series.wxyz[0]
+            return first
     except NoSamplesError:
         pass
     raise NoAttitudesError(
