@@ -47,10 +47,10 @@ def test_messages_are_what_the_library_would_encode(encoding):
     )
     if encoding == "cdr":
         (message,) = cdr_messages(measured, truth, 0.5)
-        assert message == bytes(store.serialize_cdr(expected, "sensor_msgs/msg/Imu"))
+        assert message.tobytes() == bytes(store.serialize_cdr(expected, "sensor_msgs/msg/Imu"))
     else:
         (message,) = ros1_messages(measured, truth, 0.5, 41)
-        assert message == bytes(store.serialize_ros1(expected, "sensor_msgs/msg/Imu"))
+        assert message.tobytes() == bytes(store.serialize_ros1(expected, "sensor_msgs/msg/Imu"))
 
 
 def test_accelerations_are_the_reaction_to_gravity():
@@ -59,7 +59,9 @@ def test_accelerations_are_the_reaction_to_gravity():
     wxyz = np.roll(tilt.as_quat(), 1)
     ((measured, truth),) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
     (message,) = cdr_messages(measured, truth, 0.0)
-    imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(message, "sensor_msgs/msg/Imu")
+    imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(
+        message.tobytes(), "sensor_msgs/msg/Imu"
+    )
     felt = imu.linear_acceleration
     np.testing.assert_allclose(
         [felt.x, felt.y, felt.z], tilt.inv().apply([0, 0, GRAVITY]), atol=1e-14

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from quatprop.series import AttitudeSeries, GyroSeries
@@ -62,16 +60,16 @@ _NS_PER_S = 1_000_000_000
 
 def ros1_messages(
     measured: GyroSeries, truth: AttitudeSeries, deviation: float, first: int
-) -> Iterator[bytes]:
-    """Yield messages as ROS 1 encodes them; parameters as for :func:`cdr_messages`."""
+) -> NDArray[np.void]:
+    """Return messages as ROS 1 encodes them, shape ``(N,)``; as :func:`cdr_messages`."""
     rows = np.zeros(len(measured), _ROS1)
     rows["seq"] = np.arange(first, first + len(measured))
     rows["length"] = len(FRAME)
     return _messages(rows, measured, truth, deviation)
 
 
-def cdr_messages(measured: GyroSeries, truth: AttitudeSeries, deviation: float) -> Iterator[bytes]:
-    """Yield messages as ROS 2 encodes them.
+def cdr_messages(measured: GyroSeries, truth: AttitudeSeries, deviation: float) -> NDArray[np.void]:
+    """Return messages as ROS 2 encodes them, shape ``(N,)``.
 
     The orientation is marked absent; the acceleration is that of a sensor that only turns, in a
     reference whose z axis points up: the reaction to gravity.
@@ -93,15 +91,14 @@ def cdr_messages(measured: GyroSeries, truth: AttitudeSeries, deviation: float) 
 
 def _messages(
     rows: NDArray[np.void], measured: GyroSeries, truth: AttitudeSeries, deviation: float
-) -> Iterator[bytes]:
+) -> NDArray[np.void]:
     rows["sec"], rows["nanosec"] = np.divmod(measured.t_ns, _NS_PER_S)
     rows["frame"] = FRAME
     rows["orientation_covariance"][:, 0] = ABSENT
     rows["angular_velocity"] = measured.rate
     rows["angular_velocity_covariance"][:, ::4] = deviation**2
     rows["linear_acceleration"] = _reaction(truth.wxyz)
-    data, size = rows.tobytes(), rows.dtype.itemsize
-    return (data[begin : begin + size] for begin in range(0, len(data), size))
+    return rows
 
 
 def _reaction(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rosbags.typesys import Stores, get_typestore
-
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from rosbags.typesys.store import Typestore
 
     from quatprop.series import GyroSeries
 
@@ -19,16 +16,6 @@ _TRANSPORT_NS = 1_000_000
 _JITTER_NS = 100_000
 _SCRAMBLE = 0x9E3779B1
 """Multiplier that spreads neighbouring integers (Knuth, The Art of Computer Programming, 6.4)."""
-
-
-def ros1_types() -> Typestore:
-    """Return the definitions of ROS 1 Noetic."""
-    return get_typestore(Stores.ROS1_NOETIC)
-
-
-def ros2_types() -> Typestore:
-    """Return the definitions of ROS 2 Humble."""
-    return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def arrival_ns(measured: GyroSeries) -> NDArray[np.int64]:

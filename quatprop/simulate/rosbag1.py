@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rosbags.rosbag1 import Writer
-
 from quatprop.simulate.imu import TOPIC, ros1_messages
 from quatprop.simulate.logs import LogWriter
-from quatprop.simulate.ros import IMU, arrival_ns, ros1_types
-from quatprop.writers.atomic import Replacement, reported
+from quatprop.simulate.ros import IMU, arrival_ns
+from quatprop.writers.atomic import Output, refuse_streams, reported
+from quatprop.writers.ros_types import ros1_types
+from quatprop.writers.rosbag1_file import BagFile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,30 +35,33 @@ class Rosbag1Log(LogWriter):
     def __init__(self, target: Path | str, deviation: float, compression: str) -> None:
         self._deviation = deviation
         self._written = 0
-        self._replacement = Replacement(target)
-        self._bag = Writer(self._replacement.path)
-        if compression != "none":
-            self._bag.set_compression(Writer.CompressionFormat[compression.upper()])
+        definition, md5sum = ros1_types().generate_msgdef(IMU)
+        refuse_streams(target, "a ROS 1 bag")
+        self._output = Output(target)
         with reported(target):
-            self._bag.open()
-            self._connection = self._bag.add_connection(TOPIC, IMU, typestore=ros1_types())
+            self._bag = BagFile(
+                self._output.stream,
+                compression,
+                topic=TOPIC,
+                kind=IMU.replace("/msg/", "/"),
+                definition=definition,
+                md5sum=md5sum,
+            )
 
     def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:
         """Append a batch."""
-        times = arrival_ns(measured).tolist()
         messages = ros1_messages(measured, truth, self._deviation, self._written)
-        with reported(self._replacement.target):
-            for log_ns, data in zip(times, messages, strict=True):
-                self._bag.write(self._connection, log_ns, data)
+        with reported(self._output.target):
+            self._bag.write(arrival_ns(measured), messages)
         self._written += len(measured)
 
     def commit(self, provenance: Mapping[str, Any]) -> None:  # noqa: ARG002  # no room for it
         """Finish the file and put it in its place."""
-        with reported(self._replacement.target):
-            self._bag.close()
-        self._replacement.commit()
+        with reported(self._output.target):
+            self._bag.finish()
+        self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._bag.abort()
-        self._replacement.discard()
+        self._output.discard()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import abstractmethod
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import pyarrow as pa
 
 from quatprop.provenance import METADATA_KEY
 from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import Table
+from quatprop.writers.base import Table, words_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +25,7 @@ GROUP = 1 << 18
 
 def metadata(provenance: Mapping[str, Any]) -> dict[bytes, bytes]:
     """Return the metadata that a file keeps its provenance in."""
-    return {METADATA_KEY: json.dumps(provenance, sort_keys=True, ensure_ascii=False).encode()}
+    return {METADATA_KEY: words_of(provenance).encode()}
 
 
 class ArrowTable(Table):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,17 @@ if TYPE_CHECKING:
 
     from quatprop.layout import Layout
     from quatprop.series import AttitudeSeries
+
+
+def words_of(provenance: Mapping[str, Any]) -> str:
+    """Return a provenance as it is kept in files: JSON on one line, plain ASCII.
+
+    Examples
+    --------
+    >>> words_of({"source": "a.bag", "samples": 1})
+    '{"samples": 1, "source": "a.bag"}'
+    """
+    return json.dumps(provenance, sort_keys=True)
 
 
 class Uncommitted(ABC):

@@ -5,11 +5,10 @@ A message is logged at the time of its attitude.
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.mcap_file import McapFile
 from quatprop.writers.ros_messages import Encoder, Message
 from quatprop.writers.ros_types import ros2_types
@@ -54,9 +53,8 @@ class McapAttitudes(AttitudeWriter):
 
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        words = json.dumps(provenance, sort_keys=True, ensure_ascii=False)
         with reported(self._output.target):
-            self._file.add_metadata(METADATA, {"provenance": words})
+            self._file.add_metadata(METADATA, {"provenance": words_of(provenance)})
             self._file.finish()
         self._output.commit()
 

@@ -5,7 +5,6 @@ A ``.npy`` file has no room for provenance; in ``.npz`` it is the string ``quatp
 
 from __future__ import annotations
 
-import json
 import shutil
 import zipfile
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.writers.atomic import Output, refuse_streams, reported, scratch
-from quatprop.writers.base import Table
+from quatprop.writers.base import Table, words_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,7 +95,7 @@ class NpzTable(Table):
 
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        words = np.array(json.dumps(provenance, sort_keys=True))
+        words = np.array(words_of(provenance))
         with reported(self._output.target), zipfile.ZipFile(self._output.stream, "w") as archive:
             for name, body in self._columns.items():
                 with _member(archive, name) as member:

@@ -114,11 +114,6 @@ class Encoder:
         What to encode.
     ros1
         Whether as ROS 1 does rather than in CDR, little-endian, as ROS 2 does.
-
-    Attributes
-    ----------
-    size
-        Bytes in a message.
     """
 
     def __init__(self, message: Message, *, ros1: bool = False) -> None:
@@ -135,9 +130,8 @@ class Encoder:
         self._blank = np.zeros(1, self._dtype)
         for name, value in constants.items():
             self._blank[name] = value
-        self.size = self._dtype.itemsize
         # As bare bytes: numpy need not copy what lies between fields.
-        self._blank = self._blank.view(f"V{self.size}")
+        self._blank = self._blank.view(f"V{self._dtype.itemsize}")
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
         """Return the messages of a batch, shape ``(N,)``.

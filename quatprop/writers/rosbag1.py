@@ -6,11 +6,10 @@ repeats it. Readers pass over fields they do not know.
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from quatprop.writers.atomic import Output, refuse_streams, reported
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.ros_messages import Encoder, Message
 from quatprop.writers.ros_types import ros1_types
 from quatprop.writers.rosbag1_file import BagFile
@@ -48,7 +47,6 @@ class Rosbag1Attitudes(AttitudeWriter):
                 kind=kind.name.replace("/msg/", "/"),
                 definition=definition,
                 md5sum=md5sum,
-                size=self._encoder.size,
             )
 
     def write(self, series: AttitudeSeries) -> None:
@@ -60,7 +58,7 @@ class Rosbag1Attitudes(AttitudeWriter):
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the bag, with its provenance, and put it in its place."""
         with reported(self._output.target):
-            self._bag.finish(json.dumps(provenance, sort_keys=True))
+            self._bag.finish(words_of(provenance))
         self._output.commit()
 
     def abort(self) -> None:

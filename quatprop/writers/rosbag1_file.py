@@ -70,8 +70,6 @@ class BagFile:
         A key of :data:`COMPRESSIONS`.
     topic, kind, definition, md5sum
         What is published where; the type as ROS 1 names it.
-    size
-        Bytes in a message.
     """
 
     def __init__(  # noqa: PLR0913  # a connection, told in full
@@ -83,7 +81,6 @@ class BagFile:
         kind: str,
         definition: str,
         md5sum: str,
-        size: int,
     ) -> None:
         self._stream = stream
         self._compression = compression
@@ -96,7 +93,7 @@ class BagFile:
         }
         self._works = InOrder(partial(_packed, compression), self._put_chunk)
         self._infos: list[bytes] = []
-        self._rows = _blank_rows(size)
+        self._rows: NDArray[np.void] | None = None
         self._filled = 0
         # The first chunk begins with the connection, as other readers than ours may expect.
         self._ahead = self._connection_record()
@@ -112,8 +109,10 @@ class BagFile:
         log_ns
             When each arrived, shape ``(N,)``, ns, from 1970 to 2106.
         messages
-            Shape ``(N,)``, of the item size that was told.
+            Shape ``(N,)``, always of the same item size.
         """
+        if self._rows is None:
+            self._rows = _blank_rows(messages.itemsize)
         data = messages.view(self._rows.dtype["data"])
         seconds, nanoseconds = np.divmod(log_ns, NS_PER_S)
         done = 0
@@ -128,7 +127,7 @@ class BagFile:
             if self._filled == len(self._rows):
                 self._flush()
 
-    def finish(self, provenance: str) -> None:
+    def finish(self, provenance: str = "") -> None:
         """Write what is still held, the index and where it is; the stream is left open.
 
         Parameters
@@ -153,7 +152,7 @@ class BagFile:
         self._works.stop()
 
     def _flush(self) -> None:
-        if self._filled or self._ahead:
+        if self._filled and self._rows is not None:
             self._works.give(self._ahead, self._rows[: self._filled].copy())
             self._ahead, self._filled = b"", 0
 
@@ -166,19 +165,17 @@ class BagFile:
                 chunk.packed,
             )
         )
-        connections = b""
-        if chunk.count:
-            head = {"ver": _u4(1), "conn": _u4(_CONNECTION), "count": _u4(chunk.count)}
-            self._put(_record(_INDEX, head, chunk.index))
-            connections = _u4(_CONNECTION) + _u4(chunk.count)
+        head = {"ver": _u4(1), "conn": _u4(_CONNECTION), "count": _u4(chunk.count)}
+        self._put(_record(_INDEX, head, chunk.index))
         fields = {
             "ver": _u4(1),
             "chunk_pos": struct.pack("<Q", place),
             "start_time": _time(chunk.first),
             "end_time": _time(chunk.last),
-            "count": _u4(len(connections) // 8),
+            "count": _u4(1),
         }
-        self._infos.append(_record(_CHUNK_INFO, fields, connections))
+        counts = _u4(_CONNECTION) + _u4(chunk.count)
+        self._infos.append(_record(_CHUNK_INFO, fields, counts))
 
     def _connection_record(self) -> bytes:
         head = {"conn": _u4(_CONNECTION), "topic": self._topic.encode()}
@@ -199,8 +196,8 @@ def _packed(compression: str, ahead: bytes, rows: NDArray[np.void]) -> _Chunk:
     return _Chunk(
         packed=COMPRESSIONS[compression](records),
         size=len(records),
-        first=int(times.min()) if len(rows) else 0,
-        last=int(times.max(initial=0)),
+        first=int(times.min()),
+        last=int(times.max()),
         index=index.tobytes(),
         count=len(rows),
     )

@@ -5,12 +5,11 @@ The provenance is among the custom data of metadata.yaml, under the key ``quatpr
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.ros_messages import Encoder, Message
 from quatprop.writers.ros_types import ros2_types
 from quatprop.writers.rosbag2_folder import BagFolder
@@ -56,7 +55,7 @@ class SqliteAttitudes(AttitudeWriter):
 
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the folder, with its provenance, and put it in its place."""
-        self._bag.commit(json.dumps(provenance, sort_keys=True))
+        self._bag.commit(words_of(provenance))
 
     def abort(self) -> None:
         """Remove what was not committed."""

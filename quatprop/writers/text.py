@@ -6,7 +6,6 @@ holding the interpreter, so while one piece is formatted, the next is propagated
 
 from __future__ import annotations
 
-import json
 import shutil
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 
 from quatprop.writers.atomic import Output, reported, scratch
-from quatprop.writers.base import Table
+from quatprop.writers.base import Table, words_of
 from quatprop.writers.in_order import InOrder
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ class TextTable(Table):
         self._works.finish()
         self._works.stop()
         if self._body is not self._output.stream:
-            words = json.dumps(provenance, sort_keys=True)
+            words = words_of(provenance)
             with reported(self._output.target), self._body as body:
                 self._output.stream.write(f"{COMMENT}{words}\n".encode())
                 body.seek(0)
