@@ -8,12 +8,13 @@ are lost and told.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
-from quatprop.messages.decoder import Decoder
+from quatprop.messages.decoding import decoder_of
 from quatprop.messages.rates import time_field_at
 from quatprop.readers.base import Loss
 from quatprop.readers.merge import Columns, in_time
@@ -49,6 +50,11 @@ class Clock(NamedTuple):
     name: str
     stamp: Stamp | None = None
 
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields of the stamp; none for the other clocks."""
+        return self.stamp.fields if self.stamp else ()
+
     def ns(self, fields: Sequence[NDArray[Any]], block: MessageBlock, path: Path | str) -> Int64:
         """Return the time of every message of a block, shape ``(N,)``, int64 ns.
 
@@ -81,7 +87,7 @@ class Reading(Protocol):
 
 def timed_values(
     log: MessageLog, channel: Channel, reading: Reading
-) -> Iterator[tuple[Int64, Float64]]:
+) -> Iterator[tuple[NDArray[Any], ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
     Parameters
@@ -96,12 +102,12 @@ def timed_values(
     Yields
     ------
     tuple
-        Stamps, shape ``(N,)``, int64 ns, and values, shape ``(N, k)``, float64.
+        What the reading gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
+        ``(N, k)``, float64, first.
     """
     batches = (_kept(log, channel, reading, block) for block in log.blocks(channel))
     for columns in in_time([batches]):
-        t_ns, values = columns.values
-        yield t_ns, values
+        yield columns.values
 
 
 def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: Selection) -> Clock:
@@ -143,6 +149,29 @@ def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: 
     return Clock(clock, stamp)
 
 
+class Groups:
+    """Takes several groups of fields out of the messages of a channel.
+
+    Parameters
+    ----------
+    channel
+        Whose messages.
+    groups
+        Dotted paths.
+    path
+        The log, for errors.
+    """
+
+    def __init__(self, channel: Channel, groups: Sequence[Sequence[str]], path: Path | str) -> None:
+        self._sizes = [len(group) for group in groups]
+        self._decoder = decoder_of(channel, [name for group in groups for name in group], path)
+
+    def of(self, block: MessageBlock) -> list[list[NDArray[Any]]]:
+        """Return the columns of each group."""
+        columns = iter(self._decoder.columns(block))
+        return [list(islice(columns, size)) for size in self._sizes]
+
+
 class FieldReading:
     """Reads fields that every message has.
 
@@ -168,20 +197,17 @@ class FieldReading:
     ) -> None:
         self._path = log.path
         self._clock = clock
-        stamp_fields = clock.stamp.fields if clock.stamp else ()
-        absent_fields = (absent,) if absent else ()
-        self._cuts = (len(fields), len(fields) + len(stamp_fields))
-        self._decoder = Decoder(channel, [*fields, *stamp_fields, *absent_fields], log.path)
+        groups = (fields, clock.fields, (absent,) if absent else ())
+        self._groups = Groups(channel, groups, log.path)
 
     def columns(self, block: MessageBlock) -> Columns:
         """Return log times with ``(t_ns, values)``; the order is the block's."""
-        fields = self._decoder.columns(block)
-        first, second = self._cuts
-        values = _rows(fields[:first])
-        for absent in fields[second:]:
+        fields, stamp, marks = self._groups.of(block)
+        values = rows(fields)
+        for absent in marks:
             if (absent == ABSENT).any():
                 values[absent == ABSENT] = np.nan
-        t_ns = self._clock.ns(fields[first:second], block, self._path)
+        t_ns = self._clock.ns(stamp, block, self._path)
         return Columns(block.log_ns, (t_ns, values), block.not_before_ns)
 
 
@@ -196,7 +222,8 @@ def _kept(log: MessageLog, channel: Channel, reading: Reading, block: MessageBlo
         return _kept(log, channel, reading, _without(block, error.positions))
 
 
-def _rows(parts: list[NDArray[Any]]) -> Float64:
+def rows(parts: list[NDArray[Any]]) -> Float64:
+    """Return one row of numbers, or several numbers, as rows of float64 of their own."""
     joined = parts[0] if len(parts) == 1 else np.stack(parts, axis=1)
     return np.array(joined, dtype=np.float64, order="C")
 

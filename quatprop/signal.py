@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.channel_values import FieldReading, clock_of, timed_values
+from quatprop.channel_values import clock_of, timed_values
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -25,6 +25,7 @@ from quatprop.errors import (
     quoted,
 )
 from quatprop.messages.rates import RateField, rate_field_at, rate_fields
+from quatprop.rate_readings import rate_reading
 from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
 
@@ -61,6 +62,10 @@ class Source:
         Reads the samples, rad/s and ns, in batches in the order of the log.
     measured
         Whether this is a gyroscope; false for velocities that were estimated or commanded.
+    method
+        The method that fits what the sensor does, where the definition of its messages says it.
+    increments
+        Whether the sensor has integrated: then no method rules an interval.
     """
 
     name: str
@@ -71,6 +76,22 @@ class Source:
     remarks: tuple[str, ...]
     batches: Callable[[], Iterator[GyroSeries]]
     measured: bool = True
+    method: str | None = None
+    increments: bool = False
+
+    def ruled_by(self, method: str) -> str:
+        """Return what rules the intervals if a method is asked for: the sensor, or the method."""
+        return "increments" if self.increments else method
+
+    def remarks_on(self, method: str) -> list[str]:
+        """Return what is to be said about propagating this source with a method."""
+        if self.method in (None, method) or self.increments:
+            return []
+        said = (
+            "each rate is the average over the interval before its stamp, which --method "
+            f"{self.method} takes it for; --method {method} was used"
+        )
+        return [said]
 
 
 def choose(log: MessageLog | TableLog, selection: Selection) -> Source:
@@ -178,10 +199,20 @@ def _of_channel(
         rate=field.name,
         unit=unit,
         clock=clock.name,
-        remarks=(),
+        remarks=_remarks(field),
         batches=partial(_samples, log, channel, field, UNITS[unit], clock),
         measured=field.measured,
+        method=field.method,
+        increments=field.span is not None,
     )
+
+
+def _remarks(field: RateField) -> tuple[str, ...]:
+    if field.span is not None:
+        return ("increments that the sensor has integrated: taken as they are under every method",)
+    if field.burst is not None:
+        return ("many samples a message: each has its own time, counted back from the stamp",)
+    return ()
 
 
 def _unit(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:
@@ -199,9 +230,9 @@ def _samples(
     log: MessageLog, channel: Channel, field: RateField, scale: float, clock: Clock
 ) -> Iterator[GyroSeries]:
     """Yield the rates of one channel in order of their log times."""
-    reading = FieldReading(log, channel, field.rate, clock, field.absent)
-    for t_ns, rate in timed_values(log, channel, reading):
-        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale)
+    reading = rate_reading(log, channel, field, clock)
+    for t_ns, rate, *span_ns in timed_values(log, channel, reading):
+        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, *span_ns)
 
 
 def _same_topic(log: MessageLog | TableLog, found: list[Source]) -> UsageError:

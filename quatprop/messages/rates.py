@@ -7,10 +7,10 @@ its stamp and what marks it as absent, and beside it where orientation and speci
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SchemaError, quoted
-from quatprop.messages.decoder import ENCODINGS
+from quatprop.messages.decoding import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import at, find, numbers, structs
 from quatprop.messages.stamps import Stamp, stamp_around, stamp_of
@@ -24,6 +24,35 @@ if TYPE_CHECKING:
 
 AXES = 3
 """Numbers in a rate."""
+
+
+class Burst(NamedTuple):
+    """Where a message says how many samples it holds, as dotted paths.
+
+    The three rates are arrays then; the stamp is that of the last sample.
+
+    Parameters
+    ----------
+    samples
+        How many elements of the arrays are samples, the oldest first.
+    spacing
+        The time between them.
+    scale
+        The rate of a one in the arrays.
+    """
+
+    samples: str
+    spacing: Stamp
+    scale: str
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """All paths."""
+        return (self.samples, self.scale, *self.spacing.fields)
+
+    def under(self, prefix: str) -> Burst:
+        """Return the same in a message inside another."""
+        return Burst(prefix + self.samples, self.spacing.under(prefix), prefix + self.scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +80,15 @@ class RateField:
     measured
         Whether this is a gyroscope; false for velocities estimated or commanded, which are not
         to be preferred to one.
+    method
+        The key of :data:`quatprop.increments.METHODS` that fits what the sensor does, where the
+        definition says what that is: ``"end"`` for an average over the interval that ends at the
+        stamp.
+    span
+        The time over which the sensor has integrated, where the field is an increment, in rad
+        instead of rad/s, over the interval that ends at the stamp.
+    burst
+        For messages with many samples each.
     """
 
     rate: tuple[str, ...]
@@ -62,6 +100,9 @@ class RateField:
     acceleration: str | None = None
     acceleration_absent: str | None = None
     measured: bool = True
+    method: str | None = None
+    span: Stamp | None = None
+    burst: Burst | None = None
 
     @property
     def name(self) -> str:
@@ -70,6 +111,7 @@ class RateField:
 
 
 _HEADER = Stamp.of_time("header.stamp")
+_SAMPLED = Stamp(("timestamp_sample",), "us")
 
 RATES: Mapping[str, RateField] = {
     "sensor_msgs/msg/Imu": RateField(
@@ -82,11 +124,26 @@ RATES: Mapping[str, RateField] = {
         acceleration="linear_acceleration",
         acceleration_absent="linear_acceleration_covariance[0]",
     ),
-    "px4_msgs/msg/VehicleAngularVelocity": RateField(
-        ("xyz",), "rad/s", Stamp(("timestamp_sample",), "us")
+    "px4_msgs/msg/SensorCombined": RateField(
+        ("gyro_rad",),
+        "rad/s",
+        Stamp(("timestamp",), "us"),
+        acceleration="accelerometer_m_s2",
+        method="end",
     ),
-    "px4_msgs/msg/SensorGyro": RateField(
-        ("x", "y", "z"), "rad/s", Stamp(("timestamp_sample",), "us")
+    "px4_msgs/msg/SensorGyro": RateField(("x", "y", "z"), "rad/s", _SAMPLED),
+    "px4_msgs/msg/SensorGyroFifo": RateField(
+        ("x", "y", "z"),
+        "rad/s",
+        _SAMPLED,
+        burst=Burst("samples", Stamp(("dt",), "us"), "scale"),
+    ),
+    "px4_msgs/msg/VehicleAngularVelocity": RateField(("xyz",), "rad/s", _SAMPLED),
+    "px4_msgs/msg/VehicleImu": RateField(
+        ("delta_angle",), "rad/s", _SAMPLED, span=Stamp(("delta_angle_dt",), "us")
+    ),
+    "px4_msgs/msg/VehicleOdometry": RateField(
+        ("angular_velocity",), "rad/s", _SAMPLED, measured=False
     ),
     "geometry_msgs/msg/TwistStamped": RateField(
         ("twist.angular",), "rad/s", _HEADER, measured=False
@@ -125,7 +182,7 @@ def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
     SchemaError
         The definition of a known type cannot be read.
     """
-    if channel.encoding not in ENCODINGS or not _may_carry(channel):
+    if channel.encoding not in DECODERS or not _may_carry(channel):
         return []
     try:
         root = message_type(channel, path)
@@ -159,7 +216,7 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
     SchemaError
         The field is there but is not three numbers.
     """
-    if channel.encoding not in ENCODINGS:
+    if channel.encoding not in DECODERS:
         return None
     names = tuple(name.strip() for name in rate_field.split(","))
     try:
@@ -234,9 +291,21 @@ def _found(root: Struct) -> Iterator[RateField]:
         row = RATES.get(kind.name)
         if row is None or any(prefix.startswith(outer) for outer in passed):
             continue
-        if sum(_count(find(kind, name)) for name in row.rate) == AXES:
+        if _fits(row, kind):
             passed.append(prefix)
             yield _placed(row, root, prefix)
+
+
+def _fits(row: RateField, kind: Struct) -> bool:
+    """Tell whether this version of a type has the fields of its row."""
+    counts = [_count(find(kind, name)) for name in row.rate]
+    if row.burst is None:
+        needed = row.span.fields if row.span else ()
+        whole = sum(counts) == AXES
+    else:
+        needed = row.burst.fields
+        whole = len(set(counts)) == 1 and counts[0] > 0
+    return whole and all(_count(find(kind, name)) == 1 for name in needed)
 
 
 def _placed(row: RateField, root: Struct, prefix: str) -> RateField:
@@ -258,6 +327,8 @@ def _placed(row: RateField, root: Struct, prefix: str) -> RateField:
         orientation_absent=there(row.orientation_absent),
         acceleration=there(row.acceleration),
         acceleration_absent=there(row.acceleration_absent),
+        span=row.span and row.span.under(prefix),
+        burst=row.burst and row.burst.under(prefix),
     )
 
 

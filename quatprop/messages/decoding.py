@@ -1,0 +1,71 @@
+"""Which decoder takes fields out of messages: one an encoding."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from quatprop.errors import UnsupportedLogError, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import Channel, MessageBlock
+
+DECODERS: Final[dict[str, str]] = {
+    "cdr": "quatprop.messages.decoder:Decoder",
+    "ros1": "quatprop.messages.decoder:Decoder",
+}
+"""``"module:Class"`` by the encoding of messages, imported when a channel is decoded."""
+
+
+class FieldDecoder(Protocol):
+    """Takes the same fields out of every message of a channel."""
+
+    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+        """Return the wanted fields of all messages of a block.
+
+        Returns
+        -------
+        list of ndarray
+            One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`.
+
+        Raises
+        ------
+        MessageError
+            Messages do not fit; its `positions` say which of the block.
+        """
+
+
+def decoder_of(channel: Channel, field_paths: Sequence[str], path: Path | str) -> FieldDecoder:
+    """Return a decoder of some fields.
+
+    Parameters
+    ----------
+    channel
+        Whose messages, with their definition.
+    field_paths
+        Dotted paths of the wanted fields; a struct or array of equal numbers is one column of
+        rows.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    UnsupportedLogError
+        The encoding is not read, or needs a package that is not installed.
+    SchemaError
+        The definition cannot be read, has no such fields, or they are not numbers.
+    """
+    if channel.encoding not in DECODERS:
+        raise UnsupportedLogError(
+            path,
+            f"topic {quoted(channel.topic)} is encoded as {quoted(channel.encoding)}; "
+            f"this version reads {listed(DECODERS)}",
+        )
+    module, _, name = DECODERS[channel.encoding].partition(":")
+    decoder: FieldDecoder = getattr(import_module(module), name)(channel, field_paths, path)
+    return decoder

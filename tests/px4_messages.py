@@ -1,0 +1,74 @@
+"""Definitions of PX4 messages, as far as they matter here, and logs of them."""
+
+import numpy as np
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+DEFINITIONS = {
+    "SensorCombined": (
+        "uint64 timestamp\nint32 RELATIVE_TIMESTAMP_INVALID = 2147483647\nfloat32[3] gyro_rad\n"
+        "uint32 gyro_integral_dt\nint32 accelerometer_timestamp_relative\n"
+        "float32[3] accelerometer_m_s2\nuint32 accelerometer_integral_dt\n"
+        "uint8 accelerometer_clipping\nuint8 gyro_clipping\n"
+    ),
+    "SensorGyro": (
+        "uint64 timestamp\nuint64 timestamp_sample\nuint32 device_id\nfloat32 x\nfloat32 y\n"
+        "float32 z\nfloat32 temperature\nuint32 error_count\nuint8[3] clip_counter\nuint8 samples\n"
+    ),
+    "SensorGyroFifo": (
+        "uint64 timestamp\nuint64 timestamp_sample\nuint32 device_id\nfloat32 dt\nfloat32 scale\n"
+        "uint8 samples\nint16[32] x\nint16[32] y\nint16[32] z\n"
+    ),
+    "VehicleAngularVelocity": (
+        "uint64 timestamp\nuint64 timestamp_sample\nfloat32[3] xyz\nfloat32[3] xyz_derivative\n"
+    ),
+    "VehicleImu": (
+        "uint64 timestamp\nuint64 timestamp_sample\nuint32 accel_device_id\nuint32 gyro_device_id\n"
+        "float32[3] delta_angle\nfloat32[3] delta_velocity\nuint32 delta_angle_dt\n"
+        "uint32 delta_velocity_dt\nuint8 delta_angle_clipping\nuint8 delta_velocity_clipping\n"
+        "uint8 accel_calibration_count\nuint8 gyro_calibration_count\n"
+    ),
+    "VehicleOdometry": (
+        "uint64 timestamp\nuint64 timestamp_sample\nuint8 pose_frame\nfloat32[3] position\n"
+        "float32[4] q\nuint8 velocity_frame\nfloat32[3] velocity\nfloat32[3] angular_velocity\n"
+        "float32[3] position_variance\nfloat32[3] orientation_variance\n"
+        "float32[3] velocity_variance\nuint8 reset_counter\nint8 quality\n"
+    ),
+}
+
+
+def zeros(kind):
+    """Return a message with every field zero, as a dictionary."""
+    message = {}
+    for line in DEFINITIONS[kind].splitlines():
+        if "=" in line:
+            continue
+        type_name, name = line.split()
+        number, _, length = type_name.rstrip("]").partition("[")
+        message[name] = np.zeros(int(length), number) if length else np.zeros((), number)[()]
+    return message
+
+
+def write_mcap(path, kind, messages, definition=True):
+    """Write messages, dictionaries of the fields that are not zero, as a ROS 2 MCAP file."""
+    store = get_typestore(Stores.LATEST)
+    name = f"px4_msgs/msg/{kind}"
+    store.register(get_types_from_msg(DEFINITIONS[kind], name))
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        text = DEFINITIONS[kind].encode() if definition else b""
+        schema = writer.register_schema(name, "ros2msg", text)
+        channel = writer.register_channel(f"/fmu/out/{kind}", "cdr", schema)
+        for message in messages:
+            filled = zeros(kind)
+            for field, value in message.items():
+                if isinstance(filled[field], np.ndarray):
+                    filled[field][: len(value)] = value
+                else:
+                    filled[field] = type(filled[field])(value)
+            data = bytes(store.serialize_cdr(store.types[name](**filled), name))
+            log_ns = int(filled["timestamp"]) * 1000 + 77
+            writer.add_message(channel, log_time=log_ns, publish_time=log_ns, data=data)
+        writer.finish()
+    return path
