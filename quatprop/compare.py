@@ -213,9 +213,7 @@ def compare(a: AttitudeSeries, b: AttitudeSeries, settings: Settings | None = No
     remarks += _signs(pairs, aligned, error)
     cause = None
     if settings.tolerance is None or exceeded:
-        cause = likely_cause(
-            pairs, settings.align, error, lambda ns: associated(a, shifted(b, ns)), (a, b)
-        )
+        cause = likely_cause(a, b, associated, settings.align, error)
     window_ns = settings.window_ns
     return Comparison(
         pairs=pairs,

@@ -27,6 +27,9 @@ ALIGNMENTS = ("none", "first", "mean", "mount")
 MIN_MOTIONS = 10
 """Fewer relative rotations do not make a mounting believable."""
 
+MAX_MOTIONS = 20_000
+"""About so many are taken from a long recording."""
+
 MIN_TURN = np.radians(0.1)
 """RMS relative rotation, rad, below which there is no motion that could show a mounting."""
 
@@ -51,8 +54,6 @@ class Mounting:
     ----------
     motions
         How many relative rotations.
-    stride
-        Over how many samples each.
     turn_rad
         Their RMS angle, rad.
     singular_values
@@ -63,7 +64,6 @@ class Mounting:
     """
 
     motions: int
-    stride: int
     turn_rad: float
     singular_values: list[float]
     std_rad: float
@@ -182,7 +182,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
     """
     found: tuple[Float64, Mounting] | None = None
     for stride in _strides(len(a)):
-        mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), stride)
+        mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
         if found is None or mounting.std_rad < found[1].std_rad:
             found = mount, mounting
     if found is None:
@@ -202,24 +202,25 @@ def _strides(samples: int) -> list[int]:
     return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
 
 
-def _fitted(in_a: Float64, in_b: Float64, stride: int) -> tuple[Float64, Mounting]:
-    """Return the mounting from rotations that overlap over `stride` samples."""
+def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, Mounting]:
+    """Return the mounting from relative rotations, of which so many do not overlap."""
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:
-        return IDENTITY, Mounting(len(x), stride, 0.0, [0.0, 0.0, 0.0], np.inf)
+        return IDENTITY, Mounting(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
     mount, excited = _kabsch(x, y)
-    # Overlapping rotations repeat each other: only every stride-th is new.
-    information = (excited[1] + excited[2]) * max(len(x) / stride, 1.0)
+    # Overlapping rotations repeat each other.
+    information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
     singular_values = np.sqrt(excited).tolist()
-    return mount, Mounting(len(x), stride, _rms_angle(in_a[usable]), singular_values, float(std))
+    return mount, Mounting(len(x), _rms_angle(in_a[usable]), singular_values, float(std))
 
 
 def _relative(q: Float64, stride: int) -> Float64:
-    """Return q[i]* q[i + stride] with w >= 0."""
-    step = multiply(conjugate(q[:-stride]), q[stride:])
+    """Return q[i]* q[i + stride] with w >= 0, for as many i as there is something to learn from."""
+    start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
+    step = multiply(conjugate(q[start]), q[start + stride])
     return np.asarray(step * np.where(step[:, :1] < 0, -1.0, 1.0))
 
 

@@ -29,6 +29,9 @@ MIN_POINTS = 16
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
 
+MAX_FITTED = 100_000
+"""Points of the fit: more do not make it better than the clocks are steady."""
+
 MIN_CORRELATION = 0.5
 """Below this the two speeds are not the same motion."""
 
@@ -210,7 +213,7 @@ def _around(
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Return the speed of A, and those of B a step ahead of the same times, at them, behind."""
     start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset + step)
-    stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset - step)
+    stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset - step, start + MAX_FITTED * step)
     speed_a = _turned(a, start, stop, step)
     speed_b = _turned(b, start - offset - step, stop - offset + step, step)
     points = min(len(speed_a), len(speed_b) - 2)
