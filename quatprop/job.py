@@ -7,43 +7,31 @@ batches of logs both come through here.
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field, replace
-from itertools import chain, tee
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop import __version__
+import numpy as np
+
 from quatprop.conditioning import Conditioning, condition
 from quatprop.errors import NoSamplesError, OutputError, UsageError
-from quatprop.propagate import propagate, unit_q0
-from quatprop.quaternion import geodesic_angle
+from quatprop.propagate import unit_q0
 from quatprop.readers import open_log
-from quatprop.resample import Steady, at_times, every
+from quatprop.report import Done, report_on
+from quatprop.resample import Steady, every
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
-from quatprop.signal import UNITS, Source, choose
-from quatprop.timeline import Policy, Timeline, remarks
+from quatprop.signal import UNITS, choose
+from quatprop.start import Recording, Start, starting
+from quatprop.stretches import Stretches
+from quatprop.timeline import Policy, Timeline
 from quatprop.writers import kind_of, layout_of, open_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable
     from fractions import Fraction
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from quatprop.readers.base import Log
-    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.writers.ros_messages import Message
-
-CONVENTION = {
-    "product": "Hamilton, ij = k",
-    "attitude": "body to reference: v_ref = q v_body q*",
-    "body": "rates resolved in the body frame; q[k+1] = q[k] * dq[k]",
-    "inertial": "rates resolved in the reference frame; q[k+1] = dq[k] * q[k]",
-    "step": "dq = cos(|w| dt / 2) + w/|w| sin(|w| dt / 2)",
-}
-"""What the numbers mean, in the words that every output carries."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +62,7 @@ class Job:
     rates
         ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
     q0
-        Attitude body -> reference at the first sample, wxyz.
+        Attitude body -> reference at the first sample, or where to take it from.
     conditioning
         Bias, mounting and the part of the log to use.
     every
@@ -94,7 +82,7 @@ class Job:
     comment: bool = False
     method: str = "start"
     rates: str = "body"
-    q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    q0: Start = field(default_factory=Start)
     conditioning: Conditioning = field(default_factory=Conditioning)
     every: int | None = None
     rate: Fraction | None = None
@@ -123,144 +111,65 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         The result cannot be written.
     """
     began = time.perf_counter()
-    unit_q0(job.q0)
-    _refuse_own_input(job)
+    _refuse_contradictions(job)
     job = replace(job, layout=layout_of(kind_of(job.output, job.to), job.layout).name)
-    if job.every is not None and job.rate is not None:
-        raise UsageError("--every counts samples and --rate counts seconds; choose one")
-    if job.log == "-" and job.conditioning.looks_ahead:
-        raise UsageError(
-            "stdin can be read only once: --bias static and relative --start and --end need a file"
-        )
     with open_log(job.log, job.kind) as log:
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
-        timeline = Timeline(job.policy, job.log)
-        run, watch = _Run(job, timeline), Watch()
+        mount = conditioned["mount"] and np.array(conditioned["mount"])
+        recording = Recording(log, source, job.selection, mount)
+        q0, batches = starting(job.q0, recording, batches)
+        timeline, watch = Timeline(job.policy, job.log), Watch()
+        stretches = Stretches(
+            timeline,
+            q0,
+            method=job.method,
+            rates=job.rates,
+            times=None if job.rate is None else Steady(job.rate),
+        )
         with open_writer(
             job.output, job.to, layout=job.layout, message=job.message, comment=job.comment
         ) as writer:
             rows = 0
-            for series in run.attitudes(watch.passing(batches)):
+            attitudes = stretches.attitudes(watch.passing(batches))
+            for series in every(attitudes, job.every or 1):
                 writer.write(series)
                 rows += len(series)
                 tick(timeline.counts.used)
             if not timeline.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            report = _report(job, log, source, timeline, run.final)
-            report["result"]["rows"] = rows
-            report["result"]["method_difference_rad"] = run.method_difference
-            report["remarks"] += watch.remarks(timeline.counts.median_dt_ns)
+            findings = watch.remarks(timeline.counts.median_dt_ns)
             if job.log != "-":
-                report["remarks"] += orientation_remarks(log, source)
-            report["conditioning"] = conditioned
+                findings += orientation_remarks(log, source)
+            done = Done(
+                log=log,
+                source=source,
+                timeline=timeline,
+                conditioned=conditioned,
+                q0=q0,
+                final=stretches.final,
+                method_difference=stretches.method_difference,
+                rows=rows,
+                remarks=findings,
+            )
+            report = report_on(job, done)
             writer.commit(report)
     report["timings"] = {"seconds": time.perf_counter() - began}
     return report
 
 
-class _Run:
-    """The attitudes of one job as they are to be written, and the last one reached."""
-
-    def __init__(self, job: Job, timeline: Timeline) -> None:
-        self._job = job
-        self._timeline = timeline
-        self._times = None if job.rate is None else Steady(job.rate)
-        self._other = "start" if job.method == "coning" else "coning"
-        self.final = self._other_final = unit_q0(job.q0)
-
-    def attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
-        """Yield every attitude, or those that are wanted."""
-        series = chain.from_iterable(map(self._wanted, self._timeline.stretches(batches)))
-        return series if self._job.every is None else every(series, self._job.every)
-
-    def _wanted(self, stretch: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
-        if self._times is None:
-            return self._propagated(stretch)
-        job = self._job
-        return at_times(stretch, self._propagated, self._times, method=job.method, rates=job.rates)
-
-    def _propagated(self, stretch: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
-        """Propagate one stretch; after a gap from q0, or from the attitude before it."""
-        job = self._job
-        if job.policy.on_gap == "split":
-            self.final = self._other_final = unit_q0(job.q0)
-        for_this, for_other = tee(stretch)
-        this = propagate(for_this, q0=self.final, method=job.method, rates=job.rates)
-        other = propagate(for_other, q0=self._other_final, method=self._other, rates=job.rates)
-        for series, other_series in zip(this, other, strict=True):
-            self.final, self._other_final = series.wxyz[-1], other_series.wxyz[-1]
-            yield series
-
-    @property
-    def method_difference(self) -> float:
-        """Angle between the ends of the coning method and of the one used, rad.
-
-        It tells what the samples leave open: how the body turned between them. For coning it is
-        held against start.
-        """
-        return float(geodesic_angle(self.final, self._other_final))
-
-
-def _refuse_own_input(job: Job) -> None:
-    """Refuse to replace the log by its own result."""
-    if job.output == "-" or job.log == "-":
+def _refuse_contradictions(job: Job) -> None:
+    if job.every is not None and job.rate is not None:
+        raise UsageError("--every counts samples and --rate counts seconds; choose one")
+    if not job.q0.words:
+        unit_q0(job.q0.wxyz)
+    if job.log == "-":
+        if job.conditioning.looks_ahead or job.q0.words in {"level", "log"}:
+            raise UsageError(
+                "stdin can be read only once; --bias static, --q0 level|log and relative --start "
+                "and --end need a file"
+            )
         return
     log, output = Path(job.log), Path(job.output)
-    if log.exists() and output.exists() and log.samefile(output):
+    if job.output != "-" and log.exists() and output.exists() and log.samefile(output):
         raise OutputError(job.output, "this is the log itself; choose another output")
-
-
-def _report(
-    job: Job, log: Log, source: Source, timeline: Timeline, final: NDArray[np.float64]
-) -> dict[str, Any]:
-    counts = timeline.counts
-    span_s = counts.span_ns * 1e-9
-    return {
-        "quatprop": __version__,
-        "source": {
-            "path": job.log,
-            "kind": log.kind,
-            "bytes": _size(job.log),
-            "name": source.name,
-            "type": source.type_name,
-            "rate": source.rate,
-            "rate_unit": source.unit,
-            "clock": source.clock,
-        },
-        "convention": {
-            "quaternion": "w + x i + y j + z k",
-            "product": CONVENTION["product"],
-            "attitude": CONVENTION["attitude"],
-            "step": CONVENTION["step"],
-            "rates": job.rates,
-            "side": CONVENTION[job.rates],
-            "method": job.method,
-            "layout": job.layout,
-            "time": "int64 nanoseconds",
-            "q0_wxyz": unit_q0(job.q0).tolist(),
-        },
-        "policy": asdict(job.policy),
-        "counts": asdict(counts),
-        "losses": [asdict(loss) for loss in log.losses],
-        "data_lost": bool(log.losses or counts.dropped),
-        "remarks": [*source.remarks, *remarks(counts, job.policy)],
-        "result": {
-            "samples": counts.used,
-            "first_ns": counts.first_ns,
-            "last_ns": counts.last_ns,
-            "span_s": span_s,
-            "sample_rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
-            "final_wxyz": final.tolist(),
-            "net_rotation_rad": float(geodesic_angle(job.q0, final)),
-            "turned_rad": counts.turned,
-        },
-    }
-
-
-def _size(log: str) -> int | None:
-    """Return the bytes of a log; of all its files where it is a folder."""
-    path = Path(log)
-    if path.is_dir():
-        return sum(part.stat().st_size for part in path.iterdir() if part.is_file())
-    return path.stat().st_size if path.is_file() else None

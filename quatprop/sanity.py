@@ -41,6 +41,9 @@ SMALLEST_RANGE = math.radians(125.0)
 SATURATED_RUN = 3
 """So many neighbouring samples at the very same extreme are no coincidence."""
 
+FROZEN_SAMPLES = 100
+"""So many equal rates come from no sensor that works: it would have noise."""
+
 STEP_LIMIT = math.radians(30.0)
 """rad: a body that turns further between two samples is sampled too slowly for any method."""
 
@@ -67,6 +70,7 @@ class Watch:
         self._highest = np.full(3, -np.inf)
         self._lowest = np.full(3, np.inf)
         self._runs = np.zeros((2, 3), dtype=np.int64)
+        self._samples = 0
         self._before: Float64 = np.empty((0, 3))
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
@@ -76,6 +80,7 @@ class Watch:
             yield batch
 
     def _look(self, rate: Float64) -> None:
+        self._samples += len(rate)
         # Runs may go on from the batch before.
         rows = np.concatenate([self._before, rate])
         self._before = rows[1 - SATURATED_RUN :]
@@ -113,7 +118,9 @@ class Watch:
                 "between two samples: sampled too slowly for this motion"
             )
         if (self._highest == self._lowest).all():
-            said.append(f"every rate is the same, {self._highest.tolist()} rad/s: is it frozen?")
+            if self._samples >= FROZEN_SAMPLES:
+                rate = self._highest.tolist()
+                said.append(f"every rate is the same, {rate} rad/s: frozen, or simulated?")
             return said
         said += list(self._saturation())
         return said

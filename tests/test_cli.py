@@ -301,7 +301,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--q0", "1,0,0"], "Invalid value for '--q0': '1,0,0' is not 4 numbers W,X,Y,Z"),
+        (["--q0", "1,0,0"], "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z|level|log|FILE, 4 numbers"),
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
         (["--bias", "statically"], "'statically' is neither X,Y,Z nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),

@@ -39,8 +39,8 @@ def test_nothing_is_said_of_good_rates():
 
 def test_rates_beyond_any_gyroscope():
     """131 to 133 rad/s, always the same, is no rotation rate that is measured."""
-    said, frozen = watched(np.tile([131.0, 132.0, 133.0], (20, 1)))
-    assert frozen == "every rate is the same, [131.0, 132.0, 133.0] rad/s: is it frozen?"
+    said, frozen = watched(np.tile([131.0, 132.0, 133.0], (200, 1)))
+    assert frozen == "every rate is the same, [131.0, 132.0, 133.0] rad/s: frozen, or simulated?"
     assert said == (
         "rates up to 133 rad/s are beyond any gyroscope; if they are in deg/s, "
         "say --rate-unit deg/s"

@@ -18,7 +18,7 @@ else:
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
 
-KINDS = ("mcap", "bag", "db3", "rosbag2", "parquet", "feather", "csv")
+KINDS = ("mcap", "bag", "db3", "rosbag2", "ulog", "parquet", "feather", "csv")
 """The keys of :data:`quatprop.readers.READERS`; spelled out so that help imports no reader."""
 
 
@@ -53,8 +53,24 @@ class Numbers(ParamType):
         except ValueError:
             numbers = ()
         if len(numbers) != self.count:
-            self.fail(f"{value!r} is not {self.count} numbers {self.name}", param, ctx)
+            self.fail(f"{value!r} is not {self.name}, {self.count} numbers", param, ctx)
         return numbers
+
+
+class InitialAttitude(Numbers):
+    """Four numbers, a word, or the path of an attitude series; words and paths arrive as text."""
+
+    def __init__(self) -> None:
+        super().__init__("W,X,Y,Z")
+        self.name = "W,X,Y,Z|level|log|FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return four numbers, ``"level"``, ``"log"`` or the path of a file that is there."""
+        from pathlib import Path
+
+        if isinstance(value, str) and (value in {"level", "log"} or Path(value).exists()):
+            return value
+        return super().convert(value, param, ctx)
 
 
 class Names(ParamType):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,7 +11,7 @@ from quatprop.cli.options import (
     Bias,
     Duration,
     Frequency,
-    Numbers,
+    InitialAttitude,
     Time,
     selection,
     selection_options,
@@ -101,8 +102,25 @@ MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
 )
 @click.option(
     "--q0",
-    type=Numbers("W,X,Y,Z"),
-    help="Attitude body to reference at the first sample.  [default: identity]",
+    type=InitialAttitude(),
+    help="Attitude body to reference at the first sample: four numbers; level, roll and pitch from "
+    "gravity at rest; log, the log's own orientation; or FILE, an attitude series, at that time.  "
+    "[default: identity]",
+)
+@click.option(
+    "--heading",
+    type=float,
+    default=0.0,
+    show_default=True,
+    metavar="DEG",
+    help="For --q0 level: rotation about the reference's z axis.",
+)
+@click.option(
+    "--reference-z",
+    type=click.Choice(("up", "down")),
+    default="up",
+    show_default=True,
+    help="For --q0 level: where the reference's z axis points (down for north-east-down).",
 )
 @click.option(
     "--q0-layout",
@@ -191,12 +209,20 @@ def command(**chosen: Any) -> None:
     from quatprop.conditioning import Conditioning
     from quatprop.job import Job, run
     from quatprop.layout import layout_named
+    from quatprop.start import Start
     from quatprop.timeline import Policy
 
     quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
     report_path = chosen.pop("report")
-    q0_order = layout_named(chosen.pop("q0_layout")).order
-    q0 = chosen.pop("q0")
+    start = {
+        "heading": math.radians(chosen.pop("heading")),
+        "down": chosen.pop("reference_z") == "down",
+    }
+    q0, q0_order = chosen.pop("q0"), layout_named(chosen.pop("q0_layout")).order
+    if isinstance(q0, str):
+        start["words"] = q0
+    elif q0 is not None:
+        start["wxyz"] = tuple(q0[q0_order.index(part)] for part in range(4))
     bias = chosen.pop("bias")
     layout = chosen.pop("layout")
     job = Job(
@@ -208,7 +234,7 @@ def command(**chosen: Any) -> None:
             on_gap=chosen.pop("on_gap"),
             max_gap_ns=chosen.pop("max_gap"),
         ),
-        q0=tuple(q0[q0_order.index(part)] for part in range(4)) if q0 else (1.0, 0.0, 0.0, 0.0),
+        q0=Start(**start),
         layout=layout and layout_named(layout).name,
         message=_message(chosen.pop("message"), chosen.pop("out_topic"), chosen.pop("frames")),
         conditioning=Conditioning(
