@@ -8,8 +8,6 @@ Pipes and devices are written to as they are; there is nothing to replace.
 from __future__ import annotations
 
 import os
-import secrets
-import shutil
 import stat
 import sys
 import tempfile
@@ -18,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError
+from quatprop.writers.aside import Aside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,7 +96,7 @@ class Output:
 
     def __init__(self, target: Path | str) -> None:
         self.target = target
-        self._aside: Path | None = None
+        self._aside: Aside[BinaryIO] | None = None
         if is_stdout(target):
             sys.stdout.flush()
             self.stream: BinaryIO = sys.stdout.buffer
@@ -107,10 +106,9 @@ class Output:
                 self.stream = Path(target).open("ab")  # noqa: SIM115  # closed by commit or discard
         else:
             self._place = checked_place(target)
-            aside = _beside(self._place)
             with reported(target):
-                self.stream = aside.open("xb")
-            self._aside = aside
+                self._aside = Aside(self._place, lambda path: path.open("xb"))
+            self.stream = self._aside.made
 
     def commit(self) -> None:
         """Close the stream and put the file in its place."""
@@ -119,9 +117,8 @@ class Output:
                 self._close()
                 if self._aside is not None:
                     if self._place.exists():
-                        self._aside.chmod(stat.S_IMODE(self._place.stat().st_mode))
-                    self._aside.replace(self._place)
-                    self._aside = None
+                        self._aside.path.chmod(stat.S_IMODE(self._place.stat().st_mode))
+                    self._aside.path.replace(self._place)
         finally:
             self.discard()
 
@@ -130,7 +127,7 @@ class Output:
         with suppress(OSError):
             self._close()
         if self._aside is not None:
-            self._aside.unlink(missing_ok=True)
+            self._aside.remove()
             self._aside = None
 
     def _close(self) -> None:
@@ -200,10 +197,9 @@ class Replacement:
         if folder and os.path.lexists(target):
             raise OutputError(target, "exists already; remove it or choose another name")
         self._place = checked_place(target)
-        self._folder = _beside(self._place)
         with reported(target):
-            self._folder.mkdir()
-        self.path = self._folder / self._place.name
+            self._aside = Aside(self._place, lambda path: path.mkdir())
+        self.path = self._aside.path / self._place.name
 
     def commit(self) -> None:
         """Put the finished file or folder in its place."""
@@ -215,7 +211,7 @@ class Replacement:
 
     def discard(self) -> None:
         """Remove what was not committed; harmless when there is nothing."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._aside.remove()
 
     def __enter__(self) -> Self:
         return self
@@ -249,8 +245,3 @@ def checked_place(target: Path | str) -> Path:
             target, f"writing in the folder {place.parent} is not permitted; choose another"
         )
     return place
-
-
-def _beside(place: Path) -> Path:
-    """Return a fresh name in the same folder, so on the same disk; short, whatever the target's."""
-    return place.with_name(f".quatprop-{secrets.token_hex(4)}.part")
