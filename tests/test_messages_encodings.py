@@ -8,6 +8,7 @@ from messages_reference import Encoder, block_of, channel_of
 
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.decoder import Decoder
+from quatprop.messages.decoding import decoder_of
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text
 from quatprop.readers.base import Channel
 
@@ -142,11 +143,11 @@ def test_bytes_other_than_one_are_true():
     assert x.tolist() == [[False, True, True]]
 
 
-@pytest.mark.parametrize("encoding", ["json", "protobuf", ""])
+@pytest.mark.parametrize("encoding", ["flatbuffer", "msgpack", ""])
 def test_other_encodings_are_refused_with_the_topic(encoding):
     """The error says what is read instead."""
     with pytest.raises(
         UnsupportedLogError,
-        match=f"^log: topic '/t' is encoded as '{encoding}'; this version reads cdr and ros1$",
+        match=f"^log: topic '/t' is encoded as '{encoding}'; this version reads 'cdr', 'ros1', ",
     ):
-        Decoder(Channel("/t", "pkg/msg/T", encoding), ["x"], "log")
+        decoder_of(Channel("/t", "pkg/msg/T", encoding), ["x"], "log")

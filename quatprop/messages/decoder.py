@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from quatprop.messages.plan import Plan
     from quatprop.readers.base import Channel, MessageBlock
 
-ENCODINGS = ("cdr", "ros1")
-"""Encodings that become columns."""
+PACKED = ("ros1", "ulog")
+"""Encodings without alignment."""
 
 ENCAPSULATIONS: Mapping[int, tuple[Layout, str]] = {
     0x0000: (XCDR1, ">"),
@@ -68,19 +68,11 @@ class Decoder:
 
     Raises
     ------
-    UnsupportedLogError
-        The encoding does not become columns.
     SchemaError
         The definition cannot be read, has no such fields, or they are not numbers.
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
-        if channel.encoding not in ENCODINGS:
-            raise UnsupportedLogError(
-                path,
-                f"topic {quoted(channel.topic)} is encoded as {quoted(channel.encoding)}; "
-                f"this version reads {' and '.join(ENCODINGS)}",
-            )
         self.channel = channel
         self.path = path
         self._root = message_type(channel, path)
@@ -101,7 +93,7 @@ class Decoder:
             self._empty.append(np.empty(shape, number.code))
         self._plans: dict[Layout, Plan] = {}
         # A definition that cannot be planned is an error before the first message is read.
-        self._plan(ROS1 if channel.encoding == "ros1" else XCDR1)
+        self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
     def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
         """Return the wanted fields of all messages of a block.
@@ -164,7 +156,7 @@ class Decoder:
         self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
     ) -> tuple[Layout, str]:
         """Return how the first message is encoded."""
-        if self.channel.encoding == "ros1":
+        if self.channel.encoding in PACKED:
             return ROS1, "<"
         if lengths.min() < XCDR1.header:
             raise TooShortError(np.flatnonzero(lengths < XCDR1.header))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 DECODERS: Final[dict[str, str]] = {
     "cdr": "quatprop.messages.decoder:Decoder",
     "ros1": "quatprop.messages.decoder:Decoder",
+    "ulog": "quatprop.messages.decoder:Decoder",
 }
 """``"module:Class"`` by the encoding of messages, imported when a channel is decoded."""
 

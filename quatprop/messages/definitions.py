@@ -9,10 +9,20 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, quoted
-from quatprop.messages.schema import MAX_DEPTH, Array, Primitive, Sequence, Struct, Text, Unknown
+from quatprop.messages.schema import (
+    MAX_DEPTH,
+    Array,
+    BadDefinitionError,
+    Primitive,
+    Sequence,
+    Struct,
+    Text,
+    Unknown,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -49,6 +59,11 @@ ROS1_TIMES: Mapping[str, Struct] = {
 }
 """``time`` and ``duration`` of ROS 1, under the names that the grammar gives them."""
 
+GRAMMARS: Mapping[str, str] = {
+    "ulog": "quatprop.messages.ulog",
+}
+"""Modules that read the definitions of encodings other than those of ROS."""
+
 PLACEHOLDER = "structure_needs_at_least_one_member"
 """The byte that stands for an empty message in CDR."""
 
@@ -75,15 +90,14 @@ def message_type(channel: Channel, path: Path | str) -> Struct:
         The definition cannot be read, or there is none.
     """
     try:
+        if channel.encoding in GRAMMARS:
+            kind: Struct = import_module(GRAMMARS[channel.encoding]).message_type(channel)
+            return kind
         return _message_type(
             channel.type_name, channel.encoding == "ros1", channel.schema_encoding, channel.schema
         )
-    except _BadDefinitionError as error:
+    except BadDefinitionError as error:
         raise SchemaError(path, f"topic {quoted(channel.topic)}: {error}") from None
-
-
-class _BadDefinitionError(Exception):
-    """What is wrong with a definition, before it is known whose it is."""
 
 
 @lru_cache(maxsize=256)
@@ -107,11 +121,11 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
             return {name: kind for part in parts for name, kind in part.items()}
     except (TypesysError, AssertionError, LookupError, RecursionError, TypeError, ValueError):
         # The parser's own words hold the whole definition; none is a sentence.
-        raise _BadDefinitionError(
+        raise BadDefinitionError(
             f"the definition of {quoted(type_name)} that the log carries cannot be parsed as "
             f"{schema_encoding}"
         ) from None
-    raise _BadDefinitionError(
+    raise BadDefinitionError(
         f"the definition of {quoted(type_name)} is written in {quoted(schema_encoding)}, "
         "which this version does not read for this encoding"
     )
@@ -155,7 +169,7 @@ class _Builder:
         if name not in self.known:
             definition = self._definition(name)
             if definition is None:
-                raise _BadDefinitionError(
+                raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
                     "type; convert the log to MCAP where its definitions are installed"
                 )
@@ -164,7 +178,7 @@ class _Builder:
 
     def _built(self, name: str, fields: list[tuple[str, FieldDesc]]) -> Struct:
         if name in self.open or len(self.open) >= MAX_DEPTH:
-            raise _BadDefinitionError(
+            raise BadDefinitionError(
                 f"the definition of {quoted(self.open[0])} contains itself or is nested deeper "
                 f"than {MAX_DEPTH} types"
             )

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, quoted
 from quatprop.layout import SCALAR_FIRST, SCALAR_LAST
-from quatprop.messages.decoder import ENCODINGS
+from quatprop.messages.decoding import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Struct, find, numbers, structs
 from quatprop.messages.stamps import Stamp, stamp_around
@@ -120,7 +120,7 @@ def orientation_fields(channel: Channel, path: Path | str) -> list[FoundOrientat
     SchemaError
         The definition of a known type cannot be read.
     """
-    if channel.encoding not in ENCODINGS or not _may_carry(channel):
+    if channel.encoding not in DECODERS or not _may_carry(channel):
         return []
     try:
         root = message_type(channel, path)
@@ -156,7 +156,7 @@ def orientation_field_at(
     SchemaError
         The field is there but is no quaternion.
     """
-    if channel.encoding not in ENCODINGS:
+    if channel.encoding not in DECODERS:
         return None
     try:
         root = message_type(channel, path)

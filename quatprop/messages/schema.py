@@ -25,6 +25,10 @@ MAX_SEARCHED_ITEMS = 16
 _STEP = re.compile(r"(?:^|(?<=.)\.)(\w+)|\[(\d+)\]", re.ASCII)
 
 
+class BadDefinitionError(Exception):
+    """What is wrong with a definition, before it is known whose it is."""
+
+
 @dataclass(frozen=True, slots=True)
 class Primitive:
     """A number, of one size everywhere.

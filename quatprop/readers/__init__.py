@@ -61,6 +61,7 @@ READERS: dict[str, Reader] = {
     "bag": Reader("quatprop.readers.rosbag1:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active")),
     "db3": Reader("quatprop.readers.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
     "rosbag2": Reader("quatprop.readers.rosbag2:Rosbag2Log", (), ()),
+    "ulog": Reader("quatprop.readers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",)),
     "parquet": Reader("quatprop.readers.arrow:ParquetLog", (b"PAR1",), (".parquet",)),
     "feather": Reader(
         "quatprop.readers.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow")
