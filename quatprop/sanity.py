@@ -126,8 +126,9 @@ class Watch:
         return said
 
     def _saturation(self) -> Iterator[str]:
+        moving = self._highest != self._lowest
         for sign, values, runs in zip("+-", (self._highest, self._lowest), self._runs, strict=True):
-            for axis in np.flatnonzero((runs > 0) & (np.abs(values) >= SMALLEST_RANGE)):
+            for axis in np.flatnonzero(moving & (runs > 0) & (np.abs(values) >= SMALLEST_RANGE)):
                 yield (
                     f"axis {sign}{'xyz'[axis]} stays at its extreme of {values[axis]:.6g} rad/s "
                     f"over {SATURATED_RUN} samples and more: saturated, so what was beyond is lost"

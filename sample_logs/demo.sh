@@ -11,19 +11,17 @@ run() {
     "$@"
 }
 
-# Log, its truth, and methods to try on it.
-propagate() {
+# Log, its truth, and the methods to try on it: one line each of how far from the truth.
+errors() {
     log=$1 truth=$2
     shift 2
-    name=$(basename "$log" | tr . _)
-    results=
     for method in "$@"; do
-        result="$out/$name.$method.csv"
+        result="$out/$(basename "$log" | tr . _).$method.parquet"
         quatprop propagate "sample_logs/$log" -o "$result" --method "$method" --quiet
-        results="$results $result"
+        quatprop compare "sample_logs/$truth" "$result" |
+            awk -v log_name="$log" -v method="$method" \
+                '/^  max/ {printf "%-14s %-7s %12s rad %12s deg\n", log_name, method, $2, $3}'
     done
-    # shellcheck disable=SC2086  # several names
-    python sample_logs/truth.py "sample_logs/$truth" $results
 }
 
 echo 'What is in the logs:'
@@ -34,11 +32,14 @@ printf '\nFrom a log to its attitude series:\n'
 run quatprop propagate sample_logs/tumbling.bag -o "$out/tumbling.csv" --method coning
 run head -n 3 "$out/tumbling.csv"
 
-printf '\nHow far from the truth, by the method that says which samples rule an interval:\n\n'
-propagate spin.csv spin.truth.csv start
-propagate coning.mcap coning.truth.csv start mean coning
-propagate tumbling.bag tumbling.truth.csv start mean coning
-propagate tumbling_ros2 tumbling.truth.csv coning
-propagate rest.parquet rest.truth.parquet start
+printf '\nHow far that is from the truth, which is known in closed form:\n'
+run quatprop compare sample_logs/tumbling.truth.csv "$out/tumbling.csv" --tol 0.1deg
+
+printf '\nThe largest error of every log, by the method that says which samples rule an interval:\n\n'
+errors spin.csv spin.truth.csv start
+errors coning.mcap coning.truth.csv start mean coning
+errors tumbling.bag tumbling.truth.csv start mean coning
+errors tumbling_ros2 tumbling.truth.csv coning
+errors rest.parquet rest.truth.parquet start
 printf '\nA constant rate is exact whatever the method; moving axes want the coning term; a gyroscope at\n'
 printf 'rest with a bias drifts with it. The results are in %s.\n' "$out"

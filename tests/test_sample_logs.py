@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from quatprop.job import Job, run
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
-NOT_GENERATED = {".gitattributes", "README.md", "demo.sh", "generate.py", "truth.py"}
+NOT_GENERATED = {".gitattributes", "README.md", "demo.sh", "generate.py"}
 
 
 @pytest.fixture(scope="module")

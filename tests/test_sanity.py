@@ -69,6 +69,13 @@ def test_a_quantised_sensor_at_rest_is_not_saturated():
     assert watched(rate) == []
 
 
+def test_an_axis_that_turns_steadily_is_not_saturated():
+    """A free body may turn about one axis at a constant rate for ever."""
+    rate = moving(scale=3.0)
+    rate[:, 2] = 4.0
+    assert watched(rate) == []
+
+
 def test_sampling_too_slow():
     """45 degrees between two samples is too far."""
     (said,) = watched([[0, 0, math.pi / 4], [0, 0, 0], [0, 0, 0.1]], dt_ms=1000)

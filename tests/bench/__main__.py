@@ -15,6 +15,7 @@ import whole
 
 FOLDER = Path(".bench")
 SAMPLES = 1_000_000
+PARTS = {"decode": decode, "product": product, "whole": whole}
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
     "imu_none.mcap": ("--to", "mcap", "--compression", "none"),
@@ -23,13 +24,13 @@ SOURCES = {
 }
 
 
-def make_logs(samples: int) -> None:
+def make_logs(folder: Path, samples: int) -> None:
     """Simulate the logs that are not there yet."""
-    FOLDER.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for name, options in SOURCES.items():
-        if not (FOLDER / name).exists():
-            print(f"making {FOLDER / name}", flush=True)
-            command = [sys.executable, "-m", "quatprop", "simulate", FOLDER / name, "--motion",
+        if not (folder / name).exists():
+            print(f"making {folder / name}", flush=True)
+            command = [sys.executable, "-m", "quatprop", "simulate", folder / name, "--motion",
                        "coning", "--noise", "1e-3", "--rate", "1000", "--samples", str(samples),
                        "--seed", "1", *options]  # fmt: skip
             subprocess.run(command, check=True)
@@ -38,15 +39,13 @@ def make_logs(samples: int) -> None:
 def main() -> None:
     """Measure everything, or the parts that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=["decode", "product", "whole"], default=[])
+    parser.add_argument("--part", action="append", choices=list(PARTS), help="default: all")
     parser.add_argument("--samples", type=int, default=SAMPLES)
     chosen = parser.parse_args()
-    parts = chosen.parts or ["decode", "product", "whole"]
-    if {"decode", "whole"} & set(parts):
-        make_logs(chosen.samples)
-    for name, part in (("decode", decode), ("product", product), ("whole", whole)):
-        if name in parts:
-            part.measure(FOLDER, chosen.samples)
+    folder = FOLDER / str(chosen.samples)
+    make_logs(folder, chosen.samples)
+    for name in chosen.part or PARTS:
+        PARTS[name].measure(folder, chosen.samples)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,6 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 from mcap.reader import make_reader
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from table import Table, best_of
@@ -15,6 +13,10 @@ from table import Table, best_of
 from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.signal import choose
+
+
+CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
+"""Bytes of a chunk record before its data, but for the name of the compression."""
 
 
 def ours(path: Path) -> int:
@@ -41,16 +43,16 @@ def with_mcap(path: Path) -> int:
 
 def read_and_decompress(path: Path) -> int:
     """Read the chunks of an MCAP file and decompress them: the floor under any reader."""
+    unpack = {"zstd": zstandard.ZstdDecompressor().decompress, "lz4": lz4.frame.decompress}
     size = 0
-    unpack = {
-        "zstd": zstandard.ZstdDecompressor().decompress,
-        "lz4": lz4.frame.decompress,
-        "": bytes,
-    }
     with path.open("rb") as file:
-        for record in StreamReader(file, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                size += len(unpack[record.compression](record.data))
+        for index in make_reader(file).get_summary().chunk_indexes:
+            file.seek(index.chunk_start_offset)
+            chunk = file.read(index.chunk_length + index.message_index_length)
+            packed = memoryview(chunk)[CHUNK_HEAD + len(index.compression) :][
+                : index.compressed_size
+            ]
+            size += len(unpack[index.compression](packed) if index.compression else packed)
     return size
 
 
