@@ -264,5 +264,5 @@ def _message(kind: str | None, topic: str | None, frames: str | None) -> Message
         return None
     reference, comma, body = (frames or "reference,body").partition(",")
     if not comma:
-        raise click.BadParameter(f"{frames!r} is not two names; write REFERENCE,BODY")
+        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
     return Message(kind or MESSAGES[0], topic, reference, body)

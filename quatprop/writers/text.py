@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 import pyarrow.csv
 
+from quatprop.provenance import COMMENT
 from quatprop.writers.atomic import Output, reported, scratch
 from quatprop.writers.base import Table, words_of
 from quatprop.writers.in_order import InOrder
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
 
 PIECE = 1 << 14
 """Rows that are formatted together: enough to make calls cheap, few enough to share out."""
-
-COMMENT = "# quatprop "
-"""What the comment starts with that holds the provenance, as JSON on one line."""
 
 
 class TextTable(Table):
@@ -69,7 +67,7 @@ class TextTable(Table):
         if self._body is not self._output.stream:
             words = words_of(provenance)
             with reported(self._output.target), self._body as body:
-                self._output.stream.write(f"{COMMENT}{words}\n".encode())
+                self._output.stream.write(COMMENT + words.encode() + b"\n")
                 body.seek(0)
                 shutil.copyfileobj(body, self._output.stream, 1 << 20)
         self._output.commit()
