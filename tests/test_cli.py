@@ -301,7 +301,10 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--q0", "1,0,0"], "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z|level|log|FILE, 4 numbers"),
+        (
+            ["--q0", "1,0,0"],
+            "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z|level|log|FILE, 4 numbers",
+        ),
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
         (["--bias", "statically"], "'statically' is neither X,Y,Z nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
@@ -381,6 +384,20 @@ def test_a_mounting_turns_the_axes(tmp_path):
         assert result.exit_code == 0, result.output
         row = [float(q) for q in (tmp_path / "o.csv").read_text().splitlines()[-1].split(",")[1:]]
         assert geodesic_angle(row, [np.cos(0.5), 0, np.sin(0.5), 0]) < 1e-15
+
+
+@pytest.mark.parametrize("kind", ["csv", "tsv", "tum", "euroc"])
+def test_a_file_that_begins_with_its_provenance_can_be_read(log, tmp_path, kind):
+    """The report in a # comment is no row: convert reads the file, and knows how it came about."""
+    text, table = tmp_path / f"out.{kind}", tmp_path / "out.parquet"
+    result = run("propagate", log, "-o", text, "--to", kind, "--header-comment", "-q")
+    assert result.exit_code == 0, result.output
+    assert text.read_text().startswith("# quatprop {")
+    result = run("convert", text, table, "--layout", "scalar-first")
+    assert result.exit_code == 0, result.output
+    rows = pyarrow.parquet.read_table(table)
+    assert rows.num_rows == 11
+    assert rows["qw"][-1].as_py() == pytest.approx(np.cos(0.5), abs=1e-15)
 
 
 def test_fewer_rows_out(log, tmp_path):

@@ -10,6 +10,7 @@ from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
+from quatprop.provenance import COMMENT
 from quatprop.readers.chooser import Notes
 from quatprop.readers.dialects import RATE_UNITS, TIME_UNITS, column
 
@@ -23,6 +24,7 @@ HEAD_BYTES = 1 << 18
 COMMENTS = ("#", "%", "//")
 """What marks a line that is not a row; a header may carry such a mark too."""
 
+_OURS = COMMENT.decode()
 _LINES = 200
 _MARK = b"\xef\xbb\xbf"
 _DELIMITERS = ("\t", ";", ",", " ")
@@ -100,7 +102,8 @@ def sniff(head: bytes, path: Path) -> Layout:
     raw = head.splitlines(keepends=True)[:_LINES]
     texts = [_text(line) for line in raw]
     delimiter = _delimiter(texts)
-    rows = [cells(text, delimiter) for text in texts]
+    # How a file of ours came about is JSON in a comment, full of numbers and commas.
+    rows = [[] if text.startswith(_OURS) else cells(text, delimiter) for text in texts]
     first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
     data = [row for row in rows[first:] if _is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
