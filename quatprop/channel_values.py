@@ -85,6 +85,16 @@ class Reading(Protocol):
         """
 
 
+def described(log: MessageLog, channel: Channel) -> Channel:
+    """Return a channel with all that tells its fields: for JSON that is a message of it."""
+    if channel.encoding == "json":
+        for block in log.blocks(channel):
+            if len(block):
+                sample = block.data[block.starts[0] : block.ends[0]].tobytes()
+                return replace(channel, sample=sample)
+    return channel
+
+
 def timed_values(
     log: MessageLog, channel: Channel, reading: Reading
 ) -> Iterator[tuple[NDArray[Any], ...]]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.channel_values import clock_of, timed_values
+from quatprop.channel_values import clock_of, described, timed_values
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -163,7 +163,7 @@ def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
         if value is not None:
             raise UsageError(f"{option} is for tables, and {quoted(log.path)} holds messages")
     channels = log.channels()
-    wanted = [c for c in channels if selection.topic in (None, c.topic)]
+    wanted = [described(log, c) for c in channels if selection.topic in (None, c.topic)]
     found = [
         _of_channel(log, channel, field, selection)
         for channel in wanted
@@ -175,7 +175,8 @@ def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
     if selection.topic is not None:
         if any(channel.count != 0 for channel in wanted) and selection.rate_field is not None:
             raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
-        named = [c.topic for c in channels if c.count != 0 and rate_fields(c, log.path)]
+        every = [described(log, c) for c in channels if c.count != 0]
+        named = [c.topic for c in every if rate_fields(c, log.path)]
         raise NoSuchTopicError(log.path, selection.topic, named)
     raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in channels if c.count != 0])
 

@@ -19,6 +19,7 @@ DECODERS: Final[dict[str, str]] = {
     "cdr": "quatprop.messages.decoder:Decoder",
     "ros1": "quatprop.messages.decoder:Decoder",
     "ulog": "quatprop.messages.decoder:Decoder",
+    "json": "quatprop.messages.json:JsonDecoder",
 }
 """``"module:Class"`` by the encoding of messages, imported when a channel is decoded."""
 

@@ -60,6 +60,7 @@ ROS1_TIMES: Mapping[str, Struct] = {
 """``time`` and ``duration`` of ROS 1, under the names that the grammar gives them."""
 
 GRAMMARS: Mapping[str, str] = {
+    "json": "quatprop.messages.json",
     "ulog": "quatprop.messages.ulog",
 }
 """Modules that read the definitions of encodings other than those of ROS."""

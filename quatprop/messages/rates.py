@@ -6,6 +6,7 @@ its stamp and what marks it as absent, and beside it where orientation and speci
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -112,6 +113,13 @@ class RateField:
 
 _HEADER = Stamp.of_time("header.stamp")
 _SAMPLED = Stamp(("timestamp_sample",), "us")
+_FOXGLOVE = RateField(
+    ("angular_velocity",),
+    "rad/s",
+    Stamp.of_time("timestamp"),
+    orientation="pose.orientation",
+    measured=False,
+)
 
 RATES: Mapping[str, RateField] = {
     "sensor_msgs/msg/Imu": RateField(
@@ -151,6 +159,8 @@ RATES: Mapping[str, RateField] = {
     "geometry_msgs/msg/TwistWithCovarianceStamped": RateField(
         ("twist.twist.angular",), "rad/s", _HEADER, measured=False
     ),
+    "foxglove.Odometry": _FOXGLOVE,
+    "foxglove_msgs/msg/Odometry": _FOXGLOVE,
     "nav_msgs/msg/Odometry": RateField(
         ("twist.twist.angular",),
         "rad/s",
@@ -160,6 +170,20 @@ RATES: Mapping[str, RateField] = {
     ),
 }
 """Where the rate is, by message type, relative to the message."""
+
+
+def row_of(type_name: str) -> RateField | None:
+    """Return the row of a type, or None where the table does not know it.
+
+    Outside ROS its types go by many spellings; what counts is the package and the name.
+
+    Examples
+    --------
+    >>> row_of("ros.sensor_msgs.Imu") is RATES["sensor_msgs/msg/Imu"]
+    True
+    """
+    parts = [part for part in re.split(r"[./]|::", type_name) if part != "msg"]
+    return RATES.get(type_name) or RATES.get("/msg/".join(parts[-2:]))
 
 
 def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
@@ -187,7 +211,7 @@ def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
     try:
         root = message_type(channel, path)
     except SchemaError:
-        if channel.type_name in RATES:
+        if row_of(channel.type_name) is not None:
             raise
         return []
     return list(_found(root))
@@ -278,7 +302,7 @@ def time_field_at(
 
 def _may_carry(channel: Channel) -> bool:
     """Tell from the text of the definition whether a known type can be in it."""
-    if channel.type_name in RATES:
+    if row_of(channel.type_name) is not None:
         return True
     # No standard type that is not in the table has one inside.
     return any(name.rpartition("/")[2].encode() in channel.schema for name in RATES)
@@ -288,7 +312,7 @@ def _found(root: Struct) -> Iterator[RateField]:
     """Yield the rows of known types in a message; what is inside a known one is its own affair."""
     passed: list[str] = []
     for prefix, kind in structs(root):
-        row = RATES.get(kind.name)
+        row = row_of(kind.name)
         if row is None or any(prefix.startswith(outer) for outer in passed):
             continue
         if _fits(row, kind):

@@ -47,6 +47,10 @@ class Primitive:
         return int(self.code[1:])
 
 
+TIME = Primitive("M8")
+"""A time written as text, read as int64 ns."""
+
+
 @dataclass(frozen=True, slots=True)
 class Text:
     """A string.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from quatprop.errors import MessageError, listed
-from quatprop.messages.schema import Primitive, Struct, around, find
+from quatprop.messages.schema import TIME, Primitive, Struct, around, find
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
     from quatprop.messages.schema import Type
 
-SECONDS = ("sec", "secs")
-NANOSECONDS = ("nanosec", "nsec", "nsecs")
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 """Names of the two parts of a time, in the generations of ROS and its neighbours."""
 
 
@@ -84,34 +85,51 @@ class Stamp:
 
     def _scaled(self, column: NDArray[Any], path: Path | str) -> NDArray[np.int64]:
         scale = NS_PER_UNIT[self.unit]
+        if column.dtype == np.object_:
+            return self._exact(column, scale, path)
         floating = column.dtype.kind == "f"
         if floating or column.dtype.itemsize == np.dtype(np.int64).itemsize:
             limit = np.iinfo(np.int64).max // scale
             # Written so that NaN is refused too.
             fits = (column > -limit) & (column < limit)
             if not fits.all():
-                positions = np.flatnonzero(~fits)
-                raise MessageError(
-                    path,
-                    f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does "
-                    "not fit in 64 bits of nanoseconds; choose --clock log or another --time-field",
-                    positions.tolist(),
-                )
+                raise self._misfit(column, np.flatnonzero(~fits), path)
         whole = np.floor(column).astype(np.int64) if floating else column.astype(np.int64)
         t_ns: NDArray[np.int64] = whole * scale
         return t_ns + np.rint((column - whole) * scale).astype(np.int64) if floating else t_ns
 
+    def _exact(self, column: NDArray[Any], scale: int, path: Path | str) -> NDArray[np.int64]:
+        """Return the times of integers and decimals."""
+        limit = np.iinfo(np.int64).max // scale
+        bad = [row for row, value in enumerate(column) if not -limit < value < limit]
+        if bad:
+            raise self._misfit(column, np.array(bad), path)
+        whole = [int((Decimal(value) * scale).to_integral_value()) for value in column]
+        return np.array(whole, np.int64)
+
+    def _misfit(
+        self, column: NDArray[Any], positions: NDArray[np.intp], path: Path | str
+    ) -> MessageError:
+        return MessageError(
+            path,
+            f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does "
+            "not fit in 64 bits of nanoseconds; choose --clock log or another --time-field",
+            positions.tolist(),
+        )
+
 
 def stamp_of(place: str, kind: Type) -> Stamp | None:
-    """Return the stamp in a struct of seconds and nanoseconds, or None where it is not one.
+    """Return the stamp in a time, or None where it is not one.
 
     Parameters
     ----------
     place
-        Dotted path of the struct.
+        Dotted path of a struct of seconds and nanoseconds, or of a time as text.
     kind
         Its type.
     """
+    if kind == TIME:
+        return Stamp((place,), "ns")
     if not isinstance(kind, Struct) or len(kind.fields) != len(("sec", "nanosec")):
         return None
     (seconds, first), (nanoseconds, second) = kind.fields

@@ -49,6 +49,9 @@ class Channel:
     count
         Messages in the log where the container says so without reading them. Not part of a
         channel's identity.
+    sample
+        A message, for encodings whose messages tell their fields by themselves; empty where it
+        has not been looked at. Not part of a channel's identity.
     """
 
     topic: str
@@ -57,6 +60,7 @@ class Channel:
     schema_encoding: str = ""
     schema: bytes = b""
     count: int | None = field(default=None, compare=False)
+    sample: bytes = field(default=b"", compare=False)
 
 
 @dataclass(frozen=True, slots=True)

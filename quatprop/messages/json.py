@@ -1,0 +1,261 @@
+"""JSON messages: what they hold is told by one of them.
+
+Schemas of JSON are lax where they are there at all, so the first message of a channel stands in for
+its definition. Blocks of messages like it are parsed at once, as the lines of one document; others
+one by one, with the same answer.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.json as pyarrow_json
+
+from quatprop.errors import SchemaError, UsageError, quoted
+from quatprop.messages.schema import (
+    TIME,
+    Array,
+    BadDefinitionError,
+    Primitive,
+    Struct,
+    Text,
+    Unknown,
+    at,
+)
+from quatprop.messages.stamps import NANOSECONDS, SECONDS
+from quatprop.messages.values import ValueDecoder, Wanted, raw_messages
+from quatprop.times import instant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.schema import Steps, Type
+    from quatprop.readers.base import Channel, MessageBlock
+
+FLOAT = Primitive("f8")
+INTEGER = Primitive("i8")
+MAX_INTEGER = int(np.iinfo(np.int64).max)
+
+AXES = ("x", "y", "z", "w")
+"""The order of parts that have one; JSON itself keeps none."""
+
+
+def message_type(channel: Channel) -> Struct:
+    """Return the type of a channel's messages, as its sample shows it.
+
+    Parameters
+    ----------
+    channel
+        Without a sample its messages have no fields.
+
+    Raises
+    ------
+    BadDefinitionError
+        The sample is no JSON object.
+    """
+    if not channel.sample:
+        return Struct(channel.type_name, ())
+    try:
+        sample = json.loads(channel.sample)
+    except (RecursionError, ValueError):
+        sample = None
+    if not isinstance(sample, dict):
+        raise BadDefinitionError("its first message is no JSON object")
+    return Struct(channel.type_name, _fields(sample))
+
+
+def _fields(sample: dict[str, Any]) -> tuple[tuple[str, Type], ...]:
+    for seconds in SECONDS:
+        for nanoseconds in NANOSECONDS:
+            if set(sample) == {seconds, nanoseconds}:
+                return (seconds, INTEGER), (nanoseconds, INTEGER)
+    names = [name for name in AXES if name in sample] if set(sample) <= set(AXES) else list(sample)
+    return tuple((name, _type(sample[name])) for name in names)
+
+
+def _type(sample: Any) -> Type:
+    if isinstance(sample, dict):
+        return Struct("", _fields(sample))
+    if isinstance(sample, list):
+        return Array(_type(sample[0]) if sample else Unknown("nothing"), len(sample))
+    if isinstance(sample, bool):
+        return Primitive("b1")
+    if isinstance(sample, int | float):
+        return FLOAT
+    if isinstance(sample, str):
+        return TIME if _is_time(sample) else Text()
+    return Unknown("null")
+
+
+def _is_time(text: str) -> bool:
+    """Tell RFC 3339 from other text."""
+    try:
+        return not text.isdecimal() and instant(text).origin == "clock"
+    except UsageError:
+        return False
+
+
+class JsonDecoder(ValueDecoder):
+    """Takes fields out of JSON messages.
+
+    A number that is a column by itself may be a time: it is kept exact, as a decimal. Rates that
+    are null or not there are NaN.
+
+    Parameters
+    ----------
+    channel, field_paths, path
+        As for :class:`quatprop.messages.values.ValueDecoder`.
+
+    Raises
+    ------
+    SchemaError
+        There are no such fields, they are not numbers, or their order is nowhere said.
+    """
+
+    def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
+        super().__init__(channel, field_paths, path)
+        self._schema = _schema(self.wanted)
+
+    def _wanted(self, root: Struct, field_path: str) -> Wanted:
+        _, kind = at(root, field_path, self.path)
+        if isinstance(kind, Struct) and not {name for name, _ in kind.fields} <= set(AXES):
+            raise SchemaError(
+                self.path,
+                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} has parts in no "
+                "order that JSON keeps; name its numbers as a,b,c",
+            )
+        return super()._wanted(root, field_path)
+
+    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+        """Return the wanted fields of all messages of a block, all at once if that can be."""
+        columns = self._at_once(block) if self._schema is not None and len(block) else None
+        return super().columns(block) if columns is None else columns
+
+    def _at_once(self, block: MessageBlock) -> list[NDArray[Any]] | None:
+        # A line break within a message is blank: in a string it would be escaped.
+        document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(block))
+        try:
+            table = pyarrow_json.read_json(
+                pa.BufferReader(document),
+                read_options=pyarrow_json.ReadOptions(block_size=len(document) + 1),
+                parse_options=pyarrow_json.ParseOptions(
+                    explicit_schema=self._schema, unexpected_field_behavior="ignore"
+                ),
+            )
+            if len(table) != len(block):
+                return None
+            return [_stacked(table, wanted) for wanted in self.wanted]
+        except (pa.ArrowException, _MissingError):
+            return None
+
+    def _parsed(self, raw: bytes) -> Any:
+        return json.loads(raw, parse_float=Decimal)
+
+    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
+        value = message
+        for step in way:
+            if value is None:
+                break
+            value = value.get(step) if isinstance(value, dict) else value[step]
+        if number == TIME:
+            return _time(value)
+        if number == FLOAT and value is None:
+            return math.nan
+        if isinstance(value, bool) != (number.code == "b1"):
+            raise ValueError
+        if not isinstance(value, int | float | Decimal):
+            raise TypeError
+        if number == INTEGER and (value != int(value) or not -MAX_INTEGER < value < MAX_INTEGER):
+            raise ValueError
+        return value
+
+    def _dtype(self, wanted: Wanted) -> np.dtype[Any]:
+        if wanted.number == TIME:
+            return np.dtype(np.int64)
+        return np.dtype(object if _is_exact(wanted) else wanted.number.code)
+
+
+class _MissingError(Exception):
+    """A value that every message must have is not there."""
+
+
+def _is_exact(wanted: Wanted) -> bool:
+    return wanted.single and wanted.number == FLOAT
+
+
+def _time(value: Any) -> int:
+    if not isinstance(value, str):
+        raise TypeError
+    moment = pa.scalar(value).cast(pa.timestamp("ns", "UTC"))
+    return int(moment.cast(pa.int64()).as_py())
+
+
+def _schema(every: Sequence[Wanted]) -> pa.Schema | None:
+    """Return the wanted columns as a schema, or None where columns cannot express them."""
+    tree: dict[str, Any] = {}
+    for wanted in every:
+        for way in wanted.ways:
+            listed = isinstance(way[-1], int)
+            names = [step for step in way if isinstance(step, str)]
+            if len(names) != len(way) - listed:
+                return None
+            *around, last = names
+            here = tree
+            for name in around:
+                here = here.setdefault(name, {})
+                if not isinstance(here, dict):
+                    return None
+            leaf = _leaf(wanted, listed=listed)
+            if here.setdefault(last, leaf) != leaf:
+                return None
+    return pa.schema(_arrow_fields(tree))
+
+
+def _leaf(wanted: Wanted, *, listed: bool) -> pa.DataType:
+    if wanted.number == TIME:
+        return pa.timestamp("ns", "UTC")
+    if listed:
+        return pa.list_(pa.float64())
+    if _is_exact(wanted):
+        return pa.decimal256(76, 38)
+    return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
+
+
+def _arrow_fields(tree: dict[str, Any]) -> list[tuple[str, pa.DataType]]:
+    return [
+        (name, pa.struct(_arrow_fields(kind)) if isinstance(kind, dict) else kind)
+        for name, kind in tree.items()
+    ]
+
+
+def _stacked(table: pa.Table, wanted: Wanted) -> NDArray[Any]:
+    parts = [_part(table, way, wanted) for way in wanted.ways]
+    return parts[0] if wanted.single else np.stack(parts, axis=1)
+
+
+def _part(table: pa.Table, way: Steps, wanted: Wanted) -> NDArray[Any]:
+    """Return one number of each message, shape ``(N,)``."""
+    found = table.column(way[0])
+    for step in way[1:]:
+        if isinstance(step, int):
+            found = pc.list_element(found, step)
+        else:
+            found = pc.struct_field(found, step)
+    if wanted.number != FLOAT and found.null_count:
+        raise _MissingError
+    if wanted.number == TIME:
+        found = found.cast(pa.int64())
+    if pa.types.is_decimal(found.type):
+        values = [math.nan if value is None else value for value in found.to_pylist()]
+        return np.array(values, object)
+    column: NDArray[Any] = found.to_numpy()
+    return column

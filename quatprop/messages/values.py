@@ -1,0 +1,149 @@
+"""Messages that a library decodes one at a time: the wanted values of each, gathered to columns."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.errors import MessageError, SchemaError, quoted
+from quatprop.messages.definitions import message_type
+from quatprop.messages.schema import Array, Primitive, Struct, at, numbers
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.messages.schema import Steps, Type
+    from quatprop.readers.base import Channel, MessageBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """One column.
+
+    Parameters
+    ----------
+    ways
+        Where its numbers are: one, or those of a row.
+    number
+        Their type.
+    single
+        Whether it is a number and not a row of one.
+    """
+
+    ways: tuple[Steps, ...]
+    number: Primitive
+    single: bool
+
+
+class ValueDecoder(ABC):
+    """Takes fields out of messages, one message after the other.
+
+    Parameters
+    ----------
+    channel
+        Whose messages, with their definition.
+    field_paths
+        Dotted paths of the wanted fields.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    SchemaError
+        The definition cannot be read, has no such fields, or they are not numbers.
+    """
+
+    def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
+        self.channel = channel
+        self.path = path
+        root = message_type(channel, path)
+        self.wanted = [self._wanted(root, field_path) for field_path in field_paths]
+
+    def _wanted(self, root: Struct, field_path: str) -> Wanted:
+        way, kind = at(root, field_path, self.path)
+        found = numbers(kind)
+        if found is None:
+            raise SchemaError(
+                self.path,
+                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} is not made of "
+                "equal numbers; name a number, or a struct or array of them",
+            )
+        return Wanted(tuple(_leaves(way, kind)), found[0], isinstance(kind, Primitive))
+
+    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+        """Return the wanted fields of all messages of a block.
+
+        Raises
+        ------
+        MessageError
+            Messages cannot be decoded or lack what must be there; its `positions` say which.
+        """
+        found: list[list[Any]] = []
+        bad: list[int] = []
+        for position, raw in enumerate(raw_messages(block)):
+            try:
+                message = self._parsed(raw)
+                found.append([self._values(message, wanted) for wanted in self.wanted])
+            except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError):
+                bad.append(position)
+        if bad:
+            raise self._misfit(block, bad)
+        rows = zip(*found, strict=True) if found else iter([()] * len(self.wanted))
+        return [self._column(wanted, row) for wanted, row in zip(self.wanted, rows, strict=True)]
+
+    @abstractmethod
+    def _parsed(self, raw: bytes) -> Any:
+        """Return a message; ValueError where it is none."""
+
+    @abstractmethod
+    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
+        """Return a number of a message; NaN where one that may be absent is."""
+
+    def _dtype(self, wanted: Wanted) -> np.dtype[Any]:
+        return np.dtype(wanted.number.code)
+
+    def _values(self, message: Any, wanted: Wanted) -> Any:
+        values = [self._value(message, way, wanted.number) for way in wanted.ways]
+        if wanted.single:
+            return values[0]
+        # Here, where a number too large for its column is still the message's own fault.
+        return np.array(values, wanted.number.code)
+
+    def _column(self, wanted: Wanted, values: Sequence[Any]) -> NDArray[Any]:
+        shape = (len(values),) if wanted.single else (len(values), len(wanted.ways))
+        return np.array(values, self._dtype(wanted)).reshape(shape)
+
+    def _misfit(self, block: MessageBlock, bad: list[int]) -> MessageError:
+        others = f" and {len(bad) - 1} others" if len(bad) > 1 else ""
+        return MessageError(
+            self.path,
+            f"the message of topic {quoted(self.channel.topic)} recorded at "
+            f"{block.log_ns[bad[0]]} ns{others} cannot be decoded as {self.channel.encoding} with "
+            "the wanted fields; the log is damaged or its messages differ",
+            bad,
+        )
+
+
+def raw_messages(block: MessageBlock) -> Iterator[bytes]:
+    """Yield the bytes of every message."""
+    data = block.data.data
+    for begin, end in zip(block.starts.tolist(), block.ends.tolist(), strict=True):
+        yield bytes(data[begin:end])
+
+
+def _leaves(way: Steps, kind: Type) -> Iterator[Steps]:
+    """Yield the ways to the numbers that a field is made of, in order."""
+    if isinstance(kind, Struct):
+        for name, part in kind.fields:
+            yield from _leaves((*way, name), part)
+    elif isinstance(kind, Array):
+        for position in range(kind.length):
+            yield from _leaves((*way, position), kind.element)
+    else:
+        yield way

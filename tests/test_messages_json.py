@@ -1,0 +1,273 @@
+"""JSON messages: all at once or one by one, the answer is the same."""
+
+import json
+from decimal import Decimal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from messages_reference import block_of
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.errors import (
+    AmbiguousTopicError,
+    MessageError,
+    NoRatesError,
+    SchemaError,
+    UndeclaredError,
+)
+from quatprop.messages.json import JsonDecoder
+from quatprop.messages.rates import rate_fields, time_field_at
+from quatprop.messages.values import ValueDecoder
+from quatprop.readers import open_log
+from quatprop.readers.base import Channel
+from quatprop.selection import Selection
+from quatprop.series import GyroSeries
+from quatprop.signal import choose
+
+
+def imu(x=0.0, y=0.0, z=0.0, stamp=None):
+    """Return a message as bridges write it."""
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0} if stamp is None else stamp, "frame_id": "a"},
+        "orientation": {"w": 1, "x": 0, "y": 0, "z": 0},
+        "angular_velocity": {"x": x, "y": y, "z": z},
+        "angular_velocity_covariance": [0, 0, 0, 0, 0, 0, 0, 0, 0],
+    }
+
+
+def channel_of(sample, type_name="sensor_msgs/Imu"):
+    """Return a channel that has been looked at."""
+    return Channel(
+        "/imu", type_name, "json", "jsonschema", b"{}", sample=json.dumps(sample).encode()
+    )
+
+
+def encoded(messages):
+    """Return messages as a block."""
+    return block_of([m if isinstance(m, bytes) else json.dumps(m).encode() for m in messages])
+
+
+def write(path, topics):
+    """Write an MCAP file; topics are names with a type and messages."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, (type_name, messages) in topics.items():
+            schema = writer.register_schema(type_name, "jsonschema", b"{}") if type_name else 0
+            channel = writer.register_channel(topic, "json", schema)
+            for position, message in enumerate(messages):
+                data = message if isinstance(message, bytes) else json.dumps(message).encode()
+                writer.add_message(channel, position * 1000, data, position * 1000)
+        writer.finish()
+    return path
+
+
+def read(path, **options):
+    """Return the samples of the one source, and what was lost."""
+    with open_log(path) as log:
+        batches = list(choose(log, Selection(**options)).batches())
+        return GyroSeries.joined(batches), log.losses
+
+
+def test_a_JSON_log_is_the_same_series_as_a_CDR_log(tmp_path):
+    """Doubles survive their decimal digits."""
+    random = np.random.default_rng(8)
+    rate = random.normal(size=(500, 3)) * 10.0 ** random.integers(-9, 3, (500, 1))
+    stamps = np.cumsum(random.integers(1, 10**10, 500)) + 1_700_000_000 * 10**9
+    times = [divmod(int(t), 10**9) for t in stamps]
+    store = get_typestore(Stores.LATEST)
+    make = store.types
+    with (tmp_path / "cdr.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"")
+        channel = writer.register_channel("/imu", "cdr", schema)
+        vector, nine = make["geometry_msgs/msg/Vector3"], np.zeros(9)
+        for position, ((sec, nanosec), row) in enumerate(zip(times, rate.tolist(), strict=True)):
+            header = make["std_msgs/msg/Header"](
+                make["builtin_interfaces/msg/Time"](sec, nanosec), "a"
+            )
+            message = make["sensor_msgs/msg/Imu"](
+                header, make["geometry_msgs/msg/Quaternion"](0, 0, 0, 1), nine, vector(*row), nine,
+                vector(0, 0, 0), nine,
+            )  # fmt: skip
+            data = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+            writer.add_message(channel, position * 1000, data, position * 1000)
+        writer.finish()
+    messages = [
+        imu(*row, stamp={"sec": sec, "nanosec": nanosec})
+        for (sec, nanosec), row in zip(times, rate.tolist(), strict=True)
+    ]
+    as_json, _ = read(write(tmp_path / "json.mcap", {"/imu": ("sensor_msgs/msg/Imu", messages)}))
+    as_cdr, _ = read(tmp_path / "cdr.mcap")
+    assert (as_json.t_ns == stamps).all()
+    assert (as_json.t_ns == as_cdr.t_ns).all()
+    assert (as_json.rate == as_cdr.rate).all()
+
+
+def test_the_demo_gives_what_an_independent_oracle_gives(shared_logs):
+    """The log has images and odometry besides."""
+    series, losses = read(shared_logs / "json_imu" / "demo.mcap")
+    assert len(series) == 150
+    assert losses == []
+    assert series.t_ns[0] == 1_730_000_000_000_000_000
+    assert series.rate[0].tolist() == [0, 1.2, 0]
+
+
+@pytest.mark.parametrize(
+    "stamp",
+    [{"sec": 1700000000, "nanosec": 5}, {"nsec": 5, "sec": 1700000000},
+     {"secs": 1700000000, "nsecs": 5}, "2023-11-14T22:13:20.000000005Z",
+     "2023-11-15T00:13:20.000000005+02:00"],
+)  # fmt: skip
+def test_stamps_are_told_by_their_form(stamp):
+    """Seconds and nanoseconds under any of their names, and RFC 3339."""
+    (field,) = rate_fields(channel_of(imu(stamp=stamp)), "log")
+    decoder = JsonDecoder(channel_of(imu(stamp=stamp)), field.stamp.fields, "log")
+    assert field.stamp.ns(decoder.columns(encoded([imu(stamp=stamp)])), "log").tolist() == [
+        1_700_000_000_000_000_005
+    ]
+
+
+def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
+    """A double at this epoch would be off by 238 ns."""
+    raw = [
+        b'{"t": 1700000000.%09d, "w": [1, 2, %d]}' % (nanoseconds, nanoseconds)
+        for nanoseconds in range(1, 4)
+    ]
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", raw)})
+    options = {"rate_field": "w", "rate_unit": "deg/s", "time_field": "t"}
+    with open_log(path) as log, pytest.raises(UndeclaredError, match="the time in field 't'"):
+        choose(log, Selection(**options))
+    series, _ = read(path, **options, time_unit="s")
+    assert series.t_ns.tolist() == [1_700_000_000_000_000_000 + k for k in range(1, 4)]
+    np.testing.assert_allclose(np.degrees(series.rate), [[1, 2, k] for k in range(1, 4)])
+
+
+def test_the_order_of_parts_is_that_of_their_names():
+    """An object has no order; a vector does."""
+    sample = {"w": {"z": 3, "y": 2, "x": 1}}
+    (rate,) = JsonDecoder(channel_of(sample), ["w"], "log").columns(encoded([sample]))
+    assert rate.tolist() == [[1, 2, 3]]
+    angles = {"w": {"roll": 3, "pitch": 2, "yaw": 1}}
+    with pytest.raises(SchemaError, match=r"'w' of .* has parts in no order that JSON keeps; name"):
+        JsonDecoder(channel_of(angles), ["w"], "log")
+
+
+def test_line_breaks_within_a_message_are_blanks():
+    """Messages may be written for people."""
+    raw = json.dumps(imu(1, 2, 3), indent=2).encode().replace(b"\n", b"\r\n")
+    (rate,) = JsonDecoder(channel_of(imu()), ["angular_velocity"], "log").columns(
+        encoded([raw] * 3)
+    )
+    assert rate.tolist() == [[1, 2, 3]] * 3
+
+
+def test_a_rate_that_is_null_or_missing_is_not_finite():
+    """The policy for rates that are not finite decides."""
+    gone = imu()
+    del gone["angular_velocity"]
+    decoder = JsonDecoder(channel_of(imu()), ["angular_velocity"], "log")
+    (rate,) = decoder.columns(encoded([imu(1), imu(None, 2, 3), gone]))
+    assert rate[0].tolist() == [1, 0, 0]
+    assert np.isnan(rate[1]).tolist() == [True, False, False]
+    assert np.isnan(rate[2]).all()
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [b"", b"{", b"[1]", b'{"header": 1}', b"\xff", imu(stamp={"sec": 1}), imu(stamp="today"),
+     imu(stamp={"sec": 1.5, "nanosec": 1}), imu(stamp={"sec": 10**30, "nanosec": 1}), imu("fast"),
+     b"1 2", b"[" * 100_000],
+)  # fmt: skip
+def test_messages_that_do_not_fit_are_lost_and_told(tmp_path, damaged):
+    """The others are good."""
+    messages = [imu(1), damaged, imu(3)]
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)})
+    series, losses = read(path)
+    assert series.rate[:, 0].tolist() == [1, 3]
+    (loss,) = losses
+    assert loss.messages == 1
+    assert "recorded at 1000 ns cannot be decoded as json with the wanted fields" in loss.reason
+
+
+numbers = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False), st.integers(-(2**70), 2**70), st.none()
+)
+stamps = st.fixed_dictionaries({"sec": st.integers(0, 2**31), "nanosec": st.integers(0, 10**9)})
+
+
+@given(
+    st.lists(
+        st.fixed_dictionaries(
+            {"a": st.fixed_dictionaries({"x": numbers, "y": numbers, "z": numbers}),
+             "b": st.fixed_dictionaries({"stamp": stamps}, optional={"c": numbers}),
+             "l": st.lists(numbers, min_size=3, max_size=4)},
+            optional={"s": st.text(), "n": st.recursive(st.none() | st.booleans(), st.lists)},
+        ),
+        min_size=1,
+    )
+)  # fmt: skip
+def test_all_at_once_is_one_by_one(messages):
+    """Random messages, with fields that come and go."""
+    sample = {"a": {"x": 1, "y": 2, "z": 3}, "b": {"stamp": {"sec": 1, "nanosec": 2}, "c": 4}}
+    sample["l"] = [1, 2, 3]
+    paths = ["a", "b.stamp.sec", "b.stamp.nanosec", "b.c", "l", "l[1]"]
+    decoder = JsonDecoder(channel_of(sample), paths, "log")
+    block = encoded(messages)
+    at_once, one_by_one = decoder.columns(block), ValueDecoder.columns(decoder, block)
+    for found, expected in zip(at_once, one_by_one, strict=True):
+        assert found.shape == expected.shape
+        assert [str(v) for v in np.asarray(found, float).ravel()] == [
+            str(v) for v in np.asarray(expected, float).ravel()
+        ]
+
+
+def test_numbers_by_themselves_are_exact_either_way():
+    """They may be times."""
+    raw = [b'{"t": 1700000000.123456789123}', b'{"t": 3}']
+    decoder = JsonDecoder(channel_of({"t": 1.5}), ["t"], "log")
+    for columns in (decoder.columns, lambda block: ValueDecoder.columns(decoder, block)):
+        (found,) = columns(encoded(raw))
+        assert found.tolist() == [Decimal("1700000000.123456789123"), 3]
+    stamp = time_field_at(channel_of({"t": 1.5}), "t", "s", "log")
+    assert stamp.ns([found], "log").tolist() == [1_700_000_000_123_456_789, 3_000_000_000]
+    with pytest.raises(MessageError, match="does not fit in 64 bits of nanoseconds") as caught:
+        stamp.ns([np.array([1, 10**12, float("nan")], object)], "log")
+    assert caught.value.positions == (1, 2)
+
+
+def test_channels_without_a_type_carry_rates_where_the_options_say_so(tmp_path):
+    """Topics that lack the field are passed over; several that have it are ambiguous."""
+    topics = {
+        "/a": ("", [{"w": [1, 2, 3]}]),
+        "/b": ("", [{"v": 1}]),
+        "/c": ("", [{"w": [4, 5, 6]}]),
+    }
+    path = write(tmp_path / "log.mcap", topics)
+    with open_log(path) as log:
+        with pytest.raises(NoRatesError):
+            choose(log, Selection())
+        with pytest.raises(AmbiguousTopicError, match="'/a', '/c'"):
+            choose(log, Selection(rate_field="w", rate_unit="rad/s"))
+    series, _ = read(path, topic="/c", rate_field="w", rate_unit="rad/s")
+    assert series.rate.tolist() == [[4, 5, 6]]
+
+
+@pytest.mark.parametrize("name", ["sensor_msgs/Imu", "sensor_msgs/msg/Imu", "ros.sensor_msgs.Imu"])
+def test_an_Imu_goes_by_many_names(name):
+    """Package and name count."""
+    (field,) = rate_fields(channel_of(imu(), name), "log")
+    assert field.unit == "rad/s"
+    assert field.absent == "angular_velocity_covariance[0]"
+    assert field.orientation == "orientation"
+
+
+def test_a_first_message_that_is_no_object_is_refused(tmp_path):
+    """There is nothing to tell the fields by."""
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", [b"[1]"])})
+    with open_log(path) as log, pytest.raises(SchemaError, match="first message is no JSON object"):
+        choose(log, Selection())
