@@ -20,6 +20,7 @@ DECODERS: Final[dict[str, str]] = {
     "ros1": "quatprop.messages.decoder:Decoder",
     "ulog": "quatprop.messages.decoder:Decoder",
     "json": "quatprop.messages.json:JsonDecoder",
+    "protobuf": "quatprop.messages.protobuf:ProtobufDecoder",
 }
 """``"module:Class"`` by the encoding of messages, imported when a channel is decoded."""
 

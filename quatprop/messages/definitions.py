@@ -61,6 +61,7 @@ ROS1_TIMES: Mapping[str, Struct] = {
 
 GRAMMARS: Mapping[str, str] = {
     "json": "quatprop.messages.json",
+    "protobuf": "quatprop.messages.protobuf",
     "ulog": "quatprop.messages.ulog",
 }
 """Modules that read the definitions of encodings other than those of ROS."""

@@ -1,0 +1,157 @@
+"""Protobuf messages, defined by the file descriptors that the log carries.
+
+The library decodes them, one after the other. It is an extra: ``pip install quatprop[protobuf]``.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from quatprop.errors import quoted
+from quatprop.messages.schema import BadDefinitionError, Primitive, Sequence, Struct, Text, Unknown
+from quatprop.messages.values import ValueDecoder
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from collections.abc import Sequence as Paths
+    from pathlib import Path
+
+    from quatprop.messages.schema import Steps, Type
+    from quatprop.readers.base import Channel
+
+NUMBERS: Mapping[int, Primitive] = {
+    1: Primitive("f8"),  # double
+    2: Primitive("f4"),  # float
+    3: Primitive("i8"),  # int64
+    4: Primitive("u8"),  # uint64
+    5: Primitive("i4"),  # int32
+    6: Primitive("u8"),  # fixed64
+    7: Primitive("u4"),  # fixed32
+    8: Primitive("b1"),  # bool
+    13: Primitive("u4"),  # uint32
+    14: Primitive("i4"),  # enum
+    15: Primitive("i4"),  # sfixed32
+    16: Primitive("i8"),  # sfixed64
+    17: Primitive("i4"),  # sint32
+    18: Primitive("i8"),  # sint64
+}
+"""Numbers by the type of a field in its descriptor."""
+
+TEXTS = (9, 12)
+"""Types of strings and bytes."""
+
+MESSAGES = (10, 11)
+"""Types of groups and messages."""
+
+
+def message_type(channel: Channel) -> Struct:
+    """Return the type of a channel's messages.
+
+    Parameters
+    ----------
+    channel
+        Its schema is a serialised ``FileDescriptorSet``.
+
+    Raises
+    ------
+    BadDefinitionError
+        The descriptors cannot be read, lack the type, or the library is not installed.
+    """
+    return _struct(_message_class(channel.type_name, channel.schema).DESCRIPTOR, {})
+
+
+@lru_cache(maxsize=256)
+def _message_class(type_name: str, schema: bytes) -> Any:
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+        from google.protobuf.message import DecodeError
+    except ImportError:
+        raise BadDefinitionError(
+            f"{quoted(type_name)} is encoded as protobuf, which is an extra; "
+            "install it with pip install 'quatprop[protobuf]', or choose another --topic"
+        ) from None
+    try:
+        files = descriptor_pb2.FileDescriptorSet.FromString(schema)
+        pool = descriptor_pool.DescriptorPool()
+        _add(pool, {file.name: file for file in files.file})
+        return message_factory.GetMessageClass(pool.FindMessageTypeByName(type_name))
+    except (DecodeError, KeyError, RecursionError, TypeError, ValueError):
+        raise BadDefinitionError(
+            f"the file descriptors that the log carries cannot be read, or do not define "
+            f"{quoted(type_name)}; record it with all files that it imports"
+        ) from None
+
+
+def _add(pool: Any, files: dict[str, Any]) -> None:
+    """Add files to a pool, those that others import first, in whatever order the log has them."""
+    done: set[str] = set()
+
+    def add(name: str) -> None:
+        if name in done:
+            return
+        done.add(name)
+        for imported in files[name].dependency:
+            add(imported)
+        pool.Add(files[name])
+
+    for name in files:
+        add(name)
+
+
+def _struct(descriptor: Any, known: dict[str, Struct]) -> Struct:
+    name: str = descriptor.full_name
+    if name not in known:
+        # A type may contain itself, as deep as a message likes: nobody looks for rates there.
+        known[name] = Struct(name, ())
+        known[name] = Struct(name, tuple((f.name, _type(f, known)) for f in descriptor.fields))
+    return known[name]
+
+
+def _type(field: Any, known: dict[str, Struct]) -> Type:
+    kind: Type
+    if field.type in NUMBERS:
+        kind = NUMBERS[field.type]
+    elif field.type in TEXTS:
+        kind = Text()
+    elif field.type in MESSAGES:
+        kind = _struct(field.message_type, known)
+    else:
+        kind = Unknown(field.name)
+    return Sequence(kind) if field.is_repeated else kind
+
+
+class ProtobufDecoder(ValueDecoder):
+    """Takes fields out of protobuf messages.
+
+    Rates whose message is not set are NaN; other numbers that are not set are what protobuf says
+    they then are.
+
+    Parameters
+    ----------
+    channel, field_paths, path
+        As for :class:`quatprop.messages.values.ValueDecoder`.
+    """
+
+    def __init__(self, channel: Channel, field_paths: Paths[str], path: Path | str) -> None:
+        super().__init__(channel, field_paths, path)
+        self._class = _message_class(channel.type_name, channel.schema)
+
+    def _parsed(self, raw: bytes) -> Any:
+        from google.protobuf.message import DecodeError
+
+        try:
+            return self._class.FromString(raw)
+        except DecodeError as error:
+            raise ValueError from error
+
+    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
+        value = message
+        for step in way[:-1]:
+            if not value.HasField(step):
+                if number.code[0] == "f":
+                    return math.nan
+                raise LookupError
+            value = getattr(value, str(step))
+        return getattr(value, str(way[-1]))

@@ -1,0 +1,176 @@
+"""Protobuf messages: fields by the descriptors that the log carries."""
+
+import sys
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from mcap.writer import Writer
+
+from quatprop.errors import SchemaError
+from quatprop.messages.rates import rate_fields
+from quatprop.readers import open_log
+from quatprop.readers.base import Channel
+from quatprop.selection import Selection
+from quatprop.series import GyroSeries
+from quatprop.signal import choose
+
+FIELD = descriptor_pb2.FieldDescriptorProto
+DOUBLE, FLOAT, STRING, MESSAGE, UINT64 = (
+    FIELD.TYPE_DOUBLE, FIELD.TYPE_FLOAT, FIELD.TYPE_STRING, FIELD.TYPE_MESSAGE, FIELD.TYPE_UINT64,
+)  # fmt: skip
+STAMP = ".google.protobuf.Timestamp"
+
+
+def file_of(name, messages, imports=()):
+    """Return a file descriptor; fields are names with a number, or with a type."""
+    file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package=name, syntax="proto3")
+    file.dependency.extend(imports)
+    for message, fields in messages.items():
+        made = file.message_type.add(name=message)
+        for number, (field, kind) in enumerate(fields.items(), 1):
+            repeated = field.endswith("*")
+            made.field.add(
+                name=field.rstrip("*"),
+                number=number,
+                label=FIELD.LABEL_REPEATED if repeated else FIELD.LABEL_OPTIONAL,
+                **(
+                    {"type": MESSAGE, "type_name": kind}
+                    if isinstance(kind, str)
+                    else {"type": kind}
+                ),
+            )
+    return file
+
+
+def stamp_file():
+    """Return the file that defines a time stamp."""
+    file = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(file)
+    return file
+
+
+FOXGLOVE = file_of(
+    "foxglove",
+    {
+        "Vector3": dict.fromkeys("xyz", DOUBLE),
+        "Quaternion": dict.fromkeys("xyzw", DOUBLE),
+        "Pose": {"position": ".foxglove.Vector3", "orientation": ".foxglove.Quaternion"},
+        "Odometry": {
+            "timestamp": STAMP, "frame_id": STRING, "body_frame_id": STRING,
+            "pose": ".foxglove.Pose", "linear_velocity": ".foxglove.Vector3",
+            "angular_velocity": ".foxglove.Vector3",
+        },
+    },
+    ["google/protobuf/timestamp.proto"],
+)  # fmt: skip
+OWN = file_of(
+    "own",
+    {
+        "Node": {"next": ".own.Node", "others*": ".own.Node", "value": DOUBLE},
+        "Gyro": {"us": UINT64, "rate": ".own.Rate", "tree": ".own.Node", "many*": FLOAT},
+        "Rate": dict.fromkeys("abc", FLOAT),
+    },
+)
+
+
+def described(*files):
+    """Return a set of descriptors; what is imported comes last, as some writers have it."""
+    return descriptor_pb2.FileDescriptorSet(file=files).SerializeToString()
+
+
+def made(type_name, *files):
+    """Return the class of a message."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in reversed(files):
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(type_name))
+
+
+def write(path, type_name, schema, messages):
+    """Write an MCAP file."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        id_ = writer.register_schema(type_name, "protobuf", schema)
+        channel = writer.register_channel("/t", "protobuf", id_)
+        for position, message in enumerate(messages):
+            data = message if isinstance(message, bytes) else message.SerializeToString()
+            writer.add_message(channel, position * 1000, data, position * 1000)
+        writer.finish()
+    return path
+
+
+def read(path, **options):
+    """Return the one source, its samples, and what was lost."""
+    with open_log(path) as log:
+        source = choose(log, Selection(**options))
+        return source, GyroSeries.joined(list(source.batches())), log.losses
+
+
+def test_an_odometry_of_foxglove_is_a_rate_that_was_estimated(tmp_path):
+    """The velocity is optional: what is not set is not finite. A message that is none is lost."""
+    files = (FOXGLOVE, stamp_file())
+    odometry = made("foxglove.Odometry", *files)
+    messages = [odometry() for _ in range(3)]
+    for position, message in enumerate(messages):
+        message.timestamp.seconds = 1_700_000_000
+        message.timestamp.nanos = position + 1
+        message.frame_id = "a" * position
+    messages[0].angular_velocity.x = 0.1
+    messages[0].angular_velocity.z = -3
+    messages[2].angular_velocity.SetInParent()
+    path = write(
+        tmp_path / "log.mcap", "foxglove.Odometry", described(*files),
+        [*messages, b"\xff\xff", odometry()],
+    )  # fmt: skip
+    source, series, losses = read(path)
+    assert not source.measured
+    assert source.rate == "angular_velocity"
+    assert source.clock == "header"
+    assert series.t_ns.tolist() == [1_700_000_000_000_000_000 + k for k in (1, 2, 3)]
+    assert series.rate[0].tolist() == [0.1, 0, -3]
+    assert np.isnan(series.rate[1]).all()
+    assert series.rate[2].tolist() == [0, 0, 0]
+    (loss,) = losses
+    assert loss.messages == 2
+    assert "recorded at 3000 ns and 1 others cannot be decoded as protobuf" in loss.reason
+
+
+def test_any_field_can_be_named(tmp_path):
+    """Types that contain themselves do no harm."""
+    gyro = made("own.Gyro", OWN)
+    messages = [gyro(us=k, rate={"a": k, "b": 0.5, "c": 0.25}, many=[1]) for k in (5, 6)]
+    path = write(tmp_path / "log.mcap", "own.Gyro", described(OWN), messages)
+    options = {"time_field": "us", "time_unit": "us", "rate_unit": "rad/s"}
+    for name in ("rate", "rate.a,rate.b,rate.c"):
+        _, series, _ = read(path, rate_field=name, **options)
+        assert series.t_ns.tolist() == [5000, 6000]
+        assert series.rate.tolist() == [[5, 0.5, 0.25], [6, 0.5, 0.25]]
+    with open_log(path) as log, pytest.raises(SchemaError, match=r"'many' of 'own\.Gyro' is not"):
+        choose(log, Selection(rate_field="many", **options))
+
+
+def test_descriptors_that_lack_an_import_are_refused():
+    """The sentence says what was left out."""
+    channel = Channel("/t", "foxglove.Odometry", "protobuf", "protobuf", described(FOXGLOVE))
+    with pytest.raises(
+        SchemaError,
+        match=r"^log: topic '/t': the file descriptors that the log carries cannot be read, or do "
+        r"not define 'foxglove.Odometry'; record it with all files that it imports$",
+    ):
+        rate_fields(channel, "log")
+
+
+def test_without_the_library_the_extra_is_named(monkeypatch):
+    """Other topics can still be read."""
+    channel = Channel("/t", "foxglove.Odometry", "protobuf", "protobuf", b"none")
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    with pytest.raises(
+        SchemaError,
+        match=r"^log: topic '/t': 'foxglove.Odometry' is encoded as protobuf, which is an extra; "
+        r"install it with pip install 'quatprop\[protobuf\]', or choose another --topic$",
+    ):
+        rate_fields(channel, "log")
+    other = Channel("/t", "foxglove.Grid", "protobuf", "protobuf", b"Odometry")
+    assert rate_fields(other, "log") == []
