@@ -8,11 +8,12 @@ READY_BENCH := $(VENV)/.ready-bench
 # Exact versions, so that the sample logs and the test results are the same on every machine.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test lint format bench sample-logs clean help
+.PHONY: demo test fuzz lint format bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how close they come to the truth'
 	@echo 'make test         run the tests'
+	@echo 'make fuzz         read 10,000 damaged logs, by seed, and tell what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
@@ -37,6 +38,9 @@ demo: $(READY)
 
 test: $(READY)
 	$(BIN)/python -m pytest
+
+fuzz: $(READY)
+	$(BIN)/python tests/fuzz.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

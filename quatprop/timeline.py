@@ -237,8 +237,10 @@ class Timeline:
 
     def _finite(self, batch: GyroSeries) -> GyroSeries:
         """Find rates that are not finite, and drop or fill them."""
-        # The sum is finite where all are: one pass for the common case.
-        if np.isfinite(batch.rate.sum()):
+        # Where the sum is finite all are: one pass for the common case.
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = batch.rate.sum()
+        if np.isfinite(total):
             self._held = batch.rate[-1]
             return batch
         good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 _BATCH_ROWS = 1 << 16
-_DAMAGE = (pa.ArrowInvalid, OSError)
+_DAMAGE = (pa.ArrowException, OSError)
+"""ArrowException has what cannot be allocated in it: lengths in a damaged file may be any."""
 
 
 class _Leaf(NamedTuple):
@@ -144,13 +145,18 @@ class _ArrowLog:
             while True:
                 try:
                     batch = next(batches, None)
+                    if batch is not None:
+                        # Arrow believes what a file says about its rows: they may not be there.
+                        batch.validate()
                 except _DAMAGE as error:
                     rows = max(part.rows - read, 0) or None
                     self.losses.append(Loss(part.place, f"it is damaged: {plain(error)}", rows))
                     break
                 if batch is None:
                     break
-                yield self._rows(batch, columns, first + read)
+                t_ns, numbers = self._rows(batch, columns, first + read)
+                if len(t_ns):
+                    yield t_ns, numbers
                 read += batch.num_rows
             first += max(part.rows, read)
 

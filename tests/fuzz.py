@@ -1,0 +1,212 @@
+"""Read damaged logs: ``make fuzz``, or ``python tests/fuzz.py [--first SEED] [--count N]``.
+
+Each seed is one damaged log, which goes through ``info`` and ``propagate`` in a process of its
+own with bounded memory and time. Whatever is not a sentence and an exit code of 0, 2 or 3 is told
+with its seed; ``--keep FOLDER`` keeps the log.
+"""
+
+import argparse
+import faulthandler
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import traceback
+import warnings
+from itertools import count
+from pathlib import Path
+
+SECONDS = 10
+MEMORY = 4 << 30
+LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
+COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
+
+
+class Hang(BaseException):
+    """A command takes too long; no handler of errors catches it."""
+
+
+class Worker:
+    """A process that reads damaged logs, with bounds; the next one is begun where it dies."""
+
+    def __init__(self, intact):
+        self.intact = intact
+        self.process = None
+
+    def problem(self, seed):
+        """Return what is wrong with how a damaged log is read; None where nothing is."""
+        if self.process is None:
+            context = multiprocessing.get_context("spawn")
+            self.pipe, other = context.Pipe()
+            self.process = context.Process(target=_serve, args=(other, self.intact), daemon=True)
+            self.process.start()
+            other.close()
+        self.pipe.send(seed)
+        try:
+            if self.pipe.poll((len(COMMANDS) + 1) * SECONDS):
+                return self.pipe.recv()
+        except EOFError:
+            self.process.join()
+            died = self.process.exitcode
+            self.process = None
+            return f"the process dies ({died})"
+        self.close()
+        return "the process hangs"
+
+    def close(self):
+        """End the process."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.join()
+            self.process = None
+
+
+def _serve(pipe, intact):
+    """Read damaged logs as seeds come in."""
+    from fuzz_logs import write_damaged
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    signal.signal(signal.SIGALRM, _interrupt)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("error")
+    warnings.simplefilter("ignore", ResourceWarning)
+    with tempfile.TemporaryDirectory() as room:
+        while True:
+            try:
+                seed = pipe.recv()
+            except EOFError:
+                return
+            # Says where it hangs, should the alarm not get through.
+            faulthandler.dump_traceback_later(len(COMMANDS) * SECONDS)
+            with tempfile.TemporaryDirectory(dir=room) as folder:
+                pipe.send(problem(write_damaged(seed, intact, Path(folder)), Path(folder)))
+
+
+def _interrupt(_number, _frame):
+    raise Hang
+
+
+def problem(log, folder):
+    """Return what is wrong with how a log is read; None where nothing is.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Where results and unpacked copies may go.
+    """
+    from click.testing import CliRunner
+
+    from quatprop.cli import cli
+
+    scratch = folder / "scratch"
+    for arguments in COMMANDS:
+        scratch.mkdir()
+        tempfile.tempdir = str(scratch)
+        command = [*arguments, str(log)]
+        if arguments[0] == "propagate":
+            command += ["-o", str(scratch / "out.csv")]
+        signal.setitimer(signal.ITIMER_REAL, SECONDS)
+        try:
+            result = CliRunner().invoke(cli, command)
+        except Hang:
+            return f"{arguments[0]} hangs\n{traceback.format_exc()}"
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            tempfile.tempdir = None
+        wrong = _wrong(arguments[0], result, sorted(path.name for path in scratch.iterdir()))
+        if wrong:
+            return f"{' '.join(arguments)}: {wrong}"
+        shutil.rmtree(scratch)
+    return None
+
+
+def _wrong(command, result, left):
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        return "".join(traceback.format_exception(*result.exc_info))
+    if result.exit_code not in {0, 2, 3}:
+        return f"exit code {result.exit_code}"
+    if any(not one.isprintable() for one in result.output.replace("\n", "")):
+        return f"unprintable output {result.output!r}"
+    wanted = ["out.csv"] if command == "propagate" and result.exit_code != 2 else []
+    return f"exit code {result.exit_code} leaves {left}" if left != wanted else None
+
+
+def fuzz(seeds, workers, tell):
+    """Read the damaged logs of some seeds.
+
+    Parameters
+    ----------
+    seeds
+        Which.
+    workers
+        How many processes.
+    tell
+        Called with each seed and its problem, or None.
+    """
+    from fuzz_logs import write_logs
+
+    seeds = iter(seeds)
+    lock = threading.Lock()
+
+    def work(intact):
+        worker = Worker(intact)
+        while True:
+            with lock:
+                seed = next(seeds, None)
+            if seed is None:
+                return worker.close()
+            found = worker.problem(seed)
+            with lock:
+                tell(seed, found)
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_logs(Path(folder))
+        threads = [threading.Thread(target=work, args=(Path(folder),)) for _ in range(workers)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+
+def main():
+    """Read damaged logs and tell what goes wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=0, help="first seed (default: 0)")
+    parser.add_argument("--count", type=int, default=10_000, help="how many (default: 10,000)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--keep", type=Path, help="folder to write the damaged logs to, unread")
+    chosen = parser.parse_args()
+    seeds = range(chosen.first, chosen.first + chosen.count)
+    if chosen.keep:
+        from fuzz_logs import write_damaged, write_logs
+
+        with tempfile.TemporaryDirectory() as folder:
+            write_logs(Path(folder))
+            for seed in seeds:
+                target = chosen.keep / str(seed)
+                target.mkdir(parents=True)
+                print(write_damaged(seed, Path(folder), target))
+        return
+    done, failed = count(1), []
+
+    def tell(seed, found):
+        number = next(done)
+        if found:
+            failed.append(seed)
+            print(f"seed {seed}: {found}", flush=True)
+        if number % 1000 == 0:
+            print(f"{number} logs, {len(failed)} problems", flush=True)
+
+    fuzz(seeds, chosen.workers, tell)
+    print(f"{len(seeds)} logs, {len(failed)} problems: seeds {failed}")
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()

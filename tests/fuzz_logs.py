@@ -1,0 +1,314 @@
+"""Logs of every format, and ways to damage them; all told by seeds."""
+
+import bz2
+import gzip
+import random
+import shutil
+from fractions import Fraction
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pyarrow as pa
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from pyarrow import feather, parquet
+from rosbags.rosbag1 import Reader as BagReader
+from rosbags.rosbag1 import Writer as BagWriter
+
+from quatprop.simulate.gyroscope import Gyroscope
+from quatprop.simulate.motion import Shape
+from quatprop.simulate.run import simulate
+
+SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
+SAMPLES = 200
+"""Samples of the small logs: damage meets their structure more often than their numbers."""
+
+PACK = {
+    "gz": lambda data: gzip.compress(data, mtime=0),
+    "zst": zstandard.ZstdCompressor().compress,
+    "lz4": lz4.frame.compress,
+    "bz2": bz2.compress,
+}
+
+EXTREMES = [
+    value.to_bytes(size, order)
+    for size, values in {
+        2: (0, 1, 0x7FFF, 0x8000, 0xFFFF),
+        4: (0, 1, 2**31 - 1, 2**31, 2**32 - 4, 2**32 - 1),
+        8: (0, 1, 2**31, 2**32 - 1, 2**60, 2**63 - 1, 2**63, 2**64 - 9, 2**64 - 1),
+    }.items()
+    for value in values
+    for order in ("little", "big")
+]
+"""Lengths, counts and offsets that nobody should believe."""
+
+TOKENS = [
+    b"nan",
+    b"-inf",
+    b"1e999",
+    b"1e-400",
+    b"9" * 40,
+    b"-0",
+    b'"',
+    b",,,,",
+    b"\r",
+    b"\n",
+    b"\0",
+    b"\x1b[2J\x1b]0;x\x07",
+    b"\xff\xfe",
+    b"\xef\xbb\xbf",
+    b"[4294967295]",
+    b"[18446744073709551616]",
+    b"[]",
+    b"<=4294967295",
+    b"float64[1000000000] x\n",
+    b"wstring s\n",
+    b"string s\n",
+    b"geometry_msgs/Vector3",
+    b"sensor_msgs/Imu x\n",
+    b"MSG: std_msgs/Header\n",
+    b"../../../etc/passwd",
+    b"/dev/zero",
+    b"!!python/object:os.system x",
+    b"&a [*a, *a]",
+    b"- ",
+    b": ",
+    b"2262-04-12T00:00:00Z",
+    b"-9223372036854775808",
+    b"18446744073709551615",
+]
+"""Texts that mean something to one format or another."""
+
+
+def write_logs(folder):
+    """Write an intact log of every kind into a folder; return their names, sorted.
+
+    A folder among them is a ROS 2 bag.
+    """
+    for name in ("spin.csv", "coning.mcap", "tumbling.bag", "rest.parquet"):
+        shutil.copy(SAMPLE_LOGS / name, folder)
+    shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "tumbling_ros2")
+    _write_mcaps(folder)
+    _write_bags(folder)
+    gyroscope = Gyroscope(Fraction(100), SAMPLES)
+    for name, kind in {"small_ros2": "rosbag2", "mcap_ros2": "rosbag2-mcap"}.items():
+        simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
+    shutil.copy(folder / "small_ros2" / "small_ros2.db3", folder / "small.db3")
+    _write_tables(folder)
+    for name in ("small.csv", "mcap-none.mcap", "bag-none.bag"):
+        for suffix, pack in PACK.items():
+            (folder / f"{name}.{suffix}").write_bytes(pack((folder / name).read_bytes()))
+    return sorted(path.name for path in folder.iterdir())
+
+
+def _write_mcaps(folder):
+    with (SAMPLE_LOGS / "coning.mcap").open("rb") as file:
+        messages = list(make_reader(file).iter_messages())[:SAMPLES]
+    schema, channel, _ = messages[0]
+    for name, options in {
+        "none": {"compression": CompressionType.NONE},
+        "lz4": {"compression": CompressionType.LZ4},
+        "zstd": {},
+        "bare": {
+            "compression": CompressionType.NONE,
+            "index_types": IndexType.NONE,
+            "use_statistics": False,
+            "use_summary_offsets": False,
+            "repeat_channels": False,
+            "repeat_schemas": False,
+        },
+        "unchunked": {"use_chunking": False},
+    }.items():
+        with (folder / f"mcap-{name}.mcap").open("wb") as file:
+            # Without checksums: damage is to get further than they.
+            writer = McapWriter(file, chunk_size=20_000, enable_crcs=False, **options)
+            writer.start("ros2")
+            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+            id_ = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+            for _, _, message in messages:
+                writer.add_message(id_, message.log_time, message.data, message.publish_time)
+            writer.finish()
+
+
+def _write_bags(folder):
+    with BagReader(SAMPLE_LOGS / "tumbling.bag") as reader:
+        (connection,) = reader.connections
+        messages = list(reader.messages())[:SAMPLES]
+    for compression in (None, *BagWriter.CompressionFormat):
+        name = compression.name.lower() if compression else "none"
+        writer = BagWriter(folder / f"bag-{name}.bag")
+        writer.chunk_threshold = 20_000
+        if compression:
+            writer.set_compression(compression)
+        with writer:
+            target = writer.add_connection(
+                connection.topic,
+                connection.msgtype,
+                msgdef=connection.msgdef.data,
+                md5sum=connection.digest,
+            )
+            for _, log_ns, data in messages:
+                writer.write(target, log_ns, data)
+
+
+def _write_tables(folder):
+    k = np.arange(SAMPLES)
+    table = pa.table(
+        {
+            "t_ns": 1_700_000_000_000_000_000 + 10_000_000 * k,
+            **{name: np.sin(k / 10 + phase) for phase, name in enumerate(("wx", "wy", "wz"))},
+        }
+    )
+    parquet.write_table(
+        table,
+        folder / "small.parquet",
+        compression="zstd",
+        row_group_size=50,
+        write_statistics=True,
+    )
+    parquet.write_table(table, folder / "plain.parquet", compression="none", use_dictionary=False)
+    for compression in ("uncompressed", "lz4", "zstd"):
+        target = folder / f"{compression}.feather"
+        feather.write_feather(table, target, compression=compression, chunksize=50)
+    rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
+    lines = {
+        "small.csv": ["t_ns,wx,wy,wz", *(",".join(map(str, row)) for row in rows)],
+        "semicolons.csv": [
+            "# rates;of;a;gyroscope",
+            "time [s];gyro_x [deg/s];gyro_y [deg/s];gyro_z [deg/s]",
+            *(f"{row[0] / 1e9:.6f};" + ";".join(map(str, row[1:])) for row in rows),
+        ],
+        "quoted.tsv": [
+            '"t_ns"\t"note"\t"wx"\t"wy"\t"wz"',
+            *(f'{row[0]}\t"a ""b"" \n c"\t{row[1]}\t{row[2]}\t{row[3]}' for row in rows),
+        ],
+    }
+    for name, text in lines.items():
+        (folder / name).write_bytes(("\n".join(text) + "\n").encode())
+
+
+def damaged(data, rng):
+    """Return bytes with one to four damages."""
+    data = bytearray(data)
+    for _ in range(rng.choice((1, 1, 1, 2, 4))):
+        if data:
+            rng.choice(DAMAGES)(data, rng)
+    return bytes(data)
+
+
+def _place(data, rng):
+    """Return an offset: anywhere, or near the beginning or the end, where the structure is."""
+    reach = rng.choice((len(data), min(len(data), 600)))
+    offset = rng.randrange(reach)
+    return offset if rng.random() < 0.6 else len(data) - 1 - offset
+
+
+def _flip(data, rng):
+    for _ in range(rng.choice((1, 1, 8))):
+        data[_place(data, rng)] ^= 1 << rng.randrange(8)
+
+
+def _randomise(data, rng):
+    at = _place(data, rng)
+    size = min(rng.choice((1, 4, 64, 600)), len(data) - at)
+    data[at : at + size] = rng.randbytes(size)
+
+
+def _truncate(data, rng):
+    del data[_place(data, rng) :]
+
+
+def _overwrite(data, rng):
+    at, value = _place(data, rng), rng.choice(EXTREMES)
+    data[at : at + len(value)] = value
+
+
+def _overwrite_length(data, rng):
+    """Overwrite what is most likely a length: a number that fits into the rest of the file."""
+    size = rng.choice((4, 8))
+    first = _place(data, rng)
+    for at in range(first, min(first + 200, len(data) - size)):
+        if 0 < int.from_bytes(data[at : at + size], "little") <= len(data) - at:
+            values = [value for value in EXTREMES if len(value) == size]
+            near = int.from_bytes(data[at : at + size], "little") + rng.choice((-1, 1))
+            data[at : at + size] = rng.choice([*values, near.to_bytes(size, "little")])
+            return
+
+
+def _write_token(data, rng):
+    at, token = _place(data, rng), rng.choice(TOKENS)
+    data[at : at + (len(token) if rng.random() < 0.6 else 0)] = token
+
+
+def _block(data, rng):
+    at = _place(data, rng)
+    return at, at + rng.choice((1, 8, 100, 4096, 20_000))
+
+
+def _remove(data, rng):
+    begin, end = _block(data, rng)
+    del data[begin:end]
+
+
+def _repeat(data, rng):
+    begin, end = _block(data, rng)
+    at = rng.choice((end, _place(data, rng)))
+    data[at:at] = data[begin:end] * rng.choice((1, 1, 20))
+
+
+def _exchange(data, rng):
+    begin, end = _block(data, rng)
+    block = data[begin:end]
+    del data[begin:end]
+    at = rng.randrange(len(data) + 1)
+    data[at:at] = block
+
+
+def _zero(data, rng):
+    begin, end = _block(data, rng)
+    end = min(end, len(data))
+    data[begin:end] = bytes(end - begin)
+
+
+DAMAGES = (
+    _flip,
+    _randomise,
+    _truncate,
+    _overwrite,
+    _overwrite,
+    _overwrite_length,
+    _overwrite_length,
+    _write_token,
+    _write_token,
+    _remove,
+    _repeat,
+    _exchange,
+    _zero,
+)
+
+
+def write_damaged(seed, intact, folder):
+    """Write the damaged log of a seed into a folder; return its path."""
+    rng = random.Random(seed)
+    names = sorted(path.name for path in intact.iterdir())
+    name = names[seed % len(names)]
+    target = folder / name
+    if (intact / name).is_dir():
+        shutil.copytree(intact / name, target)
+        files = sorted(target.iterdir())
+        if rng.random() < 0.05:
+            rng.choice(files).unlink()
+            return target
+        file = rng.choice(files)
+        file.write_bytes(damaged(file.read_bytes(), rng))
+        return target
+    suffix = name.rpartition(".")[2]
+    if suffix in PACK and rng.random() < 0.5:
+        inside = (intact / name.removesuffix(f".{suffix}")).read_bytes()
+        target.write_bytes(PACK[suffix](damaged(inside, rng)))
+    else:
+        target.write_bytes(damaged((intact / name).read_bytes(), rng))
+    return target

@@ -1,0 +1,264 @@
+"""What is left of damaged logs: never a sample that was not there, never a silent loss."""
+
+import io
+import re
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+from fuzz_logs import SAMPLES, write_logs
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import Writer as McapWriter
+from pyarrow import feather, parquet
+from rosbags.rosbag1 import Reader as BagReader
+from rosbags.rosbag1 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.cli import cli
+from quatprop.errors import LogError
+from quatprop.readers import open_log
+from quatprop.selection import Selection
+from quatprop.signal import choose
+
+CUTS = 200
+CUT_LOGS = [
+    "small.csv",
+    "semicolons.csv",
+    "small.csv.gz",
+    "small.csv.zst",
+    "mcap-none.mcap",
+    "mcap-lz4.mcap",
+    "mcap-zstd.mcap",
+    "mcap-bare.mcap",
+    "mcap-unchunked.mcap",
+    "mcap-none.mcap.lz4",
+    "bag-none.bag",
+    "bag-bz2.bag",
+    "bag-lz4.bag",
+    "bag-none.bag.bz2",
+    "small.db3",
+    "small_ros2/small_ros2.db3",
+    "mcap_ros2/mcap_ros2.mcap",
+    "small.parquet",
+    "uncompressed.feather",
+    "zstd.feather",
+]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return a folder with an intact log of every kind."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_logs(folder)
+    return folder
+
+
+def samples(log):
+    """Return the stamps and rates of a log, and whether anything of it is told as lost."""
+    try:
+        with open_log(log) as opened:
+            batches = list(choose(opened, Selection()).batches())
+            lost = bool(opened.losses)
+    except LogError:
+        return np.empty((0, 4)), True
+    t_ns = np.concatenate([batch.t_ns for batch in batches] or [np.empty(0)])
+    rate = np.concatenate([batch.rate for batch in batches] or [np.empty((0, 3))])
+    # A log without any sample is refused by whoever wants them.
+    return np.column_stack([t_ns.view(np.float64), rate]), lost or not len(t_ns)
+
+
+def held(name, path):
+    """Return where parts of a log end and how many samples they end with, by others' count."""
+    if name.endswith(".csv"):
+        lines = path.read_bytes().splitlines(keepends=True)
+        ends = np.cumsum([len(line) for line in lines])
+        return list(zip(ends.tolist(), range(SAMPLES - len(lines) + 1, SAMPLES + 1), strict=True))
+    if name.endswith(".mcap"):
+        parts = []
+        file = io.BytesIO(path.read_bytes())
+        for record in StreamReader(file, emit_chunks=True).records:
+            inside = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+            parts.append((file.tell(), sum(isinstance(one, Message) for one in inside)))
+        counts = np.cumsum([count for _, count in parts])
+        return [(end, int(count)) for (end, _), count in zip(parts, counts, strict=True)]
+    if name.endswith(".bag"):
+        with BagReader(path) as reader:
+            chunks = sorted(reader.chunk_infos, key=lambda chunk: chunk.pos)
+        counts = np.cumsum([sum(chunk.connection_counts.values()) for chunk in chunks])
+        return list(zip([chunk.pos for chunk in chunks[1:]], counts[:-1].tolist(), strict=True))
+    return []
+
+
+def is_row(name, data):
+    """Tell whether a text ends with a row that has all its cells, though the last may be cut."""
+    last = data.splitlines()[-1] if data else b""
+    return name.endswith(".csv") and (data.endswith(b"\n") or len(re.split(b"[,;]", last)) == 4)
+
+
+@pytest.mark.parametrize("name", CUT_LOGS)
+def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs, tmp_path, name):
+    """Wherever a log ends, its samples are the first of the whole, and nothing is lost silently."""
+    folder, _, part = name.partition("/")
+    intact = logs / name
+    whole, lost = samples(logs / folder)
+    assert (len(whole), lost) == (SAMPLES, False)
+    data = intact.read_bytes()
+    log = tmp_path / folder
+    if part:
+        shutil.copytree(logs / folder, log)
+    parts = held(name, intact)
+    wrong = []
+    for size in np.linspace(0, len(data) - 1, CUTS).astype(int).tolist():
+        (log / part if part else log).write_bytes(data[:size])
+        found, lost = samples(log)
+        count = len(found)
+        least = max((number for end, number in parts if end <= size), default=0)
+        # The last row of a text needs no line break: nobody can tell a number from its beginning.
+        whole_row = is_row(name, data[:size])
+        if whole_row and count:
+            found[-1, -1] = whole[count - 1, -1]
+        if (
+            count < least
+            or found.tobytes() != whole[:count].tobytes()
+            or (count < len(whole) and not lost and not whole_row)
+        ):
+            wrong.append((size, count, least, lost))
+    assert wrong == []
+
+
+ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
+"""Clears the screen, names the window, and turns the text around."""
+
+
+def with_escapes(path):
+    """Write a log whose every name holds terminal escapes, and rates of NaN."""
+    if path.suffix == ".mcap":
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        imu = imu_in(store)
+        with path.open("wb") as file:
+            writer = McapWriter(file)
+            writer.start(ESCAPES, ESCAPES)
+            definition = store.generate_msgdef("sensor_msgs/msg/Imu", ros_version=2)[0]
+            schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", definition.encode())
+            for topic in (f"/imu{ESCAPES}", f"/other{ESCAPES}"):
+                id_ = writer.register_channel(topic, "cdr", schema)
+                for k in range(3):
+                    data = bytes(store.serialize_cdr(imu(k), "sensor_msgs/msg/Imu"))
+                    writer.add_message(id_, k, data, k)
+            other = writer.register_schema(f"a/msg/{ESCAPES}", "ros2msg", ESCAPES.encode())
+            writer.register_channel(f"/unknown{ESCAPES}", ESCAPES, other)
+            writer.finish()
+    elif path.suffix == ".bag":
+        store = get_typestore(Stores.ROS1_NOETIC)
+        imu = imu_in(store)
+        with BagWriter(path) as writer:
+            for topic in (f"/imu{ESCAPES}", f"/other{ESCAPES}"):
+                one = writer.add_connection(topic, "sensor_msgs/msg/Imu", typestore=store)
+                for k in range(3):
+                    data = bytes(store.serialize_ros1(imu(k), "sensor_msgs/msg/Imu"))
+                    writer.write(one, k, data)
+    elif path.suffix == ".parquet":
+        names = [ESCAPES, *(f"gyro_{axis}{ESCAPES}" for axis in "xyz")]
+        parquet.write_table(pa.table({name: [1.0, np.nan] for name in names}), path)
+    else:
+        path.write_text(f"{ESCAPES},wx,wy,wz\n{ESCAPES},1,2,3\n1,{ESCAPES},2,3\n")
+
+
+def imu_in(store):
+    """Return a function that makes the message of a stamp."""
+    types = store.types
+    quaternion = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    vector = types["geometry_msgs/msg/Vector3"](0.0, 0.0, np.nan)
+    nine = np.zeros(9)
+
+    def imu(k):
+        stamp = types["builtin_interfaces/msg/Time"](0, k)
+        header = types["std_msgs/msg/Header"]
+        sequence = {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
+        made = header(stamp=stamp, frame_id=ESCAPES, **sequence)
+        return types["sensor_msgs/msg/Imu"](made, quaternion, nine, vector, nine, vector, nine)
+
+    return imu
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".bag", ".parquet", ".csv"])
+def test_escapes_in_a_log_never_reach_the_terminal(tmp_path, suffix):
+    """Names of topics, types, frames and columns are shown with everything unprintable escaped."""
+    log = tmp_path / f"log{suffix}"
+    with_escapes(log)
+    shown = []
+    target = tmp_path / f"out{ESCAPES}.mcap"
+    for command in (
+        ["info", str(log)],
+        ["info", "--json", str(log)],
+        ["propagate", "-v", str(log), "-o", str(target)],
+        ["propagate", "-v", str(log), "-o", str(target), "-t", f"/imu{ESCAPES}"],
+        [
+            *("propagate", "-v", str(log), "-o", str(target), "-t", f"/imu{ESCAPES}"),
+            *("--on-nonfinite", "hold", "--q0", "log", "--message", "odometry"),
+        ],
+        ["propagate", str(log), "-o", str(target), "-t", ESCAPES],
+        ["propagate", str(log), "-o", str(target), "--rate-field", ESCAPES],
+        ["propagate", str(log), "-o", str(target), "--rate-cols", f"{ESCAPES},b,c"],
+        ["convert", str(log), str(target)],
+        ["compare", str(log), str(log)],
+    ):
+        result = CliRunner().invoke(cli, command)
+        assert result.exception is None or isinstance(result.exception, SystemExit)
+        shown.append(result.output)
+    assert [text for text in shown if not text.replace("\n", "").isprintable()] == []
+    assert "\\x1b[2J" in "".join(shown)
+
+
+ROWS = 1234
+
+
+@pytest.mark.parametrize("claimed", [ROWS + 1, 10_000_000, 1 << 40, 1 << 62, -1])
+def test_feather_rows_that_are_not_there_are_not_read(tmp_path, claimed):
+    """Rows that a batch claims beyond its bytes are a loss, not other memory of the process."""
+    log = tmp_path / "log.feather"
+    table = pa.table({name: np.arange(ROWS) * 1e-3 for name in ("wx", "wy", "wz")})
+    table = table.append_column("t_ns", pa.array(range(ROWS)))
+    feather.write_feather(table, log, compression="uncompressed")
+    right, wrong = (value.to_bytes(8, "little", signed=True) for value in (ROWS, claimed))
+    log.write_bytes(log.read_bytes().replace(right, wrong))
+    found, lost = samples(log)
+    assert (len(found), lost) == (0, True)
+
+
+def test_feather_buffers_too_large_for_any_memory_are_a_loss(tmp_path):
+    """A packed buffer that says it unpacks to 2**60 bytes is damage, told by its place."""
+    log = tmp_path / "log.feather"
+    table = pa.table({name: np.zeros(ROWS) for name in ("t_ns", "wx", "wy", "wz")})
+    feather.write_feather(table, log, compression="zstd")
+    size = (ROWS * 8).to_bytes(8, "little")
+    log.write_bytes(log.read_bytes().replace(size, (1 << 60).to_bytes(8, "little")))
+    with open_log(log) as opened:
+        source = choose(opened, Selection(time_unit="ns"))
+        assert list(source.batches()) == []
+        assert [loss.place for loss in opened.losses] == ["record batch 0"]
+
+
+@pytest.mark.parametrize("write", [feather.write_feather, parquet.write_table])
+def test_a_table_without_rows_has_no_samples(tmp_path, write):
+    """An empty table is refused with a sentence, as an empty topic is."""
+    log = tmp_path / "log"
+    write(pa.table({name: np.zeros(0) for name in ("t_ns", "wx", "wy", "wz")}), str(log))
+    result = CliRunner().invoke(cli, ["propagate", "--time-unit", "ns", str(log), "-o", "-"])
+    assert result.exit_code == 2
+    assert "no samples in" in result.output
+
+
+def test_rates_near_the_largest_number_are_refused_without_a_warning(tmp_path):
+    """Finite rates whose sum is not finite are told in a sentence, before which nothing warns."""
+    log = tmp_path / "log.csv"
+    log.write_text("t_ns,wx,wy,wz\n0,1e308,1e308,0\n1,0,0,0\n")
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "out.csv")])
+    assert result.exit_code == 2
+    assert result.output == (
+        "Error: The attitude of sample 1 is not finite; rates must be finite, and their squares "
+        "too\n"
+    )
