@@ -85,7 +85,7 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
             "step": CONVENTION["step"],
             "rates": job.rates,
             "side": CONVENTION[job.rates],
-            "method": job.method,
+            "method": source.ruled_by(job.method),
             "layout": job.layout,
             "time": "int64 nanoseconds",
             "q0_wxyz": done.q0.tolist(),
@@ -95,7 +95,12 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
         "counts": asdict(counts),
         "losses": [asdict(loss) for loss in log.losses],
         "data_lost": bool(log.losses or counts.dropped),
-        "remarks": [*source.remarks, *remarks(counts, job.policy), *done.remarks],
+        "remarks": [
+            *source.remarks,
+            *source.remarks_on(job.method),
+            *remarks(counts, job.policy),
+            *done.remarks,
+        ],
         "conditioning": done.conditioned,
         "result": {
             "samples": counts.used,

@@ -158,7 +158,7 @@ def at_times(
 
 def _tail(gyro: GyroSeries, attitude: AttitudeSeries) -> tuple[GyroSeries, AttitudeSeries]:
     return (
-        GyroSeries(gyro.t_ns[-1:], gyro.rate[-1:]),
+        gyro[-1:],
         AttitudeSeries(attitude.t_ns[-1:], attitude.wxyz[-1:]),
     )
 
@@ -169,11 +169,9 @@ def _after(
     """Put the last sample of the batch before in front."""
     if last is None:
         return gyro, attitude
-    t_ns = np.concatenate([last[0].t_ns, gyro.t_ns])
-    return (
-        GyroSeries(t_ns, np.concatenate([last[0].rate, gyro.rate])),
-        AttitudeSeries(t_ns, np.concatenate([last[1].wxyz, attitude.wxyz])),
-    )
+    joined = GyroSeries.joined([last[0], gyro])
+    wxyz = np.concatenate([last[1].wxyz, attitude.wxyz])
+    return joined, AttitudeSeries(joined.t_ns, wxyz)
 
 
 def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates: str) -> Float64:
@@ -184,11 +182,15 @@ def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates:
     whole = (gyro.t_ns[after] - gyro.t_ns[before]) / NANOSECONDS
     sign = -1.0 if rates == "inertial" else 1.0
     ruling = sign * gyro.rate[before].T, sign * gyro.rate[after].T
-    if method == "coning":
+    share = np.divide(passed, whole, out=np.zeros_like(whole), where=whole > 0)
+    lasted = passed
+    if gyro.span_ns is not None:
+        # Of an increment only the whole is known: within it the rate is taken as constant.
+        method, lasted = "end", share * (gyro.span_ns[after] / NANOSECONDS)
+    elif method == "coning":
         # A rate that is linear in time has got part of the way to the next sample's.
-        share = np.divide(passed, whole, out=np.zeros_like(whole), where=whole > 0)
         ruling = ruling[0], ruling[0] + share * (ruling[1] - ruling[0])
-    steps = exp(METHODS[method](*ruling, passed).T)
+    steps = exp(METHODS[method](*ruling, lasted).T)
     if rates == "inertial":
         turned = conjugate(multiply(conjugate(wxyz[before]), steps))
     else:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from px4_messages import write_mcap
+from px4_messages import write_mcap, zeros
 
 from quatprop.errors import SchemaError
+from quatprop.job import Job, run
 from quatprop.propagate import attitudes, propagate
 from quatprop.quaternion import exp, geodesic_angle
 from quatprop.readers import open_log
@@ -162,3 +163,21 @@ def test_a_log_without_the_definition_is_refused(tmp_path):
         ),
     ):
         choose(log, Selection())
+
+
+def test_the_report_says_what_ruled_the_intervals(tmp_path):
+    """Increments are named where the method would be; an average is remarked on."""
+    samples = [
+        {"timestamp": 5000 * k, "timestamp_sample": 5000 * k, "delta_angle_dt": 5000,
+         "delta_angle": [0.01 * k, 0, 0], "gyro_rad": [k, 0, 0]}
+        for k in range(1, 5)
+    ]  # fmt: skip
+    reports = {}
+    for kind in ("VehicleImu", "SensorCombined"):
+        known = [{name: row[name] for name in row if name in zeros(kind)} for row in samples]
+        path = write_mcap(tmp_path / f"{kind}.mcap", kind, known)
+        reports[kind] = run(Job(log=str(path), output=str(tmp_path / f"{kind}.csv")))
+    assert reports["VehicleImu"]["convention"]["method"] == "increments"
+    assert reports["VehicleImu"]["result"]["net_rotation_rad"] == pytest.approx(0.09, abs=1e-8)
+    assert reports["SensorCombined"]["convention"]["method"] == "start"
+    assert "which --method end takes it for" in reports["SensorCombined"]["remarks"][0]
