@@ -138,6 +138,26 @@ def test_any_three_numbers_can_be_named_and_take_the_nearest_stamp():
         assert field.stamp == HEADER
 
 
+def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
+    """It may be anything; so its unit is for the user to say, too."""
+    channel = Channel("/gyro", "geometry_msgs/msg/Vector3Stamped", "cdr")
+    assert rate_fields(channel, "log") == []
+    field = rate_field_at(channel, "vector", "log")
+    assert field.rate == ("vector",)
+    assert field.unit is None
+    assert field.stamp == HEADER
+
+
+def test_an_odometry_of_foxglove_in_ROS_2_is_known():
+    """Its stamp is no header."""
+    text = "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n"
+    (field,) = rate_fields(channel_of(text, "foxglove_msgs/msg/Odometry"), "log")
+    assert field.rate == ("angular_velocity",)
+    assert field.stamp == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
+    assert field.orientation is None
+    assert not field.measured
+
+
 def test_a_named_field_that_is_elsewhere_is_no_error():
     """Another topic may have it."""
     assert rate_field_at(channel_of("float64 x\n"), "gyro", "log") is None
