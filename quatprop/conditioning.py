@@ -26,6 +26,9 @@ AXES = {"x": 0, "y": 1, "z": 2}
 REST_WINDOW_NS = 1_000_000_000
 """Rest is looked for in windows of this length, unless told otherwise."""
 
+AT_REST = 0.05
+"""rad/s: rates that scatter more than this are no rest."""
+
 REST_FACTOR = 2.0
 """A window is at rest if its rates scatter at most this much more than the quietest window's."""
 
@@ -143,8 +146,12 @@ def condition(
             first_ns, last_ns = int(windows["first_ns"][0]), int(windows["last_ns"][-1])
             rest = _rest(windows)
     if wanted.static_ns is not None:
-        if rest is None:
-            raise UsageError("the log has no stretch of rest to take the bias from; give --bias")
+        if rest is None or not rest.scatter <= AT_REST:
+            found = "" if rest is None else f" (the quietest scatters by {rest.scatter:.3g} rad/s)"
+            raise UsageError(
+                f"the log has no stretch of rest to take the bias from{found}; give --bias X,Y,Z, "
+                "or look for a shorter rest with --bias static:DUR"
+            )
         bias = rest.mean
     start_ns = _absolute(wanted.start, first_ns, last_ns)
     end_ns = _absolute(wanted.end, first_ns, last_ns)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +19,10 @@ from quatprop.conventions import HAMILTON, REPRESENTATIONS, Meaning, Signs
 from quatprop.errors import NoSamplesError, OutputError, UsageError, listed, quoted
 from quatprop.provenance import fingerprint
 from quatprop.readers import open_log
+from quatprop.report import ReportFile
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, kind_of, layout_of, open_table, open_writer
+from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -65,6 +66,8 @@ class Conversion:
         Leave out rows that are no rotations.
     comment
         Begin text with the provenance, in a comment.
+    report
+        Where the provenance goes as JSON, ``"-"`` for stdout; None is nowhere.
     """
 
     log: str
@@ -79,6 +82,7 @@ class Conversion:
     normalize: bool = False
     drop: bool = False
     comment: bool = False
+    report: str | None = None
 
 
 def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -> dict[str, Any]:
@@ -106,12 +110,12 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
         Options contradict each other.
     """
     _refuse_contradictions(job)
-    _refuse_own_input(job)
+    refuse_overlap([job.log], [job.output, job.report])
     with open_log(job.log, job.kind) as log:
         source = choose_attitudes(log, job.selection)
         check = RotationCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(_sign(job))
-        with _opened(job) as (writer, put):
+        with ReportFile(job.report) as report_file, _opened(job) as (writer, put):
             for series in check.apply(source.rows()):
                 put(series.t_ns, signs.applied(job.meaning.restated(series.wxyz)))
                 tick(check.counts.used)
@@ -119,6 +123,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
                 raise NoSamplesError(job.log, source.name)
             report = _report(job, log, source, check)
             writer.commit(report)
+            report_file.commit(report)
     return report
 
 
@@ -140,15 +145,6 @@ def _refuse_contradictions(job: Conversion) -> None:
             raise UsageError(
                 f"{option} is about quaternions and {job.representation} has none; leave it out"
             )
-
-
-def _refuse_own_input(job: Conversion) -> None:
-    """Refuse to replace the source by its own result."""
-    if "-" in {job.output, job.log}:
-        return
-    log, output = Path(job.log), Path(job.output)
-    if log.exists() and output.exists() and log.samefile(output):
-        raise OutputError(job.output, "this is the input itself; choose another output")
 
 
 def _sign(job: Conversion) -> str:

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.conditioning import Conditioning, condition
-from quatprop.errors import NoSamplesError, OutputError, UsageError
+from quatprop.errors import NoSamplesError, UsageError
 from quatprop.propagate import unit_q0
 from quatprop.readers import open_log
-from quatprop.report import Done, report_on
+from quatprop.report import Done, ReportFile, report_on
 from quatprop.resample import Steady, every
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
@@ -26,6 +25,7 @@ from quatprop.start import Recording, Start, starting
 from quatprop.stretches import Stretches
 from quatprop.timeline import Policy, Timeline
 from quatprop.writers import kind_of, layout_of, open_writer
+from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,6 +69,8 @@ class Job:
         Write every so-manieth attitude; None is all.
     rate
         Write attitudes so often a second, Hz, exact at those times; None is at the samples.
+    report
+        Where the report goes as JSON, ``"-"`` for stdout; None is nowhere.
     """
 
     log: str
@@ -86,6 +88,7 @@ class Job:
     conditioning: Conditioning = field(default_factory=Conditioning)
     every: int | None = None
     rate: Fraction | None = None
+    report: str | None = None
 
 
 def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[str, Any]:
@@ -127,9 +130,12 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             rates=job.rates,
             times=None if job.rate is None else Steady(job.rate),
         )
-        with open_writer(
-            job.output, job.to, layout=job.layout, message=job.message, comment=job.comment
-        ) as writer:
+        with (
+            ReportFile(job.report) as report_file,
+            open_writer(
+                job.output, job.to, layout=job.layout, message=job.message, comment=job.comment
+            ) as writer,
+        ):
             rows = 0
             attitudes = stretches.attitudes(watch.passing(batches))
             for series in every(attitudes, job.every or 1):
@@ -154,7 +160,8 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             )
             report = report_on(job, done)
             writer.commit(report)
-    report["timings"] = {"seconds": time.perf_counter() - began}
+            report["timings"] = {"seconds": time.perf_counter() - began}
+            report_file.commit(report)
     return report
 
 
@@ -163,13 +170,9 @@ def _refuse_contradictions(job: Job) -> None:
         raise UsageError("--every counts samples and --rate counts seconds; choose one")
     if not job.q0.words:
         unit_q0(job.q0.wxyz)
-    if job.log == "-":
-        if job.conditioning.looks_ahead or job.q0.words in {"level", "log"}:
-            raise UsageError(
-                "stdin can be read only once; --bias static, --q0 level|log and relative --start "
-                "and --end need a file"
-            )
-        return
-    log, output = Path(job.log), Path(job.output)
-    if job.output != "-" and log.exists() and output.exists() and log.samefile(output):
-        raise OutputError(job.output, "this is the log itself; choose another output")
+    refuse_overlap([job.log, job.q0.words], [job.output, job.report])
+    if job.log == "-" and (job.conditioning.looks_ahead or job.q0.words in {"level", "log"}):
+        raise UsageError(
+            "stdin can be read only once; --bias static, --q0 level|log and relative --start "
+            "and --end need a file"
+        )

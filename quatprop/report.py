@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,8 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from quatprop import __version__
 from quatprop.quaternion import geodesic_angle
 from quatprop.timeline import remarks
+from quatprop.writers.atomic import Output, reported
 
 if TYPE_CHECKING:
+    from types import TracebackType
+    from typing import Self
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -59,6 +64,43 @@ class Done(NamedTuple):
     method_difference: float
     rows: int
     remarks: list[str]
+
+
+class ReportFile:
+    """A report as JSON, in its place only when everything else is.
+
+    Parameters
+    ----------
+    target
+        A path, ``"-"`` for stdout, or None for nowhere.
+
+    Raises
+    ------
+    OutputError
+        The target cannot be written; told before anything is computed.
+    """
+
+    def __init__(self, target: str | None) -> None:
+        self._output = None if target is None else Output(target)
+
+    def commit(self, report: dict[str, Any]) -> None:
+        """Write the report and put it in its place."""
+        if self._output is not None:
+            with reported(self._output.target):
+                self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
+            self._output.commit()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._output is not None:
+            self._output.discard()
 
 
 def report_on(job: Job, done: Done) -> dict[str, Any]:

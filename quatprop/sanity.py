@@ -168,8 +168,8 @@ def orientation_remarks(log: MessageLog | TableLog, source: Source) -> list[str]
     if counts.zero or counts.not_unit:
         said.append(
             f"the log's own orientation is no rotation in {counts.zero + counts.not_unit} of "
-            f"{counts.read} samples looked at (zero, or off unit length by up to "
-            f"{counts.worst:.3g}); it is not used"
+            f"{counts.read} samples looked at ({counts.zero} are zero, {counts.not_unit} off unit "
+            f"length by up to {counts.worst:.3g}); it is not used"
         )
     return said
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from quatprop.attitude_lookup import attitude_at, first_orientation
 from quatprop.channel_values import FieldReading, clock_of, timed_values
+from quatprop.conditioning import AT_REST
 from quatprop.errors import LogError, UsageError, quoted
 from quatprop.messages.rates import rate_field_at
 from quatprop.propagate import unit_q0
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
 
 LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
-
-AT_REST = 0.05
-"""rad/s: rates that scatter more than this in that time are no rest."""
 
 STEADY = 0.05
 """Specific force that scatters more than this share of its mean is no rest."""

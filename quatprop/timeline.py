@@ -346,6 +346,9 @@ class Timeline:
             first = len(t_ns) - len(ends)
             ruling, lasting = magnitude[first:], batch.span_ns[first:]
             counts.integrated_ns = (counts.integrated_ns or 0) + int(lasting.sum())
+        if self.policy.on_gap in {"zero", "split"} and counts.gap_limit_ns is not None:
+            # Nothing is known to turn across a gap that is not propagated across.
+            lasting = np.where(intervals > counts.gap_limit_ns, 0, lasting)
         counts.turned += float(ruling @ lasting) * 1e-9
         if len(intervals):
             self._measure_intervals(intervals, ends)
@@ -419,5 +422,8 @@ def remarks(counts: Counts, policy: Policy) -> list[str]:
                 + (": the rest is taken as no rotation" if missed > 0 else "")
             )
     if counts.used > 1 and counts.span_ns == 0:
-        said.append(f"all stamps are {plain(counts.first_ns)} ns: time does not pass; try --clock")
+        said.append(
+            f"all stamps are {plain(counts.first_ns)} ns: time does not pass; is there another "
+            "--clock or time column?"
+        )
     return said

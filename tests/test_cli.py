@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 import subprocess
 import sys
@@ -65,7 +64,7 @@ def test_the_summary_goes_to_stderr_and_can_be_silenced(log, tmp_path):
         f"rate      {EUROC.strip().split(',', 1)[1]} in rad/s, #timestamp [ns] clock",
         "samples   11 over 1 s, 10 Hz",
         "method    start, body rates: rates resolved in the body frame; q[k+1] = q[k] * dq[k]",
-        "between   0 deg at the end from method coning: what the samples leave open",
+        "spread    0 deg: how far method coning would end from here",
         "final     w +0.877582562  x +0.000000000  y +0.000000000  z +0.479425539",
         "rotation  57.2958 deg from q0 to the end, 57.2958 deg turned on the way, "  # noqa: ISC004
         "at most 57.2958 deg/s",
@@ -245,18 +244,6 @@ def test_a_log_without_rates(tmp_path):
     )
 
 
-def test_no_permission(log, tmp_path):
-    """A folder that must not be written to is said before anything is computed."""
-    if os.geteuid() == 0:
-        pytest.skip("root may write anywhere")
-    folder = tmp_path / "locked"
-    folder.mkdir(mode=0o500)
-    refused(
-        run("propagate", log, "-o", folder / "out.csv"),
-        f"{folder / 'out.csv'}: writing in the folder {folder} is not permitted; choose another",
-    )
-
-
 def test_unknown_suffix(log, tmp_path):
     """An output suffix that tells no format lists those that do."""
     out = tmp_path / "out.xls"
@@ -281,9 +268,103 @@ def test_the_log_itself_is_not_replaced(log):
     """The output may not be the log."""
     before = log.read_bytes()
     refused(
-        run("propagate", log, "-o", log), f"{log}: this is the log itself; choose another output"
+        run("propagate", log, "-o", log),
+        f"{log}: this is an input of the run; choose another output",
     )
     assert log.read_bytes() == before
+
+
+def test_no_output_replaces_an_input_or_another_output(log, tmp_path):
+    """Neither the result nor the report goes over the log, the q0 file, or the other of the two."""
+    start = tmp_path / "q0.csv"
+    start.write_text("t_ns,qw,qx,qy,qz\n-1,1,0,0,0\n1000000000000,1,0,0,0\n")
+    out = tmp_path / "out.csv"
+    before = log.read_bytes(), start.read_bytes()
+    overlap = "this is an input of the run; choose another output"
+    twice = "two outputs of the run would go here; choose another"
+    for arguments, sentence in (
+        (["-o", out, "--report", log], f"{log}: {overlap}"),
+        (["-o", start, "--q0", start], f"{start}: {overlap}"),
+        (["-o", out, "--report", out], f"{out}: {twice}"),
+    ):
+        refused(run("propagate", log, *arguments), sentence)
+    refused(run("convert", start, out, "--report", start), f"{start}: {overlap}")
+    refused(
+        run("simulate", tmp_path / "s.csv", "--truth", tmp_path / "s.csv"),
+        f"{tmp_path / 's.csv'}: {twice}",
+    )
+    assert before == (log.read_bytes(), start.read_bytes())
+    assert not out.exists()
+
+
+def test_no_output_goes_into_the_folder_that_is_read(tmp_path):
+    """A ROS 2 bag is a folder: a result inside it could be taken for a part of it."""
+    bag = tmp_path / "bag"
+    assert run("simulate", bag, "--samples", "10").exit_code == 0
+    refused(
+        run("propagate", bag, "-o", bag / "out.csv"),
+        f"{bag / 'out.csv'}: this lies in {bag}, which is an input; choose another output",
+    )
+
+
+def test_a_report_that_cannot_be_written_leaves_the_old_result(log, tmp_path):
+    """Where the report goes is checked before the result takes its place."""
+    out = tmp_path / "out.csv"
+    out.write_text("old")
+    result = run("propagate", log, "-o", out, "--report", tmp_path / "none" / "report.json")
+    assert result.exit_code == 2
+    assert "there is no folder" in result.stderr
+    assert out.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", "out.csv"]
+
+
+def test_what_is_marked_read_only_stays(log, tmp_path):
+    """A read-only file or folder is not written to, not even by root, who may."""
+    out = tmp_path / "out.csv"
+    out.write_text("old")
+    out.chmod(0o444)
+    refused(run("propagate", log, "-o", out), f"{out}: this file is read-only; choose another")
+    assert out.read_text() == "old"
+    folder = tmp_path / "locked"
+    folder.mkdir()
+    folder.chmod(0o555)
+    refused(
+        run("propagate", log, "-o", folder / "out.csv"),
+        f"{folder / 'out.csv'}: writing in the folder {folder} is not permitted; choose another",
+    )
+    folder.chmod(0o755)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--heading", "30"], ["--reference-z", "down"], ["--q0-layout", "xyzw"]]
+)
+def test_options_without_what_they_belong_to(log, tmp_path, arguments):
+    """An option that would be ignored is refused."""
+    result = run("propagate", log, "-o", tmp_path / "o.csv", *arguments)
+    assert result.exit_code == 2
+    assert f"{arguments[0]} goes with --q0" in result.stderr
+
+
+def test_a_kind_that_the_log_cannot_be(log, tmp_path):
+    """--from is refused where a folder is no file of that kind, or a file no folder."""
+    result = run("info", tmp_path, "--from", "bag")
+    refused(result, f"{tmp_path}: a folder is no log of kind bag; leave --from out, or name the "
+                    "log itself")  # fmt: skip
+    result = run("info", log, "--from", "rosbag2")
+    refused(result, f"{log}: a file is no log of kind rosbag2; leave --from out, or name the "
+                    "log itself")  # fmt: skip
+
+
+def test_motion_is_not_taken_for_rest(tmp_path):
+    """A log that moves throughout has no bias to give, and says how far it is from rest."""
+    path = tmp_path / "log.csv"
+    rows = [f"{k * 10_000_000},{np.sin(k)},0,0\n" for k in range(500)]
+    path.write_text(EUROC + "".join(rows))
+    result = run("propagate", path, "-o", tmp_path / "o.csv", "--bias", "static")
+    assert result.exit_code == 2
+    assert "the log has no stretch of rest to take the bias from (the quietest scatters by 0.7" in (
+        result.stderr
+    )
 
 
 def test_a_failed_run_leaves_the_old_file(log, tmp_path):

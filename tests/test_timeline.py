@@ -169,6 +169,7 @@ def test_stretches_end_where_gaps_begin(on_gap, size, monkeypatch):
     ]
     assert stretches == [[0, 10, 20], [90, 100], [200], [300, 310]]
     assert timeline.counts.gaps.count == 3
+    assert timeline.counts.turned == pytest.approx(3.0 * 0.040, rel=1e-12)
 
 
 def test_other_gap_policies_know_one_stretch():
@@ -181,7 +182,9 @@ def test_other_gap_policies_know_one_stretch():
 def test_time_that_does_not_pass_is_remarked():
     """Stamps that are all equal turn nothing, and that is said."""
     _, _, counts = applied(Policy(), gyro([0, 0, 0]))
-    assert remarks(counts, Policy())[-1] == "all stamps are 0 ns: time does not pass; try --clock"
+    assert remarks(counts, Policy())[-1] == (
+        "all stamps are 0 ns: time does not pass; is there another --clock or time column?"
+    )
 
 
 @given(

@@ -2,7 +2,7 @@
 
 One file a command; a command's module, and what it needs, is imported when it is run. Exit codes:
 0 done; 1 a comparison or check failed; 2 wrong usage or unreadable input; 3 done, but with data
-lost.
+lost; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Commands(click.Group):
             # The reader of our output has gone, as in `| head`: that is its right.
             ctx.exit(0)
         except KeyboardInterrupt:
-            click.echo("Interrupted; nothing was written.", err=True)
+            click.echo("Interrupted.", err=True)
             ctx.exit(INTERRUPTED)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

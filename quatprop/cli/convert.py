@@ -173,7 +173,7 @@ class FourNames(ParamType):
 )
 @click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")
 def command(**chosen: Any) -> None:
-    r"""Write the attitude series IN as OUT: layout, convention, direction, representation, format.
+    """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes, or - for CSV on stdin; OUT is a file, or -
     for CSV on stdout.
@@ -187,7 +187,7 @@ def command(**chosen: Any) -> None:
     from quatprop.conventions import Meaning
     from quatprop.convert import Conversion, convert
 
-    quiet, report_path = chosen.pop("quiet"), chosen.pop("report")
+    quiet = chosen.pop("quiet")
     unit, representation = chosen.pop("euler_unit"), chosen.pop("representation")
     if unit is not None and representation != "euler-zyx":
         raise click.UsageError("--euler-unit is for --as euler-zyx")
@@ -200,8 +200,6 @@ def command(**chosen: Any) -> None:
     )
     with words.progress(quiet=quiet) as tick:
         report = convert(job, tick)
-    if report_path:
-        words.write_report(report, report_path)
     step = report["conversions"][-1]
     if not quiet:
         click.echo("\n".join([_summary(job.output, step), *words.lost(step["losses"])]), err=True)

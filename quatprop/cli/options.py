@@ -70,6 +70,8 @@ class InitialAttitude(Numbers):
 
         if isinstance(value, str) and (value in {"level", "log"} or Path(value).exists()):
             return value
+        if isinstance(value, str) and "," not in value:
+            self.fail(f"{value!r} is not level or log, and no such file is there", param, ctx)
         return super().convert(value, param, ctx)
 
 
@@ -87,6 +89,8 @@ class Names(ParamType):
         parts = [part.strip() for part in value.split(",")]
         if len(parts) != 3 or not all(parts):  # noqa: PLR2004  # three axes
             self.fail(f"{value!r} does not name three columns X,Y,Z", param, ctx)
+        if len(set(parts)) != len(parts):
+            self.fail(f"{value!r} names a column twice", param, ctx)
         return parts[0], parts[1], parts[2]
 
 

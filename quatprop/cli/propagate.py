@@ -213,7 +213,7 @@ def command(**chosen: Any) -> None:
     from quatprop.timeline import Policy
 
     quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
-    report_path = chosen.pop("report")
+    _refuse_idle(chosen["q0"])
     start = {
         "heading": math.radians(chosen.pop("heading")),
         "down": chosen.pop("reference_z") == "down",
@@ -248,8 +248,6 @@ def command(**chosen: Any) -> None:
     )
     with words.progress(quiet=quiet) as tick:
         report = run(job, tick)
-    if report_path:
-        words.write_report(report, report_path)
     if not quiet:
         click.echo(words.summary(report, verbose=verbose), err=True)
     if report["data_lost"]:
@@ -266,3 +264,15 @@ def _message(kind: str | None, topic: str | None, frames: str | None) -> Message
     if not comma:
         raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
     return Message(kind or MESSAGES[0], topic, reference, body)
+
+
+def _refuse_idle(q0: tuple[float, ...] | str | None) -> None:
+    """Refuse options that belong to another kind of --q0 than the one that is given."""
+    source = click.get_current_context().get_parameter_source
+    for option, goes_with, fits in (
+        ("heading", "level", q0 == "level"),
+        ("reference_z", "level", q0 == "level"),
+        ("q0_layout", "W,X,Y,Z", isinstance(q0, tuple)),
+    ):
+        if not fits and source(option) is not click.core.ParameterSource.DEFAULT:
+            raise click.UsageError(f"--{option.replace('_', '-')} goes with --q0 {goes_with}")

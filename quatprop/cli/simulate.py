@@ -168,7 +168,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing.  [default: a line on stderr]")
 def command(out: str, **options: Any) -> None:
-    r"""Write a log of a known motion to OUT, and the true attitudes beside it.
+    """Write a log of a known motion to OUT, and the true attitudes beside it.
 
     The same options give the same bytes.
 

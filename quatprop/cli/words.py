@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -40,18 +39,6 @@ def progress(*, quiet: bool) -> Iterator[Callable[[int], None]]:
             click.echo("\r\033[K", err=True, nl=False)
 
 
-def write_report(report: dict[str, Any], path: str) -> None:
-    """Write a report as JSON to a file, or to stdout for ``-``."""
-    from quatprop.writers.atomic import Output
-
-    output = Output(path)
-    try:
-        output.stream.write((json.dumps(report, indent=2) + "\n").encode())
-        output.commit()
-    finally:
-        output.discard()
-
-
 def summary(report: dict[str, Any], *, verbose: bool) -> str:
     """Return what a run did in a few lines.
 
@@ -82,19 +69,36 @@ def _facts(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "rate", f"{plain(source['rate'])} in {source['rate_unit']}, {source['clock']} clock"
     yield "samples", _samples(counts, result)
     yield "method", f"{convention['method']}, {convention['rates']} rates: {convention['side']}"
+    conditioning = report["conditioning"]
+    if conditioning["bias_rad_s"] is not None:
+        yield "bias", _bias(conditioning)
+    if convention["q0_from"] != "given":
+        yield "q0", f"{_numbers(convention['q0_wxyz'])}, from {plain(convention['q0_from'])}"
     other = "start" if convention["method"] == "coning" else "coning"
-    difference = math.degrees(result["method_difference_rad"])
-    yield (
-        "between",
-        f"{difference:.3g} deg at the end from method {other}: what the samples leave open",
-    )
-    yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result["final_wxyz"])
+    spread = math.degrees(result["method_difference_rad"])
+    yield "spread", f"{spread:.3g} deg: how far method {other} would end from here"
+    yield "final", _numbers(result["final_wxyz"])
     rotation = (
         f"{math.degrees(result['net_rotation_rad']):.6g} deg from q0 to the end, "
         f"{math.degrees(result['turned_rad']):.6g} deg turned on the way, "
         f"at most {math.degrees(counts['max_rate']):.6g} deg/s"
     )
     yield "rotation", rotation
+
+
+def _numbers(wxyz: list[float]) -> str:
+    return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
+
+
+def _bias(conditioning: dict[str, Any]) -> str:
+    said = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*conditioning["bias_rad_s"])
+    if (rest := conditioning["rest"]) is None:
+        return said
+    return (
+        f"{said}, from {rest['samples']} samples of rest over "
+        f"{duration_text(rest['last_ns'] - rest['first_ns'])} from t = {rest['first_ns']} ns, "
+        f"scatter {rest['scatter_rad_s']:.3g} rad/s"
+    )
 
 
 def _samples(counts: dict[str, Any], result: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ import sys
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from quatprop.errors import (
     DamagedLogError,
@@ -106,8 +106,18 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             stack.enter_context(log)
             yield log
             return
+        if "://" in str(path):
+            raise UnreadableLogError(
+                path, "object-store addresses are not read by this version; download the log first"
+            )
         path = Path(path)
         head = _head(path)
+        if kind is not None and path.is_dir() != (kind == "rosbag2"):
+            raise UnreadableLogError(
+                path,
+                f"a {'folder' if path.is_dir() else 'file'} is no log of kind {kind}; "
+                "leave --from out, or name the log itself",
+            )
         inside = path.with_suffix("") if path.suffix else path
         packed = file_compression(head)
         if packed and kind is None and inside.suffix.lower() in READERS["csv"].suffixes:
@@ -127,9 +137,13 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             yield log
 
 
-def _open(kind: str, source: object) -> MessageLog | TableLog:
+def _open(kind: str, source: Path | BinaryIO) -> MessageLog | TableLog:
     module, _, name = READERS[kind].load.partition(":")
-    log: MessageLog | TableLog = getattr(import_module(module), name)(source)
+    try:
+        log: MessageLog | TableLog = getattr(import_module(module), name)(source)
+    except OSError as error:
+        path = source if isinstance(source, Path) else Path("-")
+        raise UnreadableLogError(path, _os_reason(error)) from error
     return log
 
 
@@ -185,16 +199,14 @@ def _head(path: Path) -> bytes:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
-        raise UnreadableLogError(path, _os_reason(path, error)) from error
+        raise UnreadableLogError(path, _os_reason(error)) from error
     if not head:
         raise UnreadableLogError(path, "the file is empty; was the recording closed?")
     return head
 
 
-def _os_reason(path: Path, error: OSError) -> str:
+def _os_reason(error: OSError) -> str:
     match error:
-        case FileNotFoundError() if "://" in str(path):
-            return "object-store addresses are not read by this version; download the log first"
         case FileNotFoundError():
             return "no such file or folder; check the path"
         case PermissionError():

@@ -11,6 +11,7 @@ from quatprop.simulate.gyroscope import record
 from quatprop.simulate.logs import log_kind_of, open_log_writer
 from quatprop.simulate.motion import motion_named
 from quatprop.writers import open_writer
+from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,6 +79,7 @@ def simulate(  # noqa: PLR0913  # one recording, told in full
     OutputError
         A file cannot be written; then neither is.
     """
+    refuse_overlap([], [str(target), None if truth is None else str(truth)])
     moving = motion_named(motion, shape)
     provenance = _provenance(motion, shape, gyroscope, q0)
     with ExitStack() as stack:

@@ -238,10 +238,15 @@ def checked_place(target: Path | str) -> Path:
         raise OutputError(target, "is a folder; name a file in it")
     if not place.parent.is_dir():
         raise OutputError(target, f"there is no folder {place.parent}; create it first")
-    if place.exists() and not os.access(place, os.W_OK):
-        raise OutputError(target, "writing to this file is not permitted; choose another")
-    if not os.access(place.parent, os.W_OK | os.X_OK):
+    if place.exists() and not (os.access(place, os.W_OK) and _is_unlocked(place)):
+        raise OutputError(target, "this file is read-only; choose another")
+    if not _is_unlocked(place.parent) or not os.access(place.parent, os.W_OK | os.X_OK):
         raise OutputError(
             target, f"writing in the folder {place.parent} is not permitted; choose another"
         )
     return place
+
+
+def _is_unlocked(place: Path) -> bool:
+    """Tell whether anybody may write: what is marked read-only is meant to stay, for root too."""
+    return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
