@@ -1,6 +1,7 @@
 """What is left of damaged logs: never a sample that was not there, never a silent loss."""
 
 import io
+import os
 import re
 import shutil
 
@@ -262,3 +263,58 @@ def test_rates_near_the_largest_number_are_refused_without_a_warning(tmp_path):
         "Error: The attitude of sample 1 is not finite; rates must be finite, and their squares "
         "too\n"
     )
+
+
+LAUGHS = "".join(
+    f"b{k}: &b{k} [{', '.join([f'*b{k - 1}' if k else 'ha'] * 9)}]\n" for k in range(12)
+)
+NAMED = "rosbag2_bagfile_information:\n  relative_file_paths: [small_ros2.db3]\n"
+METADATA = {
+    "aliases that unfold to 2 * 10**11 texts as a path": (
+        f"{LAUGHS}rosbag2_bagfile_information:\n  relative_file_paths: [small_ros2.db3, *b11]\n"
+    ),
+    "such aliases elsewhere": (
+        f"{LAUGHS}{NAMED}  compression_mode: *b11\n  files: [{{path: *b11}}]\n"
+        "  topics_with_message_count:\n"
+        "  - {message_count: 7, topic_metadata: {name: *b11, type: *b11}}\n"
+    ),
+    "a tag that would run a command": '!!python/object/apply:os.system ["touch owned"]',
+    "nesting without end": "[" * 5000,
+    "more than anyone writes": f"{NAMED}{'#' * (1 << 22)}",
+}
+
+
+@pytest.mark.parametrize("what", METADATA)
+def test_hostile_metadata_does_no_harm(logs, tmp_path, what):
+    """Whatever metadata.yaml holds, the samples of the parts in the folder are read."""
+    folder = tmp_path / "small_ros2"
+    shutil.copytree(logs / "small_ros2", folder)
+    (folder / "metadata.yaml").write_text(METADATA[what])
+    assert len(samples(folder)[0]) == SAMPLES
+
+
+def test_pipes_in_a_bag_folder_are_not_waited_for(logs, tmp_path):
+    """A pipe under the name of the metadata or of a part is no file, and nothing waits for it."""
+    folder = tmp_path / "small_ros2"
+    shutil.copytree(logs / "small_ros2", folder)
+    (folder / "metadata.yaml").unlink()
+    for name in ("metadata.yaml", "small_ros2_1.db3"):
+        os.mkfifo(folder / name)
+    found, lost = samples(folder)
+    assert (len(found), lost) == (SAMPLES, True)
+
+
+@pytest.mark.parametrize("kind", ["parquet", "feather"])
+def test_columns_of_one_name_are_refused(tmp_path, kind):
+    """Of several columns with the name of a chosen one, none is taken."""
+    log = tmp_path / f"log.{kind}"
+    names = ["t_ns", "wx", "wy", "wz", "wx"]
+    table = pa.Table.from_arrays([pa.array([1, 2]), *([pa.array([0.1, 0.2])] * 4)], names)
+    if kind == "parquet":
+        parquet.write_table(table, log)
+    else:
+        with pa.ipc.new_file(str(log), table.schema) as file:
+            file.write_table(table)
+    result = CliRunner().invoke(cli, ["info", str(log)])
+    assert result.exit_code == 2
+    assert "several columns are named 'wx'; rename all but one of them" in result.output

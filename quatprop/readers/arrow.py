@@ -184,8 +184,14 @@ class _ArrowLog:
 
     def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
         declared = self.notes.declared
+        names = self.columns()
         for k in (*columns.numbers, *columns.time):
             leaf = self._leaves[k]
+            if names.count(leaf.name) > 1:
+                raise UnsupportedLogError(
+                    self.path,
+                    f"several columns are named {quoted(leaf.name)}; rename all but one of them",
+                )
             is_stamp = k in columns.time and k in declared
             if not is_stamp and not _is_number(leaf.type):
                 raise UnsupportedLogError(

@@ -20,6 +20,9 @@ _PART = re.compile(
 )
 """Names of parts: the bag's name, a number where it was split, storage, packing."""
 
+MAX_METADATA = 1 << 22
+"""Bytes that metadata.yaml may have; thousands of parts take less."""
+
 
 @dataclass(slots=True)
 class Folder:
@@ -63,7 +66,10 @@ def folder(path: Path) -> Folder:
     OSError
         It cannot be listed.
     """
-    there = {file.name: file for file in path.iterdir() if _PART.fullmatch(file.name)}
+    # A pipe or a device under the name of a part would be read forever.
+    there = {
+        file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
+    }
     losses: list[Loss] = []
     metadata = _metadata(path / "metadata.yaml", losses)
     found = Folder(losses=losses)
@@ -82,11 +88,12 @@ def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
     from ruamel.yaml.error import YAMLError
 
     try:
-        # The safe loader makes nothing but plain values, whatever the tags ask for.
-        loaded = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-        metadata = loaded["rosbag2_bagfile_information"]
-        if isinstance(metadata, dict) and _paths(metadata):
-            return metadata
+        if path.is_file() and path.stat().st_size <= MAX_METADATA:
+            # The safe loader makes nothing but plain values, whatever the tags ask for.
+            loaded = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+            metadata = loaded["rosbag2_bagfile_information"]
+            if isinstance(metadata, dict) and _paths(metadata):
+                return metadata
     except (OSError, YAMLError, KeyError, TypeError, ValueError, RecursionError):
         pass
     losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
@@ -120,7 +127,7 @@ def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
 def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) -> None:
     """Look for every part that the metadata name."""
     sizes = {
-        PurePosixPath(str(entry.get("path"))).name: entry.get("message_count")
+        PurePosixPath(_text(entry.get("path"))).name: entry.get("message_count")
         for entry in _dicts(metadata.get("files"))
     }
     named: set[str] = set()
@@ -139,18 +146,23 @@ def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) ->
     for name in sorted(there.keys() - named):
         reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
         found.losses.append(Loss(f"part {quoted(name)}", reason))
-    if str(metadata.get("compression_mode")).lower() == "message":
-        found.message_compression = str(metadata.get("compression_format") or "zstd")
+    if _text(metadata.get("compression_mode")).lower() == "message":
+        found.message_compression = _text(metadata.get("compression_format")) or "zstd"
     for entry in _dicts(metadata.get("topics_with_message_count")):
         topic, count = entry.get("topic_metadata"), _count(entry.get("message_count"))
         if isinstance(topic, dict) and count is not None:
-            type_name = normalize_msgtype(str(topic.get("type")))
-            found.counts[str(topic.get("name")), type_name] = count
+            type_name = normalize_msgtype(_text(topic.get("type")))
+            found.counts[_text(topic.get("name")), type_name] = count
 
 
 def _paths(metadata: dict[str, Any]) -> list[str]:
     paths = metadata["relative_file_paths"]
-    return [str(path) for path in paths] if isinstance(paths, list) else []
+    return [_text(path) for path in paths] if isinstance(paths, list) else []
+
+
+def _text(value: object) -> str:
+    """Return a text; anything else may hold itself, or unfold without end, when it is written."""
+    return value if isinstance(value, str) else ""
 
 
 def _spellings(name: str) -> Iterator[str]:
