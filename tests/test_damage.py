@@ -19,8 +19,10 @@ from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli import cli
-from quatprop.errors import LogError
+from quatprop.errors import LogError, SchemaError
+from quatprop.messages.definitions import message_type
 from quatprop.readers import open_log
+from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.signal import choose
 
@@ -318,3 +320,12 @@ def test_columns_of_one_name_are_refused(tmp_path, kind):
     result = CliRunner().invoke(cli, ["info", str(log)])
     assert result.exit_code == 2
     assert "several columns are named 'wx'; rename all but one of them" in result.output
+
+
+def test_definitions_of_megabytes_are_not_parsed():
+    """The grammar takes a minute for 200,000 fields; nobody waits for that."""
+    schema = b"".join(b"float64 f%d\n" % k for k in range(200_000))
+    channel = Channel("/imu", "a/msg/B", "cdr", "ros2msg", schema)
+    reason = rf"topic '/imu': the definition of 'a/msg/B' has {len(schema)} bytes, over the limit"
+    with pytest.raises(SchemaError, match=reason):
+        message_type(channel, "log.mcap")

@@ -69,6 +69,9 @@ GRAMMARS: Mapping[str, str] = {
 PLACEHOLDER = "structure_needs_at_least_one_member"
 """The byte that stands for an empty message in CDR."""
 
+MAX_DEFINITION = 1 << 19
+"""Bytes that a definition may have: parsing more takes seconds, and no message needs it."""
+
 _RULE = "=" * 80
 _SECTION = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
 _COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
@@ -112,6 +115,11 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
     """Return the definitions that a log carries, by type name."""
     from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
 
+    if len(schema) > MAX_DEFINITION:
+        raise BadDefinitionError(
+            f"the definition of {quoted(type_name)} has {len(schema)} bytes, over the limit of "
+            f"{MAX_DEFINITION}"
+        )
     text = schema.decode("utf-8", "replace").replace("\r\n", "\n").lstrip("\ufeff").strip("\0")
     try:
         if schema_encoding in {"ros1msg", "ros2msg"}:
