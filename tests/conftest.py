@@ -1,5 +1,6 @@
-"""What the tests share: where the real recordings are."""
+"""What the tests share: where the real recordings are, and that they are what they were."""
 
+import json
 import os
 from pathlib import Path
 
@@ -8,6 +9,21 @@ import pytest
 SHARED_LOGS = Path(
     os.environ.get("QUATPROP_SHARED_LOGS", Path(__file__).parents[2] / "shared" / "logs")
 )
+BYTES = json.loads(Path(__file__).with_name("recordings.json").read_text())
+"""The recordings that the tests were written against, with their sizes."""
+
+
+class Recordings(type(Path())):
+    """A folder of recordings; one that is not the file it was skips the test that asks for it."""
+
+    def __truediv__(self, name):
+        """Return a path inside, having looked at it."""
+        path = super().__truediv__(name)
+        if path.is_file():
+            known = BYTES.get(str(path.relative_to(SHARED_LOGS)))
+            if known is not None and path.stat().st_size != known:
+                pytest.skip(f"{path} is not the recording it was: it should have {known} bytes")
+        return path
 
 
 @pytest.fixture(scope="session")
@@ -15,4 +31,4 @@ def shared_logs() -> Path:
     """Return the folder of real recordings, or skip the test where it is absent."""
     if not SHARED_LOGS.is_dir():
         pytest.skip(f"no real recordings at {SHARED_LOGS}; set QUATPROP_SHARED_LOGS")
-    return SHARED_LOGS
+    return Recordings(SHARED_LOGS)

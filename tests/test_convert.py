@@ -237,7 +237,7 @@ def test_the_input_is_not_replaced(tmp_path):
     path = table(tmp_path, PLAIN)
     link = tmp_path / "link.csv"
     link.symlink_to(path)
-    assert "this is the input itself; choose another output" in refused(path, link)
+    assert "this is an input of the run; choose another output" in refused(path, link)
     assert path.read_text() == PLAIN
 
 
