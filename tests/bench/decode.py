@@ -67,33 +67,19 @@ def select_blobs(path: Path) -> int:
 
 def measure(folder: Path, samples: int) -> None:
     """Print one table a container."""
-    for name in ("imu_zstd.mcap", "imu_none.mcap"):
+    for name in ("imu_zstd.mcap", "imu_none.mcap", "imu.bag", "imu_db3"):
         path = folder / name
         table = Table(f"decode {name}, {samples:,} Imu messages")
-        table.row("quatprop", best_of(3, lambda path=path: ours(path)), samples)
-        table.row(
-            "read and decompress alone", best_of(3, lambda path=path: read_and_decompress(path)),
-            samples,
-        )  # fmt: skip
-        table.row(
-            "rosbags AnyReader + deserialize", best_of(1, lambda p=path: with_rosbags(p)), samples
-        )
-        table.row("mcap + mcap-ros2-support", best_of(1, lambda p=path: with_mcap(p)), samples)
-    table = Table(f"decode imu.bag, {samples:,} Imu messages")
-    table.row("quatprop", best_of(3, lambda: ours(folder / "imu.bag")), samples)
-    table.row(
-        "rosbags AnyReader + deserialize",
-        best_of(1, lambda: with_rosbags(folder / "imu.bag")),
-        samples,
-    )
-    table = Table(f"decode imu_db3, {samples:,} Imu messages")
-    database = next((folder / "imu_db3").glob("*.db3"))
-    table.row("quatprop", best_of(3, lambda: ours(folder / "imu_db3")), samples)
-    table.row(
-        "SELECT of stamps and blobs alone", best_of(3, lambda: select_blobs(database)), samples
-    )
-    table.row(
-        "rosbags AnyReader + deserialize",
-        best_of(1, lambda: with_rosbags(folder / "imu_db3")),
-        samples,
-    )
+        table.row("quatprop", best_of(5, lambda path=path: ours(path)), samples)
+        if path.suffix == ".mcap":
+            floor = best_of(5, lambda path=path: read_and_decompress(path))
+            table.row("read and decompress alone", floor, samples)
+        if path.is_dir():
+            (database,) = path.glob("*.db3")
+            floor = best_of(5, lambda database=database: select_blobs(database))
+            table.row("SELECT of stamps and blobs alone", floor, samples)
+        seconds = best_of(1, lambda path=path: with_rosbags(path))
+        table.row("rosbags AnyReader + deserialize", seconds, samples)
+        if name == "imu_zstd.mcap":
+            seconds = best_of(1, lambda path=path: with_mcap(path))
+            table.row("mcap + mcap-ros2-support", seconds, samples)
