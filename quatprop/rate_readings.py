@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.channel_values import Clock, Reading
-    from quatprop.messages.rates import Burst, RateField
+    from quatprop.messages.rate_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
     from quatprop.readers.base import Channel, MessageBlock, MessageLog
 

@@ -24,7 +24,7 @@ from quatprop.errors import (
     plain,
     quoted,
 )
-from quatprop.messages.rates import RateField, rate_field_at, rate_fields
+from quatprop.messages.rates import rate_field_at, rate_fields
 from quatprop.rate_readings import rate_reading
 from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from quatprop.channel_values import Clock
+    from quatprop.messages.rate_types import RateField
     from quatprop.readers.base import Channel, MessageLog, TableLog
     from quatprop.selection import Selection
 

@@ -270,3 +270,11 @@ def test_a_first_message_that_is_no_object_is_refused(tmp_path):
     path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", [b"[1]"])})
     with open_log(path) as log, pytest.raises(SchemaError, match="first message is no JSON object"):
         choose(log, Selection())
+
+
+@pytest.mark.parametrize("number", ["6.7e54", "-1e300", "1.5e-200"])
+def test_numbers_beyond_the_decimals_of_columns_are_read_one_by_one(number):
+    """The parser of columns gives wrong ones for them without a word."""
+    raw = b'{"t": %s}' % number.encode()
+    (found,) = JsonDecoder(channel_of({"t": 1.5}), ["t"], "log").columns(encoded([raw, raw]))
+    assert found.tolist() == [Decimal(number)] * 2

@@ -7,7 +7,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.decoder import Decoder
-from quatprop.messages.rates import RATES, rate_field_at, rate_fields, time_field_at
+from quatprop.messages.rate_types import RATES
+from quatprop.messages.rates import rate_field_at, rate_fields, time_field_at
 from quatprop.messages.stamps import Stamp
 from quatprop.readers.base import Channel, MessageBlock
 

@@ -144,18 +144,25 @@ class JsonDecoder(ValueDecoder):
         # A line break within a message is blank: in a string it would be escaped.
         document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(block))
         try:
-            table = pyarrow_json.read_json(
-                pa.BufferReader(document),
-                read_options=pyarrow_json.ReadOptions(block_size=len(document) + 1),
-                parse_options=pyarrow_json.ParseOptions(
-                    explicit_schema=self._schema, unexpected_field_behavior="ignore"
-                ),
-            )
+            table = _read(document, self._schema)
             if len(table) != len(block):
                 return None
-            return [_stacked(table, wanted) for wanted in self.wanted]
-        except (pa.ArrowException, _MissingError):
+            columns = [_stacked(table, wanted) for wanted in self.wanted]
+            if any(map(_is_exact, self.wanted)):
+                self._check(document, columns)
+        except (pa.ArrowException, _MisreadError):
             return None
+        return columns
+
+    def _check(self, document: bytes, columns: list[NDArray[Any]]) -> None:
+        """Hold decimals against doubles: those that are too large overflow in silence."""
+        pairs = zip(self.wanted, columns, strict=True)
+        exact = [(wanted, column) for wanted, column in pairs if _is_exact(wanted)]
+        table = _read(document, _schema([wanted for wanted, _ in exact], exact=False))
+        for wanted, column in exact:
+            rough = _stacked(table, wanted)
+            if not np.allclose(column.astype(np.float64), rough, rtol=1e-9, atol=0, equal_nan=True):
+                raise _MisreadError
 
     def _parsed(self, raw: bytes) -> Any:
         return json.loads(raw, parse_float=Decimal)
@@ -184,8 +191,18 @@ class JsonDecoder(ValueDecoder):
         return np.dtype(object if _is_exact(wanted) else wanted.number.code)
 
 
-class _MissingError(Exception):
-    """A value that every message must have is not there."""
+class _MisreadError(Exception):
+    """Messages are not what columns can hold."""
+
+
+def _read(document: bytes, schema: pa.Schema) -> pa.Table:
+    return pyarrow_json.read_json(
+        pa.BufferReader(document),
+        read_options=pyarrow_json.ReadOptions(block_size=len(document) + 1),
+        parse_options=pyarrow_json.ParseOptions(
+            explicit_schema=schema, unexpected_field_behavior="ignore"
+        ),
+    )
 
 
 def _is_exact(wanted: Wanted) -> bool:
@@ -199,8 +216,16 @@ def _time(value: Any) -> int:
     return int(moment.cast(pa.int64()).as_py())
 
 
-def _schema(every: Sequence[Wanted]) -> pa.Schema | None:
-    """Return the wanted columns as a schema, or None where columns cannot express them."""
+def _schema(every: Sequence[Wanted], *, exact: bool = True) -> pa.Schema | None:
+    """Return the wanted columns as a schema, or None where columns cannot express them.
+
+    Parameters
+    ----------
+    every
+        The columns.
+    exact
+        Whether numbers by themselves are decimals.
+    """
     tree: dict[str, Any] = {}
     for wanted in every:
         for way in wanted.ways:
@@ -214,18 +239,18 @@ def _schema(every: Sequence[Wanted]) -> pa.Schema | None:
                 here = here.setdefault(name, {})
                 if not isinstance(here, dict):
                     return None
-            leaf = _leaf(wanted, listed=listed)
+            leaf = _leaf(wanted, listed=listed, exact=exact)
             if here.setdefault(last, leaf) != leaf:
                 return None
     return pa.schema(_arrow_fields(tree))
 
 
-def _leaf(wanted: Wanted, *, listed: bool) -> pa.DataType:
+def _leaf(wanted: Wanted, *, listed: bool, exact: bool) -> pa.DataType:
     if wanted.number == TIME:
         return pa.timestamp("ns", "UTC")
     if listed:
         return pa.list_(pa.float64())
-    if _is_exact(wanted):
+    if exact and _is_exact(wanted):
         return pa.decimal256(76, 38)
     return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
 
@@ -251,7 +276,7 @@ def _part(table: pa.Table, way: Steps, wanted: Wanted) -> NDArray[Any]:
         else:
             found = pc.struct_field(found, step)
     if wanted.number != FLOAT and found.null_count:
-        raise _MissingError
+        raise _MisreadError
     if wanted.number == TIME:
         found = found.cast(pa.int64())
     if pa.types.is_decimal(found.type):
