@@ -121,13 +121,14 @@ def first_orientation(
 
 def _beside(log: MessageLog, source: Source) -> str | None:
     """Return the orientation in the same part of the message as the rate, if it is named so."""
+    from quatprop.channel_values import channels_of
     from quatprop.messages.rates import rate_fields
 
     return next(
         (
             field.orientation
-            for channel in log.channels()
-            if (channel.topic, channel.type_name) == (source.name, source.type_name)
+            for channel in channels_of(log, source.name)
+            if channel.type_name == source.type_name
             for field in rate_fields(channel, log.path)
             if field.name == source.rate
         ),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.channel_values import ABSENT, FieldReading, clock_of, timed_values
+from quatprop.channel_values import ABSENT, FieldReading, channels_of, clock_of, timed_values
 from quatprop.conventions import Meaning
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -231,14 +231,13 @@ def _of_messages(log: MessageLog, selection: AttitudeSelection) -> list[_Candida
                           ("--sample-rate", samples.sample_rate)):  # fmt: skip
         if value is not None:
             raise UsageError(f"{option} is for tables, and {quoted(log.path)} holds messages")
-    channels = [channel for channel in log.channels() if channel.count != 0]
-    wanted = [channel for channel in channels if samples.topic in (None, channel.topic)]
+    wanted = channels_of(log, samples.topic)
     found = [one for channel in wanted for one in _candidates(log, channel, selection)]
     if found:
         return found
     if samples.topic is None or (wanted and selection.quat_field is not None):
         raise NoAttitudesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
-    named = [c.topic for c in channels if _candidates(log, c, AttitudeSelection())]
+    named = [c.topic for c in channels_of(log) if _candidates(log, c, AttitudeSelection())]
     raise NoSuchTopicError(log.path, samples.topic, named, ATTITUDES)
 
 

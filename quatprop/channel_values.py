@@ -85,8 +85,22 @@ class Reading(Protocol):
         """
 
 
-def described(log: MessageLog, channel: Channel) -> Channel:
-    """Return a channel with all that tells its fields: for JSON that is a message of it."""
+def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
+    """Return the channels that have messages, with all that tells their fields.
+
+    Parameters
+    ----------
+    log
+        The container.
+    topic
+        Only those of this topic; None for all.
+    """
+    channels = (channel for channel in log.channels() if topic in (None, channel.topic))
+    return [_described(log, channel) for channel in channels if channel.count != 0]
+
+
+def _described(log: MessageLog, channel: Channel) -> Channel:
+    """Return a channel with a message of it, where that is what tells the fields."""
     if channel.encoding == "json":
         for block in log.blocks(channel):
             if len(block):

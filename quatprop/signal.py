@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.channel_values import clock_of, described, timed_values
+from quatprop.channel_values import channels_of, clock_of, timed_values
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -163,23 +163,20 @@ def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
                           ("--sample-rate", selection.sample_rate)):  # fmt: skip
         if value is not None:
             raise UsageError(f"{option} is for tables, and {quoted(log.path)} holds messages")
-    channels = log.channels()
-    wanted = [described(log, c) for c in channels if selection.topic in (None, c.topic)]
+    wanted = channels_of(log, selection.topic)
     found = [
         _of_channel(log, channel, field, selection)
         for channel in wanted
-        if channel.count != 0
         for field in _fields(log, channel, selection)
     ]
     if found:
         return found
     if selection.topic is not None:
-        if any(channel.count != 0 for channel in wanted) and selection.rate_field is not None:
+        if wanted and selection.rate_field is not None:
             raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
-        every = [described(log, c) for c in channels if c.count != 0]
-        named = [c.topic for c in every if rate_fields(c, log.path)]
+        named = [c.topic for c in channels_of(log) if rate_fields(c, log.path)]
         raise NoSuchTopicError(log.path, selection.topic, named)
-    raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in channels if c.count != 0])
+    raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
 
 
 def _fields(log: MessageLog, channel: Channel, selection: Selection) -> list[RateField]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from quatprop.attitude_lookup import attitude_at, first_orientation
-from quatprop.channel_values import FieldReading, clock_of, timed_values
+from quatprop.channel_values import FieldReading, channels_of, clock_of, timed_values
 from quatprop.conditioning import AT_REST
 from quatprop.errors import LogError, UsageError, quoted
 from quatprop.messages.rates import rate_field_at
@@ -198,8 +198,8 @@ def _force(
 
 
 def _forces(log: MessageLog, source: Source, selection: Selection) -> Rows:
-    for channel in log.channels():
-        if (channel.topic, channel.type_name) != (source.name, source.type_name):
+    for channel in channels_of(log, source.name):
+        if channel.type_name != source.type_name:
             continue
         field = rate_field_at(channel, source.rate, log.path)
         if field is None or field.acceleration is None:

@@ -19,6 +19,7 @@ from quatprop.errors import (
     UndeclaredError,
 )
 from quatprop.messages.json import JsonDecoder
+from quatprop.messages.orientations import orientation_fields
 from quatprop.messages.rates import rate_fields, time_field_at
 from quatprop.messages.values import ValueDecoder
 from quatprop.readers import open_log
@@ -278,3 +279,12 @@ def test_numbers_beyond_the_decimals_of_columns_are_read_one_by_one(number):
     raw = b'{"t": %s}' % number.encode()
     (found,) = JsonDecoder(channel_of({"t": 1.5}), ["t"], "log").columns(encoded([raw, raw]))
     assert found.tolist() == [Decimal(number)] * 2
+
+
+def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():
+    """The same tree serves both tables."""
+    (found,) = orientation_fields(channel_of(imu()), "log")
+    decoder = JsonDecoder(channel_of(imu()), found.fields, "log")
+    message = imu() | {"orientation": {"x": 0.1, "w": 0.9, "z": 0.3, "y": 0.2}}
+    columns = decoder.columns(encoded([message]))
+    assert [float(column[0]) for column in columns] == [0.9, 0.1, 0.2, 0.3]

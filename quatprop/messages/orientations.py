@@ -13,7 +13,7 @@ from quatprop.errors import SchemaError, quoted
 from quatprop.layout import SCALAR_FIRST, SCALAR_LAST
 from quatprop.messages.decoding import DECODERS
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Struct, find, numbers, structs
+from quatprop.messages.schema import Struct, find, numbers, ros_name, structs
 from quatprop.messages.stamps import Stamp, stamp_around
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def orientation_fields(channel: Channel, path: Path | str) -> list[FoundOrientat
     try:
         root = message_type(channel, path)
     except SchemaError:
-        if channel.type_name in ORIENTATIONS:
+        if _row_of(channel.type_name) is not None:
             raise
         return []
     return list(_found(root))
@@ -177,9 +177,13 @@ def orientation_field_at(
     return FoundOrientation(quat_field, fields, layout, stamp_around(root, fields[0]))
 
 
+def _row_of(type_name: str) -> OrientationField | None:
+    return ORIENTATIONS.get(type_name) or ORIENTATIONS.get(ros_name(type_name))
+
+
 def _may_carry(channel: Channel) -> bool:
     """Tell from the text of the definition whether a known type can be in it."""
-    if channel.type_name in ORIENTATIONS:
+    if _row_of(channel.type_name) is not None:
         return True
     return any(name.rpartition("/")[2].encode() in channel.schema for name in ORIENTATIONS)
 
@@ -188,7 +192,7 @@ def _found(root: Struct) -> Iterator[FoundOrientation]:
     """Yield the rows of known types in a message; what is inside a known one is its own affair."""
     passed: list[str] = []
     for prefix, kind in structs(root):
-        row = ORIENTATIONS.get(kind.name)
+        row = _row_of(kind.name)
         if row is None or any(prefix.startswith(outer) for outer in passed):
             continue
         fields, layout = _fields(root, prefix + row.quaternion)

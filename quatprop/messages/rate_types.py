@@ -6,10 +6,10 @@ and beside it where orientation and specific force are. A new type is a new row.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.messages.schema import ros_name
 from quatprop.messages.stamps import Stamp
 
 if TYPE_CHECKING:
@@ -162,14 +162,5 @@ RATES: Mapping[str, RateField] = {
 
 
 def row_of(type_name: str) -> RateField | None:
-    """Return the row of a type, or None where the table does not know it.
-
-    Outside ROS its types go by many spellings; what counts is the package and the name.
-
-    Examples
-    --------
-    >>> row_of("ros.sensor_msgs.Imu") is RATES["sensor_msgs/msg/Imu"]
-    True
-    """
-    parts = [part for part in re.split(r"[./]|::", type_name) if part != "msg"]
-    return RATES.get(type_name) or RATES.get("/msg/".join(parts[-2:]))
+    """Return the row of a type, or None where the table does not know it."""
+    return RATES.get(type_name) or RATES.get(ros_name(type_name))

@@ -22,6 +22,7 @@ MAX_VISITS = 100_000
 MAX_SEARCHED_ITEMS = 16
 """A search looks into the elements of fixed arrays up to this length."""
 
+_NAME_PART = re.compile(r"[./]|::")
 _STEP = re.compile(r"(?:^|(?<=.)\.)(\w+)|\[(\d+)\]", re.ASCII)
 
 
@@ -114,6 +115,18 @@ class Sequence:
 
 Type: TypeAlias = Primitive | Text | Unknown | Struct | Array | Sequence
 Steps: TypeAlias = tuple[str | int, ...]
+
+
+def ros_name(type_name: str) -> str:
+    """Return a type under the name it has in ROS; of other spellings package and name count.
+
+    Examples
+    --------
+    >>> ros_name("ros.sensor_msgs.Imu")
+    'sensor_msgs/msg/Imu'
+    """
+    parts = [part for part in _NAME_PART.split(type_name) if part != "msg"]
+    return "/msg/".join(parts[-2:])
 
 
 def steps(field_path: str) -> Steps | None:
