@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop import __version__
-from quatprop.attitude_check import RotationCheck
-from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
 from quatprop.conventions import HAMILTON, REPRESENTATIONS, Meaning, Signs
 from quatprop.errors import NoSamplesError, OutputError, UsageError, listed, quoted
 from quatprop.provenance import fingerprint
 from quatprop.readers import open_log
 from quatprop.report import ReportFile
 from quatprop.series import AttitudeSeries
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rotation_check import RotationCheck
 from quatprop.writers import WRITERS, kind_of, layout_of, open_table, open_writer
 from quatprop.writers.overlap import refuse_overlap
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.attitude_sources import AttitudeSource
     from quatprop.conventions import Representation
     from quatprop.readers.base import Log
+    from quatprop.signals.attitudes import AttitudeSource
     from quatprop.writers.base import Uncommitted
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], None]

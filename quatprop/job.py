@@ -20,7 +20,7 @@ from quatprop.report import Done, ReportFile, report_on
 from quatprop.resample import Steady, every
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
-from quatprop.signal import UNITS, choose
+from quatprop.signals.rates import UNITS, choose
 from quatprop.start import Recording, Start, starting
 from quatprop.stretches import Stretches
 from quatprop.timeline import Policy, Timeline

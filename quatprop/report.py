@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from quatprop.job import Job
     from quatprop.readers.base import Log
-    from quatprop.signal import Source
+    from quatprop.signals.rates import Source
     from quatprop.timeline import Timeline
 
 CONVENTION = {

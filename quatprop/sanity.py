@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.attitude_check import RotationCheck
-from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
 from quatprop.errors import QuatpropError
 from quatprop.propagate import attitudes
 from quatprop.quaternion import geodesic_angle
 from quatprop.readers.base import is_table
 from quatprop.selection import Selection
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.readers.base import MessageLog, TableLog
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.signal import Source
+    from quatprop.signals.rates import Source
 
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.attitude_lookup import attitude_at, first_orientation
-from quatprop.channel_values import FieldReading, channels_of, clock_of, timed_values
 from quatprop.conditioning import AT_REST
 from quatprop.errors import LogError, UsageError, quoted
 from quatprop.messages.rates import rate_field_at
@@ -19,6 +17,8 @@ from quatprop.propagate import unit_q0
 from quatprop.quaternion import exp, multiply
 from quatprop.readers.base import is_table
 from quatprop.readers.dialects import column
+from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
+from quatprop.signals.lookup import attitude_at, first_orientation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from quatprop.readers.base import MessageLog, TableLog
     from quatprop.selection import Selection
     from quatprop.series import GyroSeries
-    from quatprop.signal import Source
+    from quatprop.signals.rates import Source
 
     Float64 = NDArray[np.float64]
     Rows = Iterator[tuple[NDArray[Any], ...]]

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.readers import open_log
 from quatprop.sanity import Watch, orientation_remarks
-from quatprop.signal import sources
+from quatprop.signals.rates import sources
 from quatprop.timeline import OBSERVE, Timeline, remarks
 
 if TYPE_CHECKING:
     from quatprop.selection import Selection
-    from quatprop.signal import Source
+    from quatprop.signals.rates import Source
 
 
 def survey(path: str, kind: str | None, selection: Selection) -> dict[str, Any]:

@@ -9,9 +9,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.attitude_check import RotationCheck
-from quatprop.attitude_lookup import attitude_at, first_orientation
-from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -25,7 +22,10 @@ from quatprop.errors import (
 from quatprop.quaternion import geodesic_angle
 from quatprop.readers import open_log
 from quatprop.selection import Selection
-from quatprop.signal import choose
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.lookup import attitude_at, first_orientation
+from quatprop.signals.rates import choose
+from quatprop.signals.rotation_check import RotationCheck
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5

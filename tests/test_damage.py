@@ -24,7 +24,7 @@ from quatprop.messages.definitions import message_type
 from quatprop.readers import open_log
 from quatprop.readers.base import Channel
 from quatprop.selection import Selection
-from quatprop.signal import choose
+from quatprop.signals.rates import choose
 
 CUTS = 200
 CUT_LOGS = [

@@ -26,7 +26,7 @@ from quatprop.readers import open_log
 from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
-from quatprop.signal import choose
+from quatprop.signals.rates import choose
 
 
 def imu(x=0.0, y=0.0, z=0.0, stamp=None):

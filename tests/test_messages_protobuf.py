@@ -13,7 +13,7 @@ from quatprop.readers import open_log
 from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
-from quatprop.signal import choose
+from quatprop.signals.rates import choose
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 DOUBLE, FLOAT, STRING, MESSAGE, UINT64 = (

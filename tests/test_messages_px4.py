@@ -11,7 +11,7 @@ from quatprop.quaternion import exp, geodesic_angle
 from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
-from quatprop.signal import choose
+from quatprop.signals.rates import choose
 
 COUNT = 50
 

@@ -14,7 +14,7 @@ from quatprop.readers import open_log
 from quatprop.readers.ulog import SYNC
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
-from quatprop.signal import choose, sources
+from quatprop.signals.rates import choose, sources
 
 NUMBERS = {
     "uint64": ("uint64_t", "Q"), "uint32": ("uint32_t", "I"), "int32": ("int32_t", "i"),

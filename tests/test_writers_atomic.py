@@ -166,7 +166,7 @@ def test_a_missing_folder_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("mode", "sentence"),
     [
-        (os.W_OK, "writing to this file is not permitted; choose another"),
+        (os.W_OK, "this file is read-only; choose another"),
         (os.W_OK | os.X_OK, "writing in the folder {folder} is not permitted; choose another"),
     ],
 )

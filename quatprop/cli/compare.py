@@ -12,7 +12,7 @@ from quatprop.cli.options import KINDS, Duration, ParamType
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from quatprop.operands import Reading
+    from quatprop.signals.operands import Reading
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
 
@@ -230,7 +230,7 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
     from quatprop import __version__
     from quatprop.cli.comparison_words import comparison
     from quatprop.compare import Settings, compare
-    from quatprop.operands import read_operand
+    from quatprop.signals.operands import read_operand
 
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
     first, second = (
@@ -254,9 +254,9 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
 
 def _reading(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
     """Take the options of one side out of a command's."""
-    from quatprop.attitude_sources import AttitudeSelection
-    from quatprop.operands import Reading
     from quatprop.selection import Selection
+    from quatprop.signals.attitudes import AttitudeSelection
+    from quatprop.signals.operands import Reading
 
     said = {key: chosen.pop(f"{key}_{side}") for key in SIDE_OPTIONS}
     kind = said.pop("kind")

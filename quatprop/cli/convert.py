@@ -9,7 +9,7 @@ import click
 from quatprop.cli.options import KINDS, ParamType
 
 if TYPE_CHECKING:
-    from quatprop.attitude_sources import AttitudeSelection
+    from quatprop.signals.attitudes import AttitudeSelection
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 CONVENTIONS = ("hamilton", "jpl")
@@ -209,8 +209,8 @@ def command(**chosen: Any) -> None:
 
 def attitude_selection(chosen: dict[str, Any]) -> AttitudeSelection:
     """Take the keywords that choose attitudes out of a command's options."""
-    from quatprop.attitude_sources import AttitudeSelection
     from quatprop.selection import Selection
+    from quatprop.signals.attitudes import AttitudeSelection
 
     samples = ("topic", "time_field", "time_col", "time_unit", "sample_rate", "clock")
     return AttitudeSelection(

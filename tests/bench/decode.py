@@ -12,7 +12,7 @@ from table import Table, best_of
 
 from quatprop.readers import open_log
 from quatprop.selection import Selection
-from quatprop.signal import choose
+from quatprop.signals.rates import choose
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of a chunk record before its data, but for the name of the compression."""

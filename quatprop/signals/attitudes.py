@@ -1,8 +1,8 @@
 """From what a log holds to attitudes at stamps in ns.
 
-The counterpart of :mod:`quatprop.signal` for quaternions: a topic or a set of columns is chosen,
-the clock read, and the numbers are brought into the terms that hold inside quatprop. The layout is
-taken from names, definitions or metadata; where none of them says it, it is asked for.
+The counterpart of :mod:`quatprop.signals.rates` for quaternions: a topic or a set of columns is
+chosen, the clock read, and the numbers are brought into the terms that hold inside quatprop. The
+layout is taken from names, definitions or metadata; where none of them says it, it is asked for.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.channel_values import ABSENT, FieldReading, channels_of, clock_of, timed_values
 from quatprop.conventions import Meaning
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -32,16 +31,23 @@ from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.readers.attitude_columns import choose_quaternion
 from quatprop.readers.base import is_table
 from quatprop.selection import Selection
-from quatprop.transform_reading import TransformReading, chosen_frames
+from quatprop.signals.channel_values import (
+    ABSENT,
+    FieldReading,
+    channels_of,
+    clock_of,
+    timed_values,
+)
+from quatprop.signals.transforms import TransformReading, chosen_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from quatprop.channel_values import Reading
     from quatprop.messages.orientations import FoundOrientation
     from quatprop.readers.base import Channel, MessageLog, TableLog, TimedColumns
+    from quatprop.signals.channel_values import Reading
 
     Rows = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 
@@ -104,7 +110,7 @@ class AttitudeSource:
     rows
         Reads stamps in ns and numbers, scalar first and in the terms of :data:`HAMILTON
         <quatprop.conventions.HAMILTON>`, batch after batch in the order of the log. They are not
-        checked: see :class:`quatprop.attitude_check.RotationCheck`.
+        checked: see :class:`quatprop.signals.rotation_check.RotationCheck`.
     """
 
     name: str

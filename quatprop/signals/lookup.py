@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.attitude_check import RotationCheck
-from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError
 from quatprop.quaternion import conjugate, exp, log, multiply, normalize
 from quatprop.readers import open_log
 from quatprop.readers.base import is_table
 from quatprop.selection import Selection
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from quatprop.readers.base import MessageLog, TableLog
     from quatprop.series import AttitudeSeries
-    from quatprop.signal import Source
+    from quatprop.signals.rates import Source
 
     Float64 = NDArray[np.float64]
     Row = tuple[int, Float64]
@@ -78,8 +78,8 @@ def first_orientation(
     log
         An open log that can be read again.
     source
-        Its source of rates, as :func:`quatprop.signal.choose` gives it: the orientation is that
-        of the same messages or rows, on the same clock.
+        Its source of rates, as :func:`quatprop.signals.rates.choose` gives it: the orientation is
+        that of the same messages or rows, on the same clock.
     t_ns
         The stamp of the first sample that is used; None for the first of the log.
 
@@ -121,8 +121,8 @@ def first_orientation(
 
 def _beside(log: MessageLog, source: Source) -> str | None:
     """Return the orientation in the same part of the message as the rate, if it is named so."""
-    from quatprop.channel_values import channels_of
     from quatprop.messages.rates import rate_fields
+    from quatprop.signals.channel_values import channels_of
 
     return next(
         (

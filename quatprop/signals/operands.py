@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.attitude_check import RotationCheck
-from quatprop.attitude_sources import AttitudeSelection, choose_attitudes
 from quatprop.errors import NoSamplesError
 from quatprop.readers import open_log
 from quatprop.series import AttitudeSeries
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
-    from quatprop.attitude_check import RowCounts
-    from quatprop.attitude_sources import AttitudeSource
     from quatprop.readers.base import Loss
+    from quatprop.signals.attitudes import AttitudeSource
+    from quatprop.signals.rotation_check import RowCounts
 
 
 @dataclass(frozen=True, slots=True)

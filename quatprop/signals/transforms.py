@@ -9,13 +9,13 @@ from quatprop.messages.transforms import TransformDecoder
 from quatprop.readers.merge import Columns
 
 if TYPE_CHECKING:
-    from quatprop.channel_values import Clock
     from quatprop.messages.transforms import Frames
     from quatprop.readers.base import Channel, MessageBlock, MessageLog
+    from quatprop.signals.channel_values import Clock
 
 
 class TransformReading:
-    """Reads the transforms between two frames; see :class:`quatprop.channel_values.Reading`.
+    """Reads the transforms between two frames, as the blocks of a channel are read.
 
     Parameters
     ----------

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.channel_values import FieldReading, Groups, rows
 from quatprop.errors import MessageError, quoted
 from quatprop.readers.merge import Columns
+from quatprop.signals.channel_values import FieldReading, Groups, rows
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.channel_values import Clock, Reading
     from quatprop.messages.rate_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
     from quatprop.readers.base import Channel, MessageBlock, MessageLog
+    from quatprop.signals.channel_values import Clock, Reading
 
 MAX_SPACING_NS = NS_PER_UNIT["s"]
 """Samples of a burst are not further apart than this, unless the message is damaged."""

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.channel_values import channels_of, clock_of, timed_values
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -25,17 +24,18 @@ from quatprop.errors import (
     quoted,
 )
 from quatprop.messages.rates import rate_field_at, rate_fields
-from quatprop.rate_readings import rate_reading
 from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
+from quatprop.signals.channel_values import channels_of, clock_of, timed_values
+from quatprop.signals.rate_readings import rate_reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from quatprop.channel_values import Clock
     from quatprop.messages.rate_types import RateField
     from quatprop.readers.base import Channel, MessageLog, TableLog
     from quatprop.selection import Selection
+    from quatprop.signals.channel_values import Clock
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
