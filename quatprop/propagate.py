@@ -83,7 +83,7 @@ def propagate(
     ----------
     Body rates eqs. 32, 35 and 36; inertial rates eq. 33.
     """
-    run = _Run(q0, method, rates)
+    run = Propagation(q0, method, rates)
     return (AttitudeSeries(block.t_ns, run.advance(block)) for block in reblock(batches))
 
 
@@ -130,12 +130,19 @@ def attitudes(
     # The C library hands memory back to the system after every tile, and asks for it again page by
     # page, until it has seen one large array freed. This costs nothing, and saves a third.
     np.empty((BLOCK, 4))
-    return _Run(q0, method, rates).advance(GyroSeries(t_ns, rate))
+    return Propagation(q0, method, rates).advance(GyroSeries(t_ns, rate))
 
 
-class _Run:
+class Propagation:
     """What is carried from tile to tile: the last sample and the last attitude.
 
+    Parameters
+    ----------
+    q0, method, rates
+        As for :func:`propagate`.
+
+    Notes
+    -----
     Inertial rates need no product of their own. The conjugate of q[k+1] = dq[k] q[k] is
     q*[k+1] = q*[k] dq*[k], so the conjugate attitude is propagated, with the opposite rate.
     """
@@ -152,7 +159,19 @@ class _Run:
         self._count = 0
 
     def advance(self, series: GyroSeries) -> Float64:
-        """Return the attitudes of the next samples, a multiple of TILE of them unless the last."""
+        """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
+
+        Parameters
+        ----------
+        series
+            Samples that follow the last ones: a block of :func:`quatprop.series.reblock`, so that
+            tiles begin at fixed sample indices.
+
+        Raises
+        ------
+        SeriesError
+            An attitude is not finite.
+        """
         rows = np.empty((len(series), 4))
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(series), TILE):

@@ -7,7 +7,6 @@ interval that has passed.
 
 from __future__ import annotations
 
-from itertools import tee
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -17,14 +16,13 @@ from quatprop.quaternion import conjugate, exp, multiply
 from quatprop.series import AttitudeSeries, GyroSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
     from fractions import Fraction
 
     from numpy.typing import NDArray
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
-    Propagate = Callable[[Iterable[GyroSeries]], Iterable[AttitudeSeries]]
 
 NS_PER_S = 1_000_000_000
 
@@ -119,8 +117,7 @@ class Listed:
 
 
 def at_times(
-    batches: Iterable[GyroSeries],
-    propagated: Propagate,
+    propagated: Iterable[tuple[GyroSeries, AttitudeSeries]],
     times: Times,
     *,
     method: str,
@@ -130,26 +127,23 @@ def at_times(
 
     Parameters
     ----------
-    batches
-        The samples, in order of time.
     propagated
-        Turns them into attitudes, batch by batch, with the same `method` and `rates`.
+        The samples in order of time, batch by batch, with their attitudes.
     times
         When attitudes are wanted.
     method, rates
-        As for :func:`quatprop.propagate.propagate`.
+        How they were propagated.
 
     Yields
     ------
     AttitudeSeries
         Attitudes at the wanted times between the first sample and the last; none elsewhere.
     """
-    for_product, for_steps = tee(batches)
     first_ns = None
     last: tuple[GyroSeries, AttitudeSeries] | None = None
-    for block, propagated_block in zip(for_steps, propagated(for_product), strict=True):
+    for block, attitudes in propagated:
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
-        gyro, attitude = _after(last, block, propagated_block)
+        gyro, attitude = _after(last, block, attitudes)
         last = _tail(gyro, attitude)
         wanted = times.up_to(first_ns, int(gyro.t_ns[-1]))
         if len(wanted):

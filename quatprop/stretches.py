@@ -6,12 +6,13 @@ it, if nothing is to turn in between, or from q0 again.
 
 from __future__ import annotations
 
-from itertools import chain, tee
+from itertools import chain
 from typing import TYPE_CHECKING
 
-from quatprop.propagate import propagate
+from quatprop.propagate import Propagation
 from quatprop.quaternion import geodesic_angle
 from quatprop.resample import at_times
+from quatprop.series import AttitudeSeries, reblock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.resample import Times
-    from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.series import GyroSeries
     from quatprop.timeline import Timeline
 
 
@@ -64,24 +65,23 @@ class Stretches:
         return chain.from_iterable(map(self._wanted, self._timeline.stretches(batches)))
 
     def _wanted(self, stretch: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
+        propagated = self._propagated(stretch)
         if self._times is None:
-            return self._propagated(stretch)
-        return at_times(
-            stretch, self._propagated, self._times, method=self._method, rates=self._rates
-        )
+            return (series for _, series in propagated)
+        return at_times(propagated, self._times, method=self._method, rates=self._rates)
 
-    def _propagated(self, stretch: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
-        """Propagate one stretch; after a gap from q0, or from the attitude before it."""
+    def _propagated(
+        self, stretch: Iterable[GyroSeries]
+    ) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
+        """Yield samples with their attitudes; after a gap from q0, or from the one before it."""
         if self._timeline.policy.on_gap == "split":
             self.final = self._other_final = self._q0
-        for_this, for_other = tee(stretch)
-        this = propagate(for_this, q0=self.final, method=self._method, rates=self._rates)
-        other = propagate(
-            for_other, q0=self._other_final, method=self._other_method, rates=self._rates
-        )
-        for series, other_series in zip(this, other, strict=True):
-            self.final, self._other_final = series.wxyz[-1], other_series.wxyz[-1]
-            yield series
+        this = Propagation(self.final, self._method, self._rates)
+        other = Propagation(self._other_final, self._other_method, self._rates)
+        for block in reblock(stretch):
+            wxyz = this.advance(block)
+            self.final, self._other_final = wxyz[-1], other.advance(block)[-1]
+            yield block, AttitudeSeries(block.t_ns, wxyz)
 
     @property
     def method_difference(self) -> float:

@@ -26,15 +26,9 @@ def series(seed=1, samples=50):
 
 def resampled(gyro, times, method="start", rates="body", size=1000):
     """Return stamps and attitudes at times, from blocks of a given size."""
-    out = list(
-        at_times(
-            reblock([gyro], size),
-            lambda blocks: blocked(blocks, method, rates, size),
-            times,
-            method=method,
-            rates=rates,
-        )
-    )
+    blocks = list(reblock([gyro], size))
+    pairs = zip(blocks, blocked(blocks, method, rates, size), strict=True)
+    out = list(at_times(pairs, times, method=method, rates=rates))
     if not out:
         return np.zeros(0, np.int64), np.zeros((0, 4))
     return np.concatenate([o.t_ns for o in out]), np.concatenate([o.wxyz for o in out])
@@ -42,8 +36,7 @@ def resampled(gyro, times, method="start", rates="body", size=1000):
 
 def blocked(blocks, method, rates, size):
     """Propagate and give the attitudes in the same blocks as the samples."""
-    whole = list(blocks)
-    (joined,) = propagate(whole, method=method, rates=rates)
+    (joined,) = propagate(blocks, method=method, rates=rates)
     for start in range(0, len(joined), size):
         part = slice(start, start + size)
         yield AttitudeSeries(joined.t_ns[part], joined.wxyz[part])
