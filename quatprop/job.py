@@ -17,9 +17,10 @@ from quatprop.errors import NoSamplesError, UsageError
 from quatprop.propagate import unit_q0
 from quatprop.readers import open_log
 from quatprop.report import Done, ReportFile, report_on
-from quatprop.resample import Steady, every
+from quatprop.resample import Listed, Steady, every
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
+from quatprop.signals.lookup import stamps_in
 from quatprop.signals.rates import UNITS, choose
 from quatprop.start import Recording, Start, starting
 from quatprop.stretches import Stretches
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from fractions import Fraction
 
+    from quatprop.resample import Times
     from quatprop.writers.ros_messages import Message
 
 
@@ -69,6 +71,8 @@ class Job:
         Write every so-manieth attitude; None is all.
     rate
         Write attitudes so often a second, Hz, exact at those times; None is at the samples.
+    at
+        Write attitudes at the stamps of this series, exact at those times; None is at the samples.
     report
         Where the report goes as JSON, ``"-"`` for stdout; None is nowhere.
     """
@@ -88,6 +92,7 @@ class Job:
     conditioning: Conditioning = field(default_factory=Conditioning)
     every: int | None = None
     rate: Fraction | None = None
+    at: str | None = None
     report: str | None = None
 
 
@@ -128,7 +133,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             q0,
             method=job.method,
             rates=job.rates,
-            times=None if job.rate is None else Steady(job.rate),
+            times=_times(job),
         )
         with (
             ReportFile(job.report) as report_file,
@@ -165,12 +170,19 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
     return report
 
 
+def _times(job: Job) -> Times | None:
+    """Return when attitudes are wanted; None is at the samples."""
+    if job.at is not None:
+        return Listed(stamps_in(job.at))
+    return None if job.rate is None else Steady(job.rate)
+
+
 def _refuse_contradictions(job: Job) -> None:
-    if job.every is not None and job.rate is not None:
-        raise UsageError("--every counts samples and --rate counts seconds; choose one")
+    if [job.every, job.rate, job.at].count(None) < 2:  # noqa: PLR2004  # two of three
+        raise UsageError("--every, --rate and --at each say which attitudes to write; choose one")
     if not job.q0.words:
         unit_q0(job.q0.wxyz)
-    refuse_overlap([job.log, job.q0.words], [job.output, job.report])
+    refuse_overlap([job.log, job.q0.words, job.at], [job.output, job.report])
     if job.log == "-" and (job.conditioning.looks_ahead or job.q0.words in {"level", "log"}):
         raise UsageError(
             "stdin can be read only once; --bias static, --q0 level|log and relative --start "

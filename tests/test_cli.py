@@ -498,8 +498,24 @@ def test_fewer_rows_out(log, tmp_path):
         assert geodesic_angle([float(q) for q in wxyz], expected) < 1e-15
     refused(
         run("propagate", log, "-o", out, "--rate", "3", "--every", "2"),
-        "--every counts samples and --rate counts seconds; choose one",
+        "--every, --rate and --at each say which attitudes to write; choose one",
     )
+
+
+def test_attitudes_at_the_stamps_of_another_series(log, tmp_path):
+    """--at takes the stamps of attitudes or of rates; what lies outside the log is left out."""
+    out, other = tmp_path / "o.csv", tmp_path / "other.csv"
+    for header, numbers in (("t_ns,qw,qx,qy,qz", "1,0,0,0"), ("t_ns,wx,wy,wz", "0,0,0")):
+        stamps = (-5, 0, 123_456_789, 1_000_000_000, 1_000_000_001)
+        rows = [f"{t_ns},{numbers}" for t_ns in stamps]
+        other.write_text("\n".join([header, *rows]) + "\n")
+        result = run("propagate", log, "-o", out, "--at", other)
+        assert result.exit_code == 0, result.output
+        rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
+        assert [row[0] for row in rows] == ["0", "123456789", "1000000000"]
+        half = 0.123456789 / 2
+        between = [float(q) for q in rows[1][1:]]
+        assert geodesic_angle(between, [np.cos(half), 0, 0, np.sin(half)]) < 1e-15
 
 
 def test_info_is_a_table_and_json(log):

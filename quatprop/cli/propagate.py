@@ -189,6 +189,13 @@ MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
     "[default: at the samples]",
 )
 @click.option(
+    "--at",
+    type=click.Path(exists=True),
+    metavar="FILE",
+    help="Write attitudes at the stamps of this series of attitudes or rates, exact under the "
+    "method; times outside the log are left out.  [default: at the samples]",
+)
+@click.option(
     "--report",
     metavar="PATH|-",
     help="Write a JSON report: counts, policies, conventions, source, version, timings.  "

@@ -13,6 +13,7 @@ from quatprop.readers import open_log
 from quatprop.readers.base import is_table
 from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rates import choose
 from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
@@ -66,6 +67,27 @@ def attitude_at(
         # Rows elsewhere in the series that are no rotations are no concern of this time.
         check = RotationCheck(path, drop=True)
         return attitude_in(check.apply(source.rows()), t_ns, path)
+
+
+def stamps_in(path: Path | str) -> NDArray[np.int64]:
+    """Return the stamps of a series of attitudes or of rates, in order, shape ``(N,)``, int64 ns.
+
+    Parameters
+    ----------
+    path
+        An attitude series, or any log with attitudes or rates.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, or holds neither.
+    """
+    with open_log(path) as opened:
+        try:
+            stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
+        except NoAttitudesError:
+            stamps = [batch.t_ns for batch in choose(opened, Selection()).batches()]
+    return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
 def first_orientation(
