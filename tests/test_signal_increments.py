@@ -86,8 +86,7 @@ def test_between_samples_an_increment_is_shared_by_time(rates):
     )
     passed = np.array([0, 0.2, 1, 1.4, BLOCK - 0.75, BLOCK + 9])
     found = at_times(
-        reblock([series]),
-        lambda batches: propagate(batches, rates=rates),
+        zip(reblock([series]), propagate([series], rates=rates), strict=True),
         Listed((passed * 15_000_000).astype(np.int64)),
         method="start",
         rates=rates,

@@ -19,15 +19,13 @@ from quatprop.errors import (
 from quatprop.provenance import provenance_in
 from quatprop.readers import columns as choosing
 from quatprop.readers import decimal_time
-from quatprop.readers.base import Loss
+from quatprop.readers.base import Closing, Loss
 from quatprop.readers.chooser import Notes
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -61,7 +59,7 @@ class _Part(NamedTuple):
     batches: Iterable[pa.RecordBatch]
 
 
-class _ArrowLog:
+class _ArrowLog(Closing):
     """What Parquet and Feather have in common: typed, named columns in parts."""
 
     def __init__(self, path: Path) -> None:
@@ -163,18 +161,6 @@ class _ArrowLog:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None:
-        self.close()
 
     def _schema(self) -> pa.Schema:
         raise NotImplementedError

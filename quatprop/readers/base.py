@@ -112,6 +112,25 @@ class Loss:
     messages: int | None = None
 
 
+class Closing:
+    """Closes when its ``with`` block ends."""
+
+    def close(self) -> None:
+        """Release files and temporary copies; nothing, where files are open only while read."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+        /,
+    ) -> None:
+        self.close()
+
+
 class Log(Protocol):
     """What message logs and tables have in common.
 

@@ -10,7 +10,7 @@ import numpy as np
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
 from quatprop.readers import columns as choosing
-from quatprop.readers.base import Loss
+from quatprop.readers.base import Closing, Loss
 from quatprop.readers.csv_rows import MISFITS, BlockParser, RowParser, Rows
 from quatprop.readers.decimal_time import counted
 from quatprop.readers.headers import HEAD_BYTES, sniff
@@ -19,8 +19,6 @@ from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from types import TracebackType
-    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -38,7 +36,7 @@ _LOSSES_A_BLOCK = 8
 _STDIN = Path("-")
 
 
-class CsvLog:
+class CsvLog(Closing):
     """A text table.
 
     Parameters
@@ -136,18 +134,6 @@ class CsvLog:
     def close(self) -> None:
         """Release what was read; a stream is left to its owner."""
         self._text = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None:
-        self.close()
 
     def _open(self) -> TextStream:
         try:

@@ -11,14 +11,12 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
-from quatprop.readers.base import Channel, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.packed_messages import is_packed, unpacked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -40,7 +38,7 @@ class _Fetch(NamedTuple):
     data: bytes
 
 
-class Db3Log:
+class Db3Log(Closing):
     """A ROS 2 bag in an SQLite database.
 
     Parameters
@@ -195,18 +193,6 @@ class Db3Log:
     def close(self) -> None:
         """Close the database."""
         self._database.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None:
-        self.close()
 
 
 def _some(fetches: Iterator[_Fetch]) -> list[_Fetch]:

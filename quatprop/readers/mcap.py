@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
-from quatprop.readers.base import Channel, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_regions import RegionError, Source, load
 from quatprop.readers.mcap_summary import MAGIC
@@ -20,8 +20,6 @@ from quatprop.readers.prefetch import ahead
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from quatprop.readers.compression import Buffer
     from quatprop.readers.mcap_messages import Messages
@@ -31,7 +29,7 @@ if TYPE_CHECKING:
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
 
-class McapLog:
+class McapLog(Closing):
     """An MCAP file; see :class:`quatprop.readers.base.MessageLog`.
 
     Parameters
@@ -164,20 +162,6 @@ class McapLog:
         """Note a loss once, however often the log is read."""
         if loss not in self.losses:
             self.losses.append(loss)
-
-    def close(self) -> None:
-        """Do nothing: the file is open only while it is read."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _by_identity(found: Survey) -> dict[Channel, list[int]]:

@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
-from quatprop.readers.base import Channel, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import CompressionError
 from quatprop.readers.prefetch import ahead
 from quatprop.readers.rosbag1_index import Chunk, Content, Index, content, indexed, walked
@@ -30,8 +30,6 @@ from quatprop.readers.rosbag1_records import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -40,7 +38,7 @@ _VERSION = "2.0"
 _LAST = int(np.iinfo(np.int64).max)
 
 
-class Rosbag1Log:
+class Rosbag1Log(Closing):
     """A ROS 1 bag.
 
     Parameters
@@ -181,18 +179,6 @@ class Rosbag1Log:
     def close(self) -> None:
         """Close the file."""
         self._handle.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None:
-        self.close()
 
 
 def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns | None:

@@ -17,7 +17,7 @@ from quatprop.errors import (
     plain,
     quoted,
 )
-from quatprop.readers.base import NO_BOUND, Channel, Loss, MessageBlock
+from quatprop.readers.base import NO_BOUND, Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import (
     CompressionError,
     UnpackedCopy,
@@ -30,8 +30,6 @@ from quatprop.readers.rosbag2_parts import folder
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from quatprop.readers.base import MessageLog
 
@@ -57,7 +55,7 @@ class _Part:
     channels: dict[Channel, Channel]
 
 
-class Rosbag2Log:
+class Rosbag2Log(Closing):
     """A ROS 2 bag folder.
 
     Parameters
@@ -255,18 +253,6 @@ class Rosbag2Log:
         for part in self._parts:
             if part.copy:
                 part.copy.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None:
-        self.close()
 
 
 def _total(found: list[int | None], stated: int | None) -> int | None:

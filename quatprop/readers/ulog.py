@@ -22,14 +22,12 @@ import numpy as np
 from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
 from quatprop.messages.decoding import decoder_of
 from quatprop.messages.ulog import px4_name
-from quatprop.readers.base import Channel, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-    from types import TracebackType
-    from typing import Self
 
     from numpy.typing import NDArray
 
@@ -59,7 +57,7 @@ class _Records:
     damage: list[Loss] = field(default_factory=list)
 
 
-class UlogLog:
+class UlogLog(Closing):
     """A ULog file; see :class:`quatprop.readers.base.MessageLog`.
 
     Topics are named ``sensor_combined/0``: the message and which of its instances.
@@ -183,17 +181,6 @@ class UlogLog:
     def close(self) -> None:
         """Let go of the file; it stays mapped until the last block is gone."""
         del self._data
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _head(data: mmap.mmap, position: int) -> tuple[int, int]:
