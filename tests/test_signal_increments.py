@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from quatprop.conditioning import conditioned
+from quatprop.counts import remarks
 from quatprop.errors import SeriesError
 from quatprop.increments import METHODS
 from quatprop.propagate import propagate
 from quatprop.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
-from quatprop.timeline import OBSERVE, Policy, Timeline, remarks
+from quatprop.timeline import OBSERVE, Policy, Timeline
 
 
 def tumbling(count):
