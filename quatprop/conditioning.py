@@ -16,11 +16,11 @@ from quatprop.quaternion import normalize, rotation_matrix
 from quatprop.rest import AT_REST, REST_WINDOW_NS, quietest, windows_of
 
 if TYPE_CHECKING:
-    from quatprop.series import GyroSeries
     from collections.abc import Callable, Iterable, Iterator
 
     from numpy.typing import NDArray
 
+    from quatprop.series import GyroSeries
     from quatprop.times import Instant
 
 AXES = {"x": 0, "y": 1, "z": 2}
