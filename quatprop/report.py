@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop import __version__
-from quatprop.counts import remarks
 from quatprop.quaternion import geodesic_angle
+from quatprop.timeline.counts import remarks
 from quatprop.writers.atomic import Output, reported
 
 if TYPE_CHECKING:

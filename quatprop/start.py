@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
+from quatprop.conditioning.rest import AT_REST
 from quatprop.errors import LogError, UsageError, quoted
 from quatprop.messages.rates import rate_field_at
 from quatprop.propagate import unit_q0
 from quatprop.quaternion import exp, multiply
 from quatprop.readers.base import is_table
 from quatprop.readers.dialects import column
-from quatprop.rest import AT_REST
 from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
 from quatprop.signals.lookup import attitude_at, first_orientation
 

@@ -7,11 +7,11 @@ from collections import deque
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from quatprop.counts import remarks
 from quatprop.readers import open_log
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.signals.rates import sources
 from quatprop.timeline import OBSERVE, Timeline
+from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
     from quatprop.selection import Selection

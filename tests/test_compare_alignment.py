@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison.alignment import align, find_mounting, from_matrix, mean_rotation
+from quatprop.compare.alignment import align, find_mounting, from_matrix, mean_rotation
 from quatprop.errors import ComparisonError
 from quatprop.quaternion import geodesic_angle
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from quatprop.comparison.association import associate, shifted, slerp
+from quatprop.compare.association import associate, shifted, slerp
 from quatprop.errors import ComparisonError
 from quatprop.quaternion import geodesic_angle
 from quatprop.series import AttitudeSeries

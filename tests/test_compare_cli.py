@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
 from quatprop.cli.compare import ALIGNMENTS, MATCHES
-from quatprop.comparison import alignment, association
+from quatprop.compare import alignment, association
 
 FIRST_NS = 1_700_000_000_000_000_000
 

@@ -20,7 +20,7 @@ from messages_reference import (
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import MessageError
-from quatprop.messages.decoder import Decoder
+from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers, steps
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
@@ -81,7 +81,9 @@ def test_columns_equal_the_values_that_were_encoded(case, encoding):
     """Every wanted field of every message comes back, whatever varies before it."""
     root, wanted, values, gap = case
     messages = [Encoder(*encoding).message(root, value) for value in values]
-    columns = Decoder(channel_of(root, encoding[0]), wanted, "log").columns(block_of(messages, gap))
+    columns = BinaryDecoder(channel_of(root, encoding[0]), wanted, "log").columns(
+        block_of(messages, gap)
+    )
     for path, column in zip(wanted, columns, strict=True):
         truth = np.array([look_up(value, path) for value in values], column.dtype)
         assert column.dtype.isnative
@@ -97,7 +99,9 @@ def test_columns_equal_what_the_library_decodes_from_each_message(case, encoding
     store.register(get_types_from_msg(definition(root), root.name))
     read = store.deserialize_ros1 if encoding[0] == "ros1" else store.deserialize_cdr
     messages = [Encoder(*encoding).message(root, value) for value in values]
-    columns = Decoder(channel_of(root, encoding[0]), wanted, "log").columns(block_of(messages, gap))
+    columns = BinaryDecoder(channel_of(root, encoding[0]), wanted, "log").columns(
+        block_of(messages, gap)
+    )
     for position, message in enumerate(messages):
         decoded = read(message, root.name)
         for path, column in zip(wanted, columns, strict=True):
@@ -125,7 +129,7 @@ def test_a_message_cut_short_is_reported_or_not_needed(case, encoding, data):
     messages = [Encoder(*encoding).message(root, value) for value in values]
     victim = data.draw(st.integers(0, len(messages) - 1))
     messages[victim] = messages[victim][: data.draw(st.integers(0, len(messages[victim])))]
-    decoder = Decoder(channel_of(root, encoding[0]), wanted, "log")
+    decoder = BinaryDecoder(channel_of(root, encoding[0]), wanted, "log")
     reported, columns = None, []
     try:
         columns = decoder.columns(block_of(messages))
@@ -141,7 +145,7 @@ def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
     """One byte less than the wanted number is an error, and the number itself is enough."""
     root = Struct("pkg/msg/T", (("name", Text()), ("x", Primitive("f8")), ("y", Primitive("f8"))))
     whole = Encoder("cdr", "<", 8).message(root, {"name": "ab", "x": 1.5, "y": 2.5})
-    decoder = Decoder(channel_of(root, "cdr"), ["x"], "log")
+    decoder = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log")
     assert decoder.columns(block_of([whole[: 4 + 8 + 8], whole]))[0].tolist() == [1.5, 1.5]
     with pytest.raises(
         MessageError,
@@ -165,7 +169,7 @@ def test_a_count_of_four_billion_is_reported_at_once(element, encoding):
     good = Encoder(*encoding).message(root, {"many": [], "x": 1.0})
     header = 0 if encoding[0] == "ros1" else 4
     bad = good[:header] + b"\xff\xff\xff\xff" + good[header + 4 :]
-    decoder = Decoder(channel_of(root, encoding[0]), ["x"], "log")
+    decoder = BinaryDecoder(channel_of(root, encoding[0]), ["x"], "log")
     began = time.perf_counter()
     with pytest.raises(MessageError) as caught:
         decoder.columns(block_of([good, bad, good]))
@@ -180,7 +184,7 @@ def test_empty_sequences_of_doubles_are_not_padded_and_others_are():
         b"\0\1\0\0" + bytes([0, 0, 0, 0]) + bytes([7, 0, 0, 0]),
         b"\0\1\0\0" + bytes([1, 0, 0, 0]) + bytes(4) + bytes(8) + bytes([9, 0, 0, 0]),
     ]
-    (x,) = Decoder(channel_of(root, "cdr"), ["x"], "log").columns(block_of(messages))
+    (x,) = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log").columns(block_of(messages))
     assert x.tolist() == [7, 9]
 
 
@@ -192,14 +196,14 @@ def test_structs_in_an_array_are_padded_by_where_each_begins():
     root = Struct("pkg/msg/T", (("s", Array(element, 3)), ("x", Primitive("u1"))))
     # The elements begin at 0, 17 and 33, with b at 8, 24 and 40, and the last ends at 49.
     message = b"\0\1\0\0" + bytes(49) + b"\x2a"
-    (x,) = Decoder(channel_of(root, "cdr"), ["x"], "log").columns(block_of([message]))
+    (x,) = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log").columns(block_of([message]))
     assert x.tolist() == [42]
 
 
 def test_a_block_without_messages_gives_empty_columns_of_the_right_kind():
     """Types and shapes do not depend on there being a message."""
     root = Struct("pkg/msg/T", (("x", Array(Primitive("f4"), 3)), ("y", Primitive("u2"))))
-    columns = Decoder(channel_of(root, "cdr"), ["x", "y"], "log").columns(block_of([]))
+    columns = BinaryDecoder(channel_of(root, "cdr"), ["x", "y"], "log").columns(block_of([]))
     assert [(c.shape, c.dtype) for c in columns] == [((0, 3), np.float32), ((0,), np.uint16)]
 
 
@@ -209,6 +213,6 @@ def test_columns_do_not_change_with_the_buffer(gap):
     root = Struct("pkg/msg/T", (("x", Primitive("f8")),))
     block = block_of([Encoder("cdr", "<", 8).message(root, {"x": float(k)}) for k in range(5)], gap)
     data = block.data.copy()
-    (x,) = Decoder(channel_of(root, "cdr"), ["x"], "log").columns(replace(block, data=data))
+    (x,) = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log").columns(replace(block, data=data))
     data[:] = 0
     assert x.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]

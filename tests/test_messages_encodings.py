@@ -7,8 +7,8 @@ import pytest
 from messages_reference import Encoder, block_of, channel_of
 
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
-from quatprop.messages.decoder import Decoder
-from quatprop.messages.decoding import decoder_of
+from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.decoders import decoder_of
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text
 from quatprop.readers.base import Channel
 
@@ -44,7 +44,7 @@ def test_messages_of_all_plain_encapsulations_in_one_block_come_back_in_order():
     messages = [
         Encoder("cdr", *forms[k * 7 % 4]).message(MIXED, value) for k, value in enumerate(values)
     ]
-    stamp, rate = Decoder(channel_of(MIXED, "cdr"), ["stamp", "rate"], "log").columns(
+    stamp, rate = BinaryDecoder(channel_of(MIXED, "cdr"), ["stamp", "rate"], "log").columns(
         block_of(messages)
     )
     assert stamp.tolist() == [value["stamp"] for value in values]
@@ -58,7 +58,7 @@ def test_a_short_message_among_several_encapsulations_is_named_by_its_place_in_t
         for k in range(8)
     ]
     with pytest.raises(MessageError) as caught:
-        Decoder(channel_of(MIXED, "cdr"), ["rate"], "log").columns(block_of(messages))
+        BinaryDecoder(channel_of(MIXED, "cdr"), ["rate"], "log").columns(block_of(messages))
     assert caught.value.positions == (5,)
 
 
@@ -66,7 +66,7 @@ def test_eight_byte_numbers_align_to_four_in_XCDR2():
     """The bytes are those of the specification: no padding before a double at offset 4."""
     root = Struct("pkg/msg/T", (("a", Primitive("u4")), ("b", Primitive("f8"))))
     message = b"\0\7\0\0" + struct.pack("<Id", 1, 2.5)
-    (b,) = Decoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
+    (b,) = BinaryDecoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
     assert b.tolist() == [2.5]
 
 
@@ -76,7 +76,7 @@ def test_identifiers_of_earlier_drafts_are_XCDR2_too(identifier):
     root = Struct("pkg/msg/T", (("a", Primitive("u4")), ("b", Primitive("f8"))))
     order = "><"[identifier[1] & 1]
     message = identifier + b"\0\0" + struct.pack(order + "Id", 1, 2.5)
-    (b,) = Decoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
+    (b,) = BinaryDecoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
     assert b.tolist() == [2.5]
 
 
@@ -92,7 +92,7 @@ def test_identifiers_of_earlier_drafts_are_XCDR2_too(identifier):
 def test_encapsulations_with_tags_are_refused(identifier, form):
     """What is not decoded is never misread."""
     root = Struct("pkg/msg/T", (("a", Primitive("u4")),))
-    decoder = Decoder(channel_of(root, "cdr"), ["a"], "log")
+    decoder = BinaryDecoder(channel_of(root, "cdr"), ["a"], "log")
     plain = b"\0\1\0\0\1\0\0\0"
     for messages in ([identifier + b"\0\0\1\0\0\0"], [plain, identifier + b"\0\0\1\0\0\0", plain]):
         with pytest.raises(
@@ -106,7 +106,7 @@ def test_encapsulations_with_tags_are_refused(identifier, form):
 def test_collections_of_strings_are_refused_in_XCDR2_only():
     """Writers disagree on whether XCDR2 says their size first."""
     root = Struct("pkg/msg/T", (("names", Sequence(Text())), ("x", Primitive("f8"))))
-    decoder = Decoder(channel_of(root, "cdr"), ["x"], "log")
+    decoder = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log")
     value = {"names": ["a", "bcd"], "x": 4.0}
     (x,) = decoder.columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))
     assert x.tolist() == [4.0]
@@ -119,7 +119,7 @@ def test_ROS1_times_are_unsigned_and_durations_signed():
     channel = Channel("/t", "pkg/msg/T", "ros1", "ros1msg", b"time t\nduration d\n")
     message = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
     paths = ["t.sec", "t.nanosec", "d.sec", "d.nanosec"]
-    columns = Decoder(channel, paths, "log").columns(block_of([message]))
+    columns = BinaryDecoder(channel, paths, "log").columns(block_of([message]))
     assert [int(column[0]) for column in columns] == [3_000_000_000, 4_000_000_000, -2, -5]
 
 
@@ -131,14 +131,14 @@ def test_an_empty_message_takes_a_byte_in_CDR_and_none_in_ROS1(encoding, size):
     channel = Channel("/t", "pkg/msg/T", encoding, grammar, schema)
     header = b"" if encoding == "ros1" else b"\0\1\0\0"
     message = header + bytes(size) + b"\x2a"
-    (x,) = Decoder(channel, ["x"], "log").columns(block_of([message]))
+    (x,) = BinaryDecoder(channel, ["x"], "log").columns(block_of([message]))
     assert x.tolist() == [42]
 
 
 def test_bytes_other_than_one_are_true():
     """A bool is whether its byte is not zero."""
     root = Struct("pkg/msg/T", (("x", Array(Primitive("b1"), 3)),))
-    (x,) = Decoder(channel_of(root, "ros1"), ["x"], "log").columns(block_of([b"\0\1\x80"]))
+    (x,) = BinaryDecoder(channel_of(root, "ros1"), ["x"], "log").columns(block_of([b"\0\1\x80"]))
     assert x.dtype == np.bool_
     assert x.tolist() == [[False, True, True]]
 

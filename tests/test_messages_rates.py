@@ -6,7 +6,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import MessageError, SchemaError
-from quatprop.messages.decoder import Decoder
+from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.rate_types import RATES
 from quatprop.messages.rates import rate_field_at, rate_fields, time_field_at
 from quatprop.messages.stamps import Stamp
@@ -45,7 +45,7 @@ def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
         assert field == row
         given = [field.absent, field.orientation, field.orientation_absent, field.acceleration]
         paths = [*field.rate, *field.stamp.fields, *(path for path in given if path)]
-        rates = Decoder(Channel("/t", name, "cdr"), paths, "log").columns(
+        rates = BinaryDecoder(Channel("/t", name, "cdr"), paths, "log").columns(
             MessageBlock(np.zeros(0, np.uint8), *[np.zeros(0, np.int64)] * 4)
         )
         assert rates[0].shape == (0, 3)
@@ -245,7 +245,7 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
             channel = _channel(reader, connection)
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
             for field in rate_fields(channel, name) if raw else ():
-                decoder = Decoder(channel, [*field.rate, *field.stamp.fields], name)
+                decoder = BinaryDecoder(channel, [*field.rate, *field.stamp.fields], name)
                 rate, *stamp = decoder.columns(_block(raw))
                 t_ns = field.stamp.ns(stamp, name)
                 for position, message in enumerate(raw):

@@ -7,7 +7,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import SchemaError
-from quatprop.messages.decoder import Decoder
+from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.definitions import NUMBERS, message_type
 from quatprop.messages.schema import (
     Array,
@@ -148,21 +148,21 @@ def test_a_type_that_is_defined_nowhere_is_an_error_only_in_the_way():
     schema = b"float64 x\nother/Mystery m\nfloat64 y\n"
     channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", schema)
     assert isinstance(find(message_type(channel, "log"), "m"), Unknown)
-    Decoder(channel, ["x"], "log")
+    BinaryDecoder(channel, ["x"], "log")
     with pytest.raises(
         SchemaError,
         match=r"^log: topic '/t': a field of type 'other/msg/Mystery' lies before the wanted one, "
         r"and how many bytes it takes is not known$",
     ):
-        Decoder(channel, ["y"], "log")
+        BinaryDecoder(channel, ["y"], "log")
 
 
 def test_wide_strings_are_an_error_only_in_the_way():
     """Writers encode them differently, so they are not guessed."""
     channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", b"float64 x\nwstring w\nfloat64 y\n")
-    Decoder(channel, ["x"], "log")
+    BinaryDecoder(channel, ["x"], "log")
     with pytest.raises(SchemaError, match="a field of type 'wstring' lies before the wanted one"):
-        Decoder(channel, ["y"], "log")
+        BinaryDecoder(channel, ["y"], "log")
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_types_that_multiply_by_sharing_are_refused_in_no_time():
     text = f"T1 a\nfloat64 x\n{levels}{RULE}\nMSG: pkg/T40\nstring a\nstring b\n"
     channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", text.encode())
     with pytest.raises(SchemaError, match=r"the definition is larger than any message$"):
-        Decoder(channel, ["x"], "log")
+        BinaryDecoder(channel, ["x"], "log")
     assert sum(1 for _ in structs(message_type(channel, "log"))) <= 100_000
 
 
@@ -278,7 +278,7 @@ def test_field_paths_are_names_with_dots_and_indices(text, way):
 def test_paths_that_lead_nowhere_say_what_there_is(path, reason):
     """The way out is in the sentence."""
     with pytest.raises(SchemaError, match="^" + re.escape(f"log: {reason}") + "$"):
-        Decoder(IMU, [path], "log")
+        BinaryDecoder(IMU, [path], "log")
 
 
 def test_elements_of_sequences_are_no_columns():

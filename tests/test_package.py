@@ -63,14 +63,13 @@ FORBIDDEN = {
     "propagate.py": (*UPSTREAM, *ENDS, "timeline"),
     "resample.py": (*UPSTREAM, *ENDS, "timeline"),
     "stretches.py": (*UPSTREAM, *ENDS),
-    "timeline.py": (*UPSTREAM, *CORE, *ENDS),
-    "conditioning.py": (*UPSTREAM, *CORE, *ENDS),
-    "layout.py": (*UPSTREAM, *CORE, *ENDS, "series"),
-    "conventions.py": (*UPSTREAM, *CORE, *ENDS),
+    "timeline": (*UPSTREAM, *CORE, *ENDS),
+    "conditioning": (*UPSTREAM, *CORE, *ENDS),
+    "conventions": (*UPSTREAM, *CORE, *ENDS, "series", "timeline"),
     "readers": (*CORE, *ENDS, "signals", "timeline"),
     "messages": (*CORE, *ENDS, "signals", "timeline", "readers.mcap", "readers.rosbag1"),
     "signals": (*CORE, *ENDS, "timeline"),
-    "comparison": (*UPSTREAM, *ENDS, "timeline"),
+    "compare": (*UPSTREAM, "timeline", "writers", "cli", "job", "convert", "survey", "report"),
     "writers": (*UPSTREAM, *CORE, "timeline", "cli", "job", "convert", "compare", "survey"),
 }
 """What each room must not import: data flows from the readers to the writers, never back."""

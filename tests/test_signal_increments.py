@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from quatprop.conditioning import conditioned
-from quatprop.counts import remarks
 from quatprop.errors import SeriesError
 from quatprop.increments import METHODS
 from quatprop.propagate import propagate
@@ -12,6 +11,7 @@ from quatprop.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
 from quatprop.timeline import OBSERVE, Policy, Timeline
+from quatprop.timeline.counts import remarks
 
 
 def tumbling(count):

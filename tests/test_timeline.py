@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.counts import remarks
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import OBSERVE, Policy, Timeline
+from quatprop.timeline.counts import remarks
 
 MS = 1_000_000
 

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound="Callable[..., Any]")
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
-"""Those of :mod:`quatprop.comparison.alignment`; spelled out to keep help quick."""
+"""Those of :mod:`quatprop.compare.alignment`; spelled out to keep help quick."""
 
 MATCHES = ("exact", "nearest", "interpolate")
-"""Those of :mod:`quatprop.comparison.association`."""
+"""Those of :mod:`quatprop.compare.association`."""
 
 
 class Angle(ParamType):

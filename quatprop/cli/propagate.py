@@ -214,8 +214,8 @@ def command(**chosen: Any) -> None:
     """
     from quatprop.cli import words
     from quatprop.conditioning import Conditioning
+    from quatprop.conventions.layout import layout_named
     from quatprop.job import Job, run
-    from quatprop.layout import layout_named
     from quatprop.start import Start
     from quatprop.timeline import Policy
 

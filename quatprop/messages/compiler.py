@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from quatprop.errors import quoted
-from quatprop.messages.layout import Extents, Layout
+from quatprop.messages.placement import Extents, Placement
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Repeat, Segment, Skip, Window
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers
 
@@ -55,7 +55,7 @@ class Wanted:
         return self.below.get(step) or Wanted()
 
 
-def compile_plan(root: Struct, ways: list[Steps], layout: Layout) -> Plan:
+def compile_plan(root: Struct, ways: list[Steps], placement: Placement) -> Plan:
     """Return how to fetch some fields of a message type.
 
     Parameters
@@ -64,7 +64,7 @@ def compile_plan(root: Struct, ways: list[Steps], layout: Layout) -> Plan:
         The message type.
     ways
         Where the fields are; each leads to equal numbers. At least one.
-    layout
+    placement
         The encoding.
 
     Raises
@@ -72,7 +72,7 @@ def compile_plan(root: Struct, ways: list[Steps], layout: Layout) -> Plan:
     NotPlannedError
         Something of unknown size is in the way.
     """
-    compiler = _Compiler(Extents(layout), itertools.count(), len(ways))
+    compiler = _Compiler(Extents(placement), itertools.count(), len(ways))
     compiler.begin()
     compiler.walk(root, Wanted.at(ways))
     compiler.close()
@@ -88,7 +88,7 @@ class _Compiler:
 
     def __init__(self, extents: Extents, budget: Iterator[int], left: int) -> None:
         self.extents = extents
-        self.layout = extents.layout
+        self.placement = extents.placement
         self.budget = budget
         self.left = left
         self.segments: list[Segment] = []
@@ -100,11 +100,11 @@ class _Compiler:
 
     def begin(self) -> None:
         """Start where a message starts."""
-        self.known = self.layout.alignment
-        if self.layout.header:
-            self.phase = -self.layout.header
+        self.known = self.placement.alignment
+        if self.placement.header:
+            self.phase = -self.placement.header
             self.pieces.append(Piece(ENCAPSULATION, 0, Primitive("u2")))
-            self.size = self.layout.header
+            self.size = self.placement.header
 
     def walk(self, kind: Type, wanted: Wanted) -> None:
         """Take what is wanted of a value and move behind it, unless nothing is left to take."""
@@ -195,12 +195,12 @@ class _Compiler:
         if max(*first, further) > MAX_SIZE:
             raise NotPlannedError("the definition is larger than any message")
         # The count ends at a multiple of 4 where anything is aligned at all.
-        ends = (0, 4) if self.layout.alignment > 1 else range(8)
+        ends = (0, 4) if self.placement.alignment > 1 else range(8)
         padded = any(first[end] != further for end in ends)
         self.close(Skip(first if padded else None, further))
         # So may the sequence, with or without elements.
         self.known = math.gcd(4, further, *(end + first[end] for end in ends))
-        self.known = min(self.known, self.layout.alignment)
+        self.known = min(self.known, self.placement.alignment)
 
     def _element(self, element: Type) -> Plan:
         """Return the way over one element that may begin anywhere."""
@@ -210,14 +210,14 @@ class _Compiler:
         return tuple(inner.segments)
 
     def _refuse_delimited(self, element: Type) -> None:
-        if self.layout.delimited and not isinstance(element, Primitive):
+        if self.placement.delimited and not isinstance(element, Primitive):
             raise NotPlannedError(
                 "a collection of strings or structs lies before the wanted field, which writers "
                 "of XCDR2 encode in different ways"
             )
 
     def _align(self, to: int) -> None:
-        to = min(to, self.layout.alignment)
+        to = min(to, self.placement.alignment)
         if to > self.known:
             if self.size or self.pieces:
                 self.close()

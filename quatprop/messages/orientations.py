@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
 from quatprop.errors import SchemaError, quoted
-from quatprop.layout import SCALAR_FIRST, SCALAR_LAST
-from quatprop.messages.decoding import DECODERS
+from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Struct, find, numbers, ros_name, structs
 from quatprop.messages.stamps import Stamp, stamp_around
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from quatprop.layout import Layout
+    from quatprop.conventions.layout import Layout
     from quatprop.readers.base import Channel
 
 COMPONENTS = 4

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, quoted
-from quatprop.messages.decoding import DECODERS
+from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.rate_types import RATES, RateField, row_of
 from quatprop.messages.schema import at, find, numbers, structs

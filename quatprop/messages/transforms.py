@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quoted
-from quatprop.messages.decoder import ENCAPSULATIONS
+from quatprop.messages.binary import ENCAPSULATIONS
 from quatprop.messages.definitions import message_type
-from quatprop.messages.layout import ROS1, XCDR1
+from quatprop.messages.placement import ROS1, XCDR1
 from quatprop.messages.schema import Sequence, Struct, find, numbers
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.messages.layout import Layout
+    from quatprop.messages.placement import Placement
     from quatprop.readers.base import Channel, MessageBlock
 
     Int64 = NDArray[np.int64]
@@ -110,8 +110,8 @@ class TransformDecoder:
         """
         elements = [
             element
-            for messages, layout, order in self._groups(block)
-            for element in self._elements(_Cursor(block, messages, layout, order))
+            for messages, placement, order in self._groups(block)
+            for element in self._elements(_Cursor(block, messages, placement, order))
         ]
         if not elements:
             none = np.empty(0, np.int64)
@@ -126,8 +126,8 @@ class TransformDecoder:
             np.concatenate([element.wxyz for element in elements])[order],
         )
 
-    def _groups(self, block: MessageBlock) -> list[tuple[Int64, Layout, str]]:
-        """Return the messages of each encapsulation, with its layout and byte order."""
+    def _groups(self, block: MessageBlock) -> list[tuple[Int64, Placement, str]]:
+        """Return the messages of each encapsulation, with its placement and byte order."""
         if self._channel.encoding == "ros1":
             return [(np.arange(len(block)), ROS1, "<")]
         short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
@@ -136,15 +136,15 @@ class TransformDecoder:
         identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
         groups = []
         for identifier in np.unique(identifiers).tolist():
-            layout, order = ENCAPSULATIONS.get(identifier, (None, ""))
-            if layout is not XCDR1:
+            placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
+            if placement is not XCDR1:
                 raise UnsupportedLogError(
                     self._path,
                     f"messages of topic {quoted(self._channel.topic)} are encapsulated as "
                     f"0x{identifier:04x}, in which lists of transforms are not read; "
                     "record with plain CDR",
                 )
-            groups.append((np.flatnonzero(identifiers == identifier), layout, order))
+            groups.append((np.flatnonzero(identifiers == identifier), placement, order))
         return groups
 
     def _elements(self, cursor: _Cursor) -> list[Transforms]:
@@ -163,9 +163,9 @@ class TransformDecoder:
             raise self._too_short(cursor.block, error.positions) from None
 
     def _element(self, cursor: _Cursor) -> Transforms:
-        if cursor.layout is ROS1:
+        if cursor.placement is ROS1:
             cursor.numbers("u4")  # the sequence number, which ROS 2 has dropped
-        unsigned = cursor.layout is ROS1
+        unsigned = cursor.placement is ROS1
         t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * SECOND_NS
         t_ns += cursor.numbers("u4")
         frames = self._frames(cursor.block, cursor.name(), cursor.name())
@@ -229,12 +229,14 @@ class _Names(NamedTuple):
 class _Cursor:
     """A place in each of several messages, moved on together; names make them drift apart."""
 
-    def __init__(self, block: MessageBlock, messages: Int64, layout: Layout, order: str) -> None:
+    def __init__(
+        self, block: MessageBlock, messages: Int64, placement: Placement, order: str
+    ) -> None:
         self.block = block
         self.messages = messages
-        self.layout = layout
+        self.placement = placement
         self._order = order
-        self._origin = block.starts[messages] + layout.header
+        self._origin = block.starts[messages] + placement.header
         self._at = self._origin.copy()
         self._ends = block.ends[messages]
 
@@ -248,7 +250,7 @@ class _Cursor:
     def numbers(self, code: str, count: int = 1) -> NDArray[Any]:
         """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
         kind = np.dtype(self._order + code)
-        alignment = min(kind.itemsize, self.layout.alignment)
+        alignment = min(kind.itemsize, self.placement.alignment)
         self._at = self._at + (self._origin - self._at) % alignment
         begin = self._moved_over(kind.itemsize * count)
         places = begin[:, None] + np.arange(kind.itemsize * count)
@@ -259,7 +261,7 @@ class _Cursor:
         """Take a string."""
         length = self.numbers("u4").astype(np.int64)
         begin = self._moved_over(length)
-        if self.layout is not ROS1:
+        if self.placement is not ROS1:
             # CDR counts the zero at the end; some writers leave it out of an empty string.
             length = length - (length > 0)
         return _Names(begin, length)

@@ -10,8 +10,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError, listed, plain
-from quatprop.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.readers.attitude_dialects import (
     ABSENT,
     ATTITUDE_DIALECTS,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
-from quatprop.messages.decoding import decoder_of
+from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.times import NS_PER_UNIT

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from quatprop.conventions import Meaning
+from quatprop.conventions.layout import LAYOUTS, SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -24,7 +25,6 @@ from quatprop.errors import (
     plain,
     quoted,
 )
-from quatprop.layout import LAYOUTS, SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.messages.orientations import orientation_field_at, orientation_fields
 from quatprop.messages.stamps import Stamp
 from quatprop.messages.transforms import TRANSFORM_LISTS

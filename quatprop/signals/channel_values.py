@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
-from quatprop.messages.decoding import decoder_of
+from quatprop.messages.decoders import decoder_of
 from quatprop.messages.rates import time_field_at
 from quatprop.readers.base import Loss
 from quatprop.readers.merge import Columns, in_time

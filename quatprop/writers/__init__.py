@@ -16,8 +16,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop.conventions.layout import layout_named
 from quatprop.errors import OutputError, UsageError, listed, quoted
-from quatprop.layout import layout_named
 from quatprop.writers.atomic import is_stdout, is_stream
 from quatprop.writers.base import AttitudeTable
 from quatprop.writers.ros_messages import Message
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-    from quatprop.layout import Layout
+    from quatprop.conventions.layout import Layout
     from quatprop.writers.base import AttitudeWriter, Table
 
 
@@ -116,8 +116,8 @@ def open_writer(
         devices have no suffix to speak of and get CSV; any other name without one is a ROS 2 bag
         folder.
     layout
-        A name in :data:`quatprop.layout.LAYOUTS`; None is what the format prescribes, or
-        scalar-first where it leaves the choice.
+        A name in :data:`quatprop.conventions.layout.LAYOUTS`; None is what the format prescribes,
+        or scalar-first where it leaves the choice.
     comment
         Write the provenance in a comment at the beginning.
     message

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.layout import Layout
+    from quatprop.conventions.layout import Layout
     from quatprop.series import AttitudeSeries
 
 

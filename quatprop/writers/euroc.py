@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from numpy.typing import NDArray
 
-    from quatprop.layout import Layout
+    from quatprop.conventions.layout import Layout
 
 HEAD = (
     "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], "

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.layout import Layout
+    from quatprop.conventions.layout import Layout
 
 HEAD = "# timestamp tx ty tz qx qy qz qw\n"
 _FORM = delimited(" ", HEAD.split()[1:])

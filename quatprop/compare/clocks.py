@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.association import interval_ns, slerp
+from quatprop.compare.association import interval_ns, slerp
 from quatprop.errors import ComparisonError
 from quatprop.quaternion import geodesic_angle
 

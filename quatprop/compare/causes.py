@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.figures import rms
-from quatprop.comparison.hypotheses import (
+from quatprop.compare.figures import rms
+from quatprop.compare.hypotheses import (
     EXACT,
     drifting,
     errors_left,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.comparison.association import Pairs
+    from quatprop.compare.association import Pairs
 
     Float64 = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def likely_cause(
     associated
         Brings them together.
     alignment
-        How they were aligned: a name of :data:`quatprop.comparison.alignment.ALIGNMENTS`.
+        How they were aligned: a name of :data:`quatprop.compare.alignment.ALIGNMENTS`.
     error
         The errors after that, rad, shape ``(N,)``.
     """

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from quatprop.counts import Counts
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
+from quatprop.timeline.counts import Counts
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

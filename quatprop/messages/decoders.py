@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from quatprop.readers.base import Channel, MessageBlock
 
 DECODERS: Final[dict[str, str]] = {
-    "cdr": "quatprop.messages.decoder:Decoder",
-    "ros1": "quatprop.messages.decoder:Decoder",
-    "ulog": "quatprop.messages.decoder:Decoder",
+    "cdr": "quatprop.messages.binary:BinaryDecoder",
+    "ros1": "quatprop.messages.binary:BinaryDecoder",
+    "ulog": "quatprop.messages.binary:BinaryDecoder",
     "json": "quatprop.messages.json:JsonDecoder",
     "protobuf": "quatprop.messages.protobuf:ProtobufDecoder",
 }

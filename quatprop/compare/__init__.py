@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from quatprop.comparison.alignment import Alignment, align
-from quatprop.comparison.association import Pairs, associate, shifted
-from quatprop.comparison.causes import Cause, likely_cause
-from quatprop.comparison.clocks import ClockOffset, find_offset
-from quatprop.comparison.figures import (
+from quatprop.compare.alignment import Alignment, align
+from quatprop.compare.association import Pairs, associate, shifted
+from quatprop.compare.causes import Cause, likely_cause
+from quatprop.compare.clocks import ClockOffset, find_offset
+from quatprop.compare.figures import (
     ErrorFigures,
     WindowFigures,
     drift_deg_h,
@@ -46,9 +46,9 @@ class Settings:
     Parameters
     ----------
     align
-        One of :data:`quatprop.comparison.alignment.ALIGNMENTS`.
+        One of :data:`quatprop.compare.alignment.ALIGNMENTS`.
     match, max_dt_ns, min_matched
-        As for :func:`quatprop.comparison.association.associate`.
+        As for :func:`quatprop.compare.association.associate`.
     time_offset
         Added to B's stamps, ns, or ``"auto"``.
     window_ns

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class Placement:
     """How an encoding places its values.
 
     Parameters
@@ -40,9 +40,9 @@ class Layout:
     delimited: bool = False
 
 
-ROS1 = Layout(0, 1)
-XCDR1 = Layout(4, 8)
-XCDR2 = Layout(4, 4, delimited=True)
+ROS1 = Placement(0, 1)
+XCDR1 = Placement(4, 8)
+XCDR2 = Placement(4, 4, delimited=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +51,18 @@ class Extents:
 
     Parameters
     ----------
-    layout
+    placement
         The encoding.
     """
 
-    layout: Layout
+    placement: Placement
     _alignments: dict[Type, int] = field(default_factory=dict)
     _sizes: dict[tuple[Type, int], int] = field(default_factory=dict)
 
     def alignment(self, kind: Type) -> int:
         """Return the largest alignment in a value of fixed size, or 0 where its size varies."""
         if isinstance(kind, Primitive):
-            return min(kind.size, self.layout.alignment)
+            return min(kind.size, self.placement.alignment)
         if kind not in self._alignments:
             self._alignments[kind] = self._composed(kind)
         return self._alignments[kind]
@@ -100,6 +100,6 @@ class Extents:
         if isinstance(kind, Array):
             if not kind.length:
                 return 1
-            delimited = self.layout.delimited and not isinstance(kind.element, Primitive)
+            delimited = self.placement.delimited and not isinstance(kind.element, Primitive)
             return 0 if delimited else self.alignment(kind.element)
         return 0

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.alignment import align, mean_rotation
-from quatprop.comparison.association import shifted
-from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.figures import NS_PER_S, S_PER_H, rms
+from quatprop.compare.alignment import align, mean_rotation
+from quatprop.compare.association import shifted
+from quatprop.compare.clocks import find_offset
+from quatprop.compare.figures import NS_PER_S, S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.propagate import attitudes
 from quatprop.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.comparison.association import Pairs
+    from quatprop.compare.association import Pairs
     from quatprop.series import AttitudeSeries
 
     Float64 = NDArray[np.float64]

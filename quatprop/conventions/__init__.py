@@ -13,7 +13,7 @@ jpl         body-to-ref  q*
 ==========  ===========  =======
 
 because a JPL quaternion with components p turns vectors as the Hamilton quaternion p* does. How
-the four numbers are laid out in storage is a separate matter: :mod:`quatprop.layout`.
+the four numbers are laid out in storage is a separate matter: :mod:`quatprop.conventions.layout`.
 
 References
 ----------

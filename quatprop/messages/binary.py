@@ -10,7 +10,7 @@ from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quot
 from quatprop.messages.columns import Messages, MixedError, TooShortError, follow
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
-from quatprop.messages.layout import ROS1, XCDR1, XCDR2
+from quatprop.messages.placement import ROS1, XCDR1, XCDR2
 from quatprop.messages.schema import at, numbers
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.messages.layout import Layout
+    from quatprop.messages.placement import Placement
     from quatprop.messages.plan import Plan
     from quatprop.readers.base import Channel, MessageBlock
 
 PACKED = ("ros1", "ulog")
 """Encodings without alignment."""
 
-ENCAPSULATIONS: Mapping[int, tuple[Layout, str]] = {
+ENCAPSULATIONS: Mapping[int, tuple[Placement, str]] = {
     0x0000: (XCDR1, ">"),
     0x0001: (XCDR1, "<"),
     0x0006: (XCDR2, ">"),
@@ -35,7 +35,7 @@ ENCAPSULATIONS: Mapping[int, tuple[Layout, str]] = {
     0x0010: (XCDR2, ">"),
     0x0011: (XCDR2, "<"),
 }
-"""Layout and byte order by the first two bytes of a CDR message, read as big endian."""
+"""Placement and byte order by the first two bytes of a CDR message, read as big endian."""
 
 UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
     0x0002: "a parameter list",
@@ -53,7 +53,7 @@ UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
 """Encapsulations in which fields carry tags or sizes that plans know nothing of."""
 
 
-class Decoder:
+class BinaryDecoder:
     """Takes the same fields out of every message of a channel.
 
     Parameters
@@ -91,7 +91,7 @@ class Decoder:
             self._ways.append(way)
             shape = (0,) if way and kind is number else (0, count)
             self._empty.append(np.empty(shape, number.code))
-        self._plans: dict[Layout, Plan] = {}
+        self._plans: dict[Placement, Plan] = {}
         # A definition that cannot be planned is an error before the first message is read.
         self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
@@ -126,10 +126,10 @@ class Decoder:
     ) -> list[NDArray[Any]]:
         if not len(starts) or not self._ways:
             return self._room(len(starts))
-        layout, order = self._encoding(data, starts, lengths)
-        messages = Messages.of(data, starts, lengths, order, layout.header)
+        placement, order = self._encoding(data, starts, lengths)
+        messages = Messages.of(data, starts, lengths, order, placement.header)
         try:
-            return follow(self._plan(layout), messages, len(self._ways))
+            return follow(self._plan(placement), messages, len(self._ways))
         except MixedError:
             return self._mixed(data, starts, lengths)
 
@@ -154,7 +154,7 @@ class Decoder:
 
     def _encoding(
         self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> tuple[Layout, str]:
+    ) -> tuple[Placement, str]:
         """Return how the first message is encoded."""
         if self.channel.encoding in PACKED:
             return ROS1, "<"
@@ -171,15 +171,15 @@ class Decoder:
             f"(0x{identifier:04x}); record with plain CDR",
         )
 
-    def _plan(self, layout: Layout) -> Plan:
-        if layout not in self._plans:
+    def _plan(self, placement: Placement) -> Plan:
+        if placement not in self._plans:
             try:
-                self._plans[layout] = compile_plan(self._root, self._ways, layout)
+                self._plans[placement] = compile_plan(self._root, self._ways, placement)
             except NotPlannedError as error:
                 raise SchemaError(
                     self.path, f"topic {quoted(self.channel.topic)}: {error}"
                 ) from None
-        return self._plans[layout]
+        return self._plans[placement]
 
     def _too_short(self, block: MessageBlock, positions: NDArray[np.intp]) -> MessageError:
         first = int(positions[0])
