@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from quatprop.readers.base import Log
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.writers.base import Uncommitted
+    from quatprop.writers.ros_messages import Message
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], None]
 
@@ -64,6 +65,8 @@ class Conversion:
         Scale rows to unit length.
     drop
         Leave out rows that are no rotations.
+    message
+        What to write the attitudes as, where they are written as messages.
     comment
         Begin text with the provenance, in a comment.
     report
@@ -81,6 +84,7 @@ class Conversion:
     representation: str = QUATERNION
     normalize: bool = False
     drop: bool = False
+    message: Message | None = None
     comment: bool = False
     report: str | None = None
 
@@ -140,6 +144,7 @@ def _refuse_contradictions(job: Conversion) -> None:
         ("--layout", job.layout is not None),
         ("--convention", job.meaning.convention != HAMILTON.convention),
         ("--sign", job.sign != "keep" and not signed),
+        ("--message", job.message is not None),
     ):
         if given:
             raise UsageError(
@@ -164,7 +169,9 @@ def _opened(job: Conversion) -> Iterator[tuple[Uncommitted, Put]]:
             yield table, lambda t_ns, wxyz: table.write(t_ns, list(_columns(form, wxyz)))
     elif job.meaning == HAMILTON:
         layout = layout_of(kind, job.layout).name
-        with open_writer(job.output, job.to, layout=layout, comment=job.comment) as writer:
+        with open_writer(
+            job.output, job.to, layout=layout, message=job.message, comment=job.comment
+        ) as writer:
             yield writer, lambda t_ns, wxyz: writer.write(AttitudeSeries(t_ns, wxyz))
     else:
         if not WRITERS[kind].table:
@@ -174,6 +181,8 @@ def _opened(job: Conversion) -> Iterator[tuple[Uncommitted, Put]]:
                 f"kind {quoted(kind)} holds Hamilton quaternions body to reference by its own "
                 f"definition; leave --convention and --direction out, or choose {tables}",
             )
+        if job.message is not None:
+            raise UsageError(f"{kind} holds no messages; leave --message out")
         order = layout_of(kind, job.layout)
         with open_table(job.output, order.columns, job.to, comment=job.comment) as table:
             yield table, lambda t_ns, wxyz: table.write(t_ns, [wxyz[:, k] for k in order.order])

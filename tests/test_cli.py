@@ -391,7 +391,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
         (["--rate", "0"], "'0' is no rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
-        (["--rate-cols", "x,y"], "'x,y' does not name three columns X,Y,Z"),
+        (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' mirrors the axes, which no rotation does"),
         (["--q0", "0,0,0,0"], "to have a direction"),
     ],

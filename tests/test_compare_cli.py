@@ -105,7 +105,7 @@ def test_quiet_leaves_the_exit_code(files):
         (["--time-offset", "auto"], "A turns at a constant speed, which shows no time offset"),
         (["--align", "mount"], "the body turns about one axis only"),
         (["--window", "1h"], "no two pairs are 3600 s apart: they span 990 ms"),
-        (["--quat-cols-b", "qw,qx"], "'qw,qx' does not name four columns A,B,C,D"),
+        (["--quat-cols-b", "qw,qx"], "'qw,qx' does not name 4 columns A,B,C,D"),
         (["--topic-b", "/imu"], "is a table"),
     ],
 )

@@ -7,6 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
+from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
@@ -225,11 +226,34 @@ def test_formats_that_only_hold_attitudes_say_so(tmp_path):
         (["--convention", "jpl"], "--convention is about quaternions and matrix has none"),
         (["--sign", "positive"], "--sign is about quaternions and matrix has none; leave it out"),
         (["--euler-unit", "deg"], "--euler-unit is for --as euler-zyx"),
+        (["--message", "TFMessage"], "--message is about quaternions and matrix has none"),
     ],
 )
 def test_options_without_meaning_are_refused(tmp_path, options, sentence):
     """What would change nothing is a mistake."""
     assert sentence in refused(table(tmp_path, PLAIN), "-", "--as", "matrix", *options)
+
+
+def test_messages_are_what_was_asked_for(tmp_path):
+    """The type of the messages, their topic and their frames can be chosen."""
+    out = tmp_path / "out.bag"
+    chosen = ("--message", "PoseStamped", "--out-topic", "/pose", "--frames", "map,imu")
+    run(table(tmp_path, PLAIN), out, *chosen)
+    with AnyReader([out]) as reader:
+        (connection,) = reader.connections
+        _, _, data = next(reader.messages())
+        pose = reader.deserialize(data, connection.msgtype)
+    assert (connection.topic, connection.msgtype) == ("/pose", "geometry_msgs/msg/PoseStamped")
+    assert pose.header.frame_id == "map"
+
+
+@pytest.mark.parametrize("terms", [[], ["--convention", "jpl"]])
+def test_a_table_holds_no_messages(tmp_path, terms):
+    """Messages are for logs of messages, whatever the numbers mean."""
+    sentence = refused(
+        table(tmp_path, PLAIN), tmp_path / "out.csv", "--message", "TFMessage", *terms
+    )
+    assert "csv holds no messages; leave --message out" in sentence
 
 
 def test_the_input_is_not_replaced(tmp_path):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from quatprop.cli.options import KINDS, Duration, ParamType
+from quatprop.cli.options import UNSOUND_OPTIONS, attitude_options, attitude_selection, with_options
+from quatprop.cli.types import Angle, Duration, TimeOffset
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,138 +22,6 @@ ALIGNMENTS = ("none", "first", "mean", "mount")
 
 MATCHES = ("exact", "nearest", "interpolate")
 """Those of :mod:`quatprop.compare.association`."""
-
-
-class Angle(ParamType):
-    """An angle with its unit, in rad."""
-
-    name = "ANGLE"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return the angle in rad."""
-        from quatprop.compare import angle_rad
-        from quatprop.errors import UsageError
-
-        if isinstance(value, float):
-            return value
-        try:
-            return angle_rad(value)
-        except UsageError as error:
-            self.fail(str(error), param, ctx)
-
-
-class TimeOffset(Duration):
-    """A signed duration in ns, or ``auto``."""
-
-    name = "DUR|auto"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return ns, or ``"auto"``."""
-        if value == "auto" or isinstance(value, int):
-            return value
-        sign = -1 if value.startswith("-") else 1
-        return sign * super().convert(value.lstrip("+-"), param, ctx)
-
-
-def _four_columns(
-    _context: click.Context, option: click.Parameter, text: str | None
-) -> tuple[str, ...] | None:
-    if text is None:
-        return None
-    parts = tuple(part.strip() for part in text.split(","))
-    if len(parts) != len("wxyz") or not all(parts):
-        raise click.BadParameter(f"{text!r} does not name four columns A,B,C,D", param=option)
-    return parts
-
-
-SIDE_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
-    "kind": ("from", {"type": click.Choice(KINDS), "help": "Kind of {side}.  [default: told]"}),
-    "topic": (
-        "topic",
-        {"metavar": "NAME", "help": "Topic of {side}.  [default: the only one with attitudes]"},
-    ),
-    "quat_field": (
-        "quat-field",
-        {"metavar": "A.B.C", "help": "Message field of {side}.  [default: known from its type]"},
-    ),
-    "quat_cols": (
-        "quat-cols",
-        {
-            "metavar": "A,B,C,D",
-            "callback": _four_columns,
-            "help": "Columns of {side} as stored, by name or number.  [default: by the header]",
-        },
-    ),
-    "frame": (
-        "frame",
-        {
-            "metavar": "[PARENT:]CHILD",
-            "help": "Transform of {side}, of a list of them.  [default: the only one]",
-        },
-    ),
-    "layout": (
-        "from-layout",
-        {
-            "type": click.Choice(("scalar-first", "scalar-last", "wxyz", "xyzw")),
-            "help": "Order of the numbers of {side}.  [default: as names or metadata say]",
-        },
-    ),
-    "convention": (
-        "from-convention",
-        {
-            "type": click.Choice(("hamilton", "jpl")),
-            "help": "Convention of {side}.  [default: as metadata say, or hamilton]",
-        },
-    ),
-    "direction": (
-        "from-direction",
-        {
-            "type": click.Choice(("body-to-ref", "ref-to-body")),
-            "help": "Direction of {side}.  [default: as metadata say, or body-to-ref]",
-        },
-    ),
-    "clock": (
-        "clock",
-        {
-            "type": click.Choice(("header", "log", "publish")),
-            "help": "Whose stamps of {side}.  [default: header where there is one, else log]",
-        },
-    ),
-    "time_field": (
-        "time-field",
-        {"metavar": "A.B", "help": "Message field of the time of {side}.  [default: the header]"},
-    ),
-    "time_col": (
-        "time-col",
-        {"metavar": "C", "help": "Time column of {side}.  [default: by the header]"},
-    ),
-    "time_unit": (
-        "time-unit",
-        {
-            "type": click.Choice(("s", "ms", "us", "ns")),
-            "help": "Unit of the time of {side}.  [default: as the log says]",
-        },
-    ),
-    "sample_rate": (
-        "sample-rate",
-        {
-            "type": click.FloatRange(min=0, min_open=True),
-            "metavar": "HZ",
-            "help": "Rows a second of {side}, a table without a time.  [default: none]",
-        },
-    ),
-}
-"""What to read of each side: keyword -> name of the option, to which -a or -b is added."""
-
-
-def _side_options(command: Command) -> Command:
-    for side in ("b", "a"):
-        for key, (name, facts) in reversed(SIDE_OPTIONS.items()):
-            said = {**facts, "help": facts["help"].format(side=side.upper())}
-            command = click.option(f"--{name}-{side}", f"{key}_{side}", **said)(command)
-    return command
 
 
 @click.command(no_args_is_help=True)
@@ -209,17 +78,11 @@ def _side_options(command: Command) -> Command:
     type=Duration(),
     help="Compare also the rotations over windows of this length.  [default: none]",
 )
-@click.option(
-    "--on-invalid",
-    type=click.Choice(("error", "drop")),
-    default="error",
-    show_default=True,
-    help="Rows that are no rotation (zero, NaN, not of unit length): refuse, or leave out.",
-)
-@click.option("--normalize", is_flag=True, help="Scale quaternions of any length to unit length.")
+@with_options(UNSOUND_OPTIONS)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @click.option("-q", "--quiet", is_flag=True, help="No figures; the exit code only.")
-@_side_options
+@with_options(attitude_options("A", "-a"))
+@with_options(attitude_options("B", "-b"))
 def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
     """Measure the geodesic error between two attitude series, A and B.
 
@@ -254,12 +117,7 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
 
 def _reading(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
     """Take the options of one side out of a command's."""
-    from quatprop.selection import Selection
-    from quatprop.signals.attitudes import AttitudeSelection
     from quatprop.signals.operands import Reading
 
-    said = {key: chosen.pop(f"{key}_{side}") for key in SIDE_OPTIONS}
-    kind = said.pop("kind")
-    samples = ("topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
-    selection = AttitudeSelection(Selection(**{key: said.pop(key) for key in samples}), **said)
-    return Reading(path, kind, selection, **unsound)
+    kind = chosen.pop(f"kind_{side}")
+    return Reading(path, kind, attitude_selection(chosen, f"_{side}"), **unsound)

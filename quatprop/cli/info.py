@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from quatprop.cli.options import selection, selection_options
+from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.words import lost
 from quatprop.errors import plain
 
@@ -31,7 +31,7 @@ NUMBERS_FROM = 2
 @click.command(no_args_is_help=True)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
-@selection_options
+@with_options(SELECTION_OPTIONS)
 def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     """Show every source of body rates in each LOG.
 

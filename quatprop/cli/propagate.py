@@ -3,44 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from quatprop.cli.options import (
-    Bias,
-    Duration,
-    Frequency,
-    InitialAttitude,
-    Time,
+    LAYOUTS,
+    OUTPUT_OPTIONS,
+    SELECTION_OPTIONS,
+    message,
+    quiet_option,
+    report_option,
     selection,
-    selection_options,
+    with_options,
 )
-
-if TYPE_CHECKING:
-    from quatprop.writers.ros_messages import Message
-
-LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
-
-KINDS = (
-    "csv",
-    "tsv",
-    "jsonl",
-    "parquet",
-    "feather",
-    "npy",
-    "npz",
-    "tum",
-    "euroc",
-    "mcap",
-    "bag",
-    "rosbag2",
-    "rosbag2-mcap",
-)
-"""The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
-
-MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
-"""The keys of :data:`quatprop.writers.ros_messages.MESSAGES`."""
+from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
 
 
 @click.command(no_args_is_help=True)
@@ -52,39 +29,7 @@ MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
     required=True,
     help="Where the attitudes go; - is CSV on stdout.",
 )
-@click.option(
-    "--to",
-    type=click.Choice(KINDS),
-    help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
-)
-@click.option(
-    "--layout",
-    type=click.Choice(LAYOUTS),
-    help="Order of the quaternion's columns; a matter of storage only.  [default: scalar-first, "
-    "but what the format prescribes for tum, euroc and ROS messages]",
-)
-@click.option(
-    "--header-comment",
-    "comment",
-    is_flag=True,
-    help="Begin csv, tsv, tum or euroc with the report in a # comment.",
-)
-@click.option(
-    "--message",
-    type=click.Choice(MESSAGES),
-    help="What mcap and bags hold: the attitude, a pose, or a transform.  "
-    "[default: QuaternionStamped]",
-)
-@click.option(
-    "--out-topic",
-    metavar="NAME",
-    help="Topic of the messages.  [default: /attitude, or /tf for TFMessage]",
-)
-@click.option(
-    "--frames",
-    metavar="REFERENCE,BODY",
-    help="Names of the two frames in the messages.  [default: reference,body]",
-)
+@with_options(OUTPUT_OPTIONS)
 @click.option(
     "--method",
     type=click.Choice(("start", "end", "mean", "coning")),
@@ -195,17 +140,12 @@ MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
     help="Write attitudes at the stamps of this series of attitudes or rates, exact under the "
     "method; times outside the log are left out.  [default: at the samples]",
 )
-@click.option(
-    "--report",
-    metavar="PATH|-",
-    help="Write a JSON report: counts, policies, conventions, source, version, timings.  "
-    "[default: none]",
-)
-@click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")
+@report_option
+@quiet_option
 @click.option(
     "-v", "--verbose", is_flag=True, help="A longer summary: conventions, policies, timings."
 )
-@selection_options
+@with_options(SELECTION_OPTIONS)
 def command(**chosen: Any) -> None:
     """Turn the body rates of LOG into its attitude series.
 
@@ -243,7 +183,7 @@ def command(**chosen: Any) -> None:
         ),
         q0=Start(**start),
         layout=layout and layout_named(layout).name,
-        message=_message(chosen.pop("message"), chosen.pop("out_topic"), chosen.pop("frames")),
+        message=message(chosen),
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
             static_ns=bias if isinstance(bias, int) else None,
@@ -259,18 +199,6 @@ def command(**chosen: Any) -> None:
         click.echo(words.summary(report, verbose=verbose), err=True)
     if report["data_lost"]:
         raise click.exceptions.Exit(3)
-
-
-def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
-    """Return what attitudes are written as, or None where nothing was said about it."""
-    from quatprop.writers.ros_messages import Message
-
-    if kind is None and topic is None and frames is None:
-        return None
-    reference, comma, body = (frames or "reference,body").partition(",")
-    if not comma:
-        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
-    return Message(kind or MESSAGES[0], topic, reference, body)
 
 
 def _refuse_idle(q0: tuple[float, ...] | str | None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from quatprop.cli.options import Duration, Numbers
+from quatprop.cli.types import Duration, Numbers
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
