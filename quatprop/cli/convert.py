@@ -6,18 +6,15 @@ from typing import Any
 
 import click
 
-from quatprop.cli.options import (
+from quatprop.cli.attitude_options import (
     CONVENTIONS,
     DIRECTIONS,
-    OUTPUT_OPTIONS,
     UNSOUND_OPTIONS,
     attitude_options,
     attitude_selection,
-    message,
-    quiet_option,
-    report_option,
-    with_options,
 )
+from quatprop.cli.options import quiet_option, report_option, with_options
+from quatprop.cli.output_options import OUTPUT_OPTIONS, message
 
 EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 """Representation and unit of angles -> key of :data:`quatprop.conventions.REPRESENTATIONS`."""

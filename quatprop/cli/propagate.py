@@ -9,14 +9,13 @@ import click
 
 from quatprop.cli.options import (
     LAYOUTS,
-    OUTPUT_OPTIONS,
     SELECTION_OPTIONS,
-    message,
     quiet_option,
     report_option,
     selection,
     with_options,
 )
+from quatprop.cli.output_options import OUTPUT_OPTIONS, message
 from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
 
 

@@ -1,0 +1,83 @@
+"""Options that say how an attitude series is written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from quatprop.cli.options import LAYOUTS
+
+if TYPE_CHECKING:
+    from quatprop.writers.ros_messages import Message
+
+OUTPUT_KINDS = (
+    "csv",
+    "tsv",
+    "jsonl",
+    "parquet",
+    "feather",
+    "npy",
+    "npz",
+    "tum",
+    "euroc",
+    "mcap",
+    "bag",
+    "rosbag2",
+    "rosbag2-mcap",
+)
+"""The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
+
+MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
+"""The keys of :data:`quatprop.writers.ros_messages.MESSAGES`."""
+
+output_kind_option = click.option(
+    "--to",
+    type=click.Choice(OUTPUT_KINDS),
+    help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
+)
+layout_option = click.option(
+    "--layout",
+    type=click.Choice(LAYOUTS),
+    help="Order of the quaternion's columns; a matter of storage only.  [default: scalar-first, "
+    "but what the format prescribes for tum, euroc and ROS messages]",
+)
+comment_option = click.option(
+    "--header-comment",
+    "comment",
+    is_flag=True,
+    help="Begin csv, tsv, tum or euroc with the report in a # comment.",
+)
+MESSAGE_OPTIONS = (
+    click.option(
+        "--message",
+        type=click.Choice(MESSAGES),
+        help="What mcap and bags hold: the attitude, a pose, or a transform.  "
+        "[default: QuaternionStamped]",
+    ),
+    click.option(
+        "--out-topic",
+        metavar="NAME",
+        help="Topic of the messages.  [default: /attitude, or /tf for TFMessage]",
+    ),
+    click.option(
+        "--frames",
+        metavar="REFERENCE,BODY",
+        help="Names of the two frames in the messages.  [default: reference,body]",
+    ),
+)
+OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OPTIONS)
+"""How an attitude series is written."""
+
+
+def message(chosen: dict[str, Any]) -> Message | None:
+    """Take what attitudes are written as out of a command's options; None if nothing was said."""
+    from quatprop.writers.ros_messages import Message
+
+    kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
+    if kind is None and topic is None and frames is None:
+        return None
+    reference, comma, body = (frames or "reference,body").partition(",")
+    if not comma:
+        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
+    return Message(kind or MESSAGES[0], topic, reference, body)
