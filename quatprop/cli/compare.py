@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import UNSOUND_OPTIONS, attitude_options, attitude_selection, with_options
+from quatprop.cli.attitude_options import UNSOUND_OPTIONS, attitude_options, attitude_selection
+from quatprop.cli.options import with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from quatprop.signals.operands import Reading
 
-Command = TypeVar("Command", bound="Callable[..., Any]")
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Those of :mod:`quatprop.compare.alignment`; spelled out to keep help quick."""

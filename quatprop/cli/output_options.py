@@ -11,7 +11,7 @@ from quatprop.cli.options import LAYOUTS
 if TYPE_CHECKING:
     from quatprop.writers.ros_messages import Message
 
-OUTPUT_KINDS = (
+KINDS = (
     "csv",
     "tsv",
     "jsonl",
@@ -33,7 +33,7 @@ MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
 
 output_kind_option = click.option(
     "--to",
-    type=click.Choice(OUTPUT_KINDS),
+    type=click.Choice(KINDS),
     help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 layout_option = click.option(
