@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from quatprop.readers.base import Log
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.writers.base import Uncommitted
-    from quatprop.writers.ros_messages import Message
+    from quatprop.writers.messages import Message
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], None]
 

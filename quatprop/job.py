@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from quatprop.resample import Times
-    from quatprop.writers.ros_messages import Message
+    from quatprop.writers.messages import Message
 
 
 @dataclass(frozen=True, slots=True)

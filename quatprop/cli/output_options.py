@@ -9,7 +9,7 @@ import click
 from quatprop.cli.options import LAYOUTS
 
 if TYPE_CHECKING:
-    from quatprop.writers.ros_messages import Message
+    from quatprop.writers.messages import Message
 
 KINDS = (
     "csv",
@@ -28,8 +28,8 @@ KINDS = (
 )
 """The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
 
-MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage")
-"""The keys of :data:`quatprop.writers.ros_messages.MESSAGES`."""
+MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage", "FrameTransform", "PoseInFrame")
+"""The keys of :data:`quatprop.writers.messages.MESSAGES`."""
 
 output_kind_option = click.option(
     "--to",
@@ -52,13 +52,13 @@ MESSAGE_OPTIONS = (
     click.option(
         "--message",
         type=click.Choice(MESSAGES),
-        help="What mcap and bags hold: the attitude, a pose, or a transform.  "
-        "[default: QuaternionStamped]",
+        help="What mcap and bags hold: the attitude, a pose, or a transform. FrameTransform and "
+        "PoseInFrame are Foxglove's own, for mcap only.  [default: QuaternionStamped]",
     ),
     click.option(
         "--out-topic",
         metavar="NAME",
-        help="Topic of the messages.  [default: /attitude, or /tf for TFMessage]",
+        help="Topic of the messages.  [default: /attitude, or /tf for transforms]",
     ),
     click.option(
         "--frames",
@@ -72,7 +72,7 @@ OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OP
 
 def message(chosen: dict[str, Any]) -> Message | None:
     """Take what attitudes are written as out of a command's options; None if nothing was said."""
-    from quatprop.writers.ros_messages import Message
+    from quatprop.writers.messages import Message
 
     kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
     if kind is None and topic is None and frames is None:

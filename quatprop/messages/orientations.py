@@ -87,6 +87,10 @@ _PX4 = OrientationField(
     frames="FRD body to NED reference",
 )
 
+_FOXGLOVE_STAMP = Stamp.of_time("timestamp")
+_FOXGLOVE_POSE = OrientationField("pose.orientation", stamps=(_FOXGLOVE_STAMP,))
+_FOXGLOVE_TRANSFORM = OrientationField("rotation", stamps=(_FOXGLOVE_STAMP,))
+
 ORIENTATIONS: Mapping[str, OrientationField] = {
     "sensor_msgs/msg/Imu": OrientationField("orientation", absent="orientation_covariance[0]"),
     "geometry_msgs/msg/QuaternionStamped": OrientationField("quaternion"),
@@ -94,6 +98,10 @@ ORIENTATIONS: Mapping[str, OrientationField] = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": OrientationField("pose.pose.orientation"),
     "geometry_msgs/msg/TransformStamped": OrientationField("transform.rotation"),
     "nav_msgs/msg/Odometry": OrientationField("pose.pose.orientation"),
+    "foxglove.FrameTransform": _FOXGLOVE_TRANSFORM,
+    "foxglove.PoseInFrame": _FOXGLOVE_POSE,
+    "foxglove_msgs/msg/FrameTransform": _FOXGLOVE_TRANSFORM,
+    "foxglove_msgs/msg/PoseInFrame": _FOXGLOVE_POSE,
     "px4_msgs/msg/VehicleAttitude": _PX4,
     "px4_msgs/msg/VehicleOdometry": _PX4,
 }

@@ -20,7 +20,7 @@ from quatprop.conventions.layout import layout_named
 from quatprop.errors import OutputError, UsageError, listed, quoted
 from quatprop.writers.atomic import is_stdout, is_stream
 from quatprop.writers.base import AttitudeTable
-from quatprop.writers.ros_messages import Message
+from quatprop.writers.messages import Message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

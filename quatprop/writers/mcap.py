@@ -1,4 +1,4 @@
-"""Attitudes as MCAP: profile ros2, CDR messages, the definition embedded, provenance beside them.
+"""Attitudes as MCAP: ROS 2 or Foxglove's messages, the definition embedded, provenance beside them.
 
 A message is logged at the time of its attitude.
 """
@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.mcap_file import McapFile
-from quatprop.writers.ros_messages import Encoder, Message
-from quatprop.writers.ros_types import ros2_types
+from quatprop.writers.mcap_messages import declared
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages import Message
 
 METADATA = "quatprop"
 """Name of the metadata record that holds the provenance, as JSON under the key ``provenance``."""
@@ -36,14 +36,13 @@ class McapAttitudes(AttitudeWriter):
     """
 
     def __init__(self, target: Path | str, message: Message) -> None:
-        kind = message.definition
-        self._encoder = Encoder(message)
-        definition, _ = ros2_types().generate_msgdef(kind.name, ros_version=2)
+        told = declared(message)
+        self._encoder = told.encoder
         self._output = Output(target)
         with reported(target):
-            self._file = McapFile(self._output.stream, "ros2", "zstd")
-            schema = self._file.add_schema(kind.name, "ros2msg", definition.encode())
-            self._channel = self._file.add_channel(message.topic or kind.topic, "cdr", schema)
+            self._file = McapFile(self._output.stream, told.profile, "zstd")
+            schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
+            self._channel = self._file.add_channel(message.place, told.encoding, schema)
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch."""

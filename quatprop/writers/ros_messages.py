@@ -1,108 +1,31 @@
 """Attitudes as ROS messages by the block: columns in, an array of encoded messages out.
 
 The names of the frames are the same in every message, so every message has its fields in the
-same places: a block is an array of records. ROS defines ``geometry_msgs/Quaternion`` as
-x, y, z, w: there is no other layout.
-
-A position or translation, which attitude does not tell, is zero. The header's frame is the
-reference; of a transform, the child is the body, so that it takes body to reference, as the
-attitude does.
+same places: a block is an array of records.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.errors import OutputError, UsageError, listed, quoted
+from quatprop.writers.messages import MESSAGES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
     from numpy.typing import NDArray
 
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages import Message
 
 NS_PER_S = 1_000_000_000
 _STAMP = (("sec", "<i4"), ("nanosec", "<u4"))
 _ROS1_STAMP = (("seq", "<u4"), ("sec", "<u4"), ("nanosec", "<u4"))
 _CDR_LITTLE_ENDIAN = b"\0\1\0\0"
-
-
-@dataclass(frozen=True, slots=True)
-class MessageType:
-    """One line of :data:`MESSAGES`.
-
-    Parameters
-    ----------
-    name
-        The type, as ROS 2 names it.
-    parts
-        Its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
-        ``position`` and ``xyzw``.
-    topic
-        Where it is published by custom.
-    """
-
-    name: str
-    parts: tuple[str, ...]
-    topic: str = "/attitude"
-
-
-MESSAGES: Mapping[str, MessageType] = {
-    "QuaternionStamped": MessageType(
-        "geometry_msgs/msg/QuaternionStamped", ("stamp", "frame", "xyzw")
-    ),
-    "PoseStamped": MessageType(
-        "geometry_msgs/msg/PoseStamped", ("stamp", "frame", "position", "xyzw")
-    ),
-    "TFMessage": MessageType(
-        "tf2_msgs/msg/TFMessage", ("count", "stamp", "frame", "child", "position", "xyzw"), "/tf"
-    ),
-}
-"""Every message that an attitude can be written as."""
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """What attitudes are written as, where they are written as messages.
-
-    Parameters
-    ----------
-    type
-        A key of :data:`MESSAGES`, or its full name.
-    topic
-        None is what custom says: ``/attitude``, or ``/tf`` for transforms.
-    frame
-        Name of the reference.
-    child
-        Name of the body.
-    """
-
-    type: str = "QuaternionStamped"
-    topic: str | None = None
-    frame: str = "reference"
-    child: str = "body"
-
-    @property
-    def definition(self) -> MessageType:
-        """The type's line of :data:`MESSAGES`.
-
-        Raises
-        ------
-        UsageError
-            There is none.
-        """
-        short = self.type.rpartition("/")[2]
-        if short not in MESSAGES or self.type not in _names(MESSAGES[short].name):
-            raise UsageError(
-                f"attitudes cannot be written as {quoted(self.type)}; choose {listed(MESSAGES)}"
-            )
-        return MESSAGES[short]
 
 
 class Encoder:
@@ -114,9 +37,20 @@ class Encoder:
         What to encode.
     ros1
         Whether as ROS 1 does rather than in CDR, little-endian, as ROS 2 does.
+
+    Raises
+    ------
+    UsageError
+        It is no ROS message.
     """
 
     def __init__(self, message: Message, *, ros1: bool = False) -> None:
+        if not message.definition.is_ros:
+            ros = listed(name for name, known in MESSAGES.items() if known.is_ros)
+            raise UsageError(
+                f"{quoted(message.type)} is Foxglove's own, in protobuf, and ROS bags hold ROS "
+                f"messages; write mcap, or choose {ros}"
+            )
         self._ros1 = ros1
         self._written = 0
         fields, constants = _fields(message, ros1=ros1)
@@ -156,12 +90,6 @@ class Encoder:
         rows["xyzw"][:, :3], rows["xyzw"][:, 3] = series.wxyz[:, 1:], series.wxyz[:, 0]
         self._written += len(series)
         return rows
-
-
-def _names(name: str) -> tuple[str, str, str]:
-    """Return what a type goes by: short, as in ROS 1, as in ROS 2."""
-    package, _, short = name.split("/")
-    return short, f"{package}/{short}", name
 
 
 def _fields(message: Message, *, ros1: bool) -> tuple[dict[str, tuple[str, int]], dict[str, Any]]:

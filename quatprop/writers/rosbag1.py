@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.writers.atomic import Output, refuse_streams, reported
 from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.ros_messages import Encoder, Message
+from quatprop.writers.ros_messages import Encoder
 from quatprop.writers.ros_types import ros1_types
 from quatprop.writers.rosbag1_file import BagFile
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages import Message
 
 
 class Rosbag1Attitudes(AttitudeWriter):
@@ -43,7 +44,7 @@ class Rosbag1Attitudes(AttitudeWriter):
             self._bag = BagFile(
                 self._output.stream,
                 "none",
-                topic=message.topic or kind.topic,
+                topic=message.place,
                 kind=kind.name.replace("/msg/", "/"),
                 definition=definition,
                 md5sum=md5sum,

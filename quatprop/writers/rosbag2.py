@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.ros_messages import Encoder, Message
+from quatprop.writers.ros_messages import Encoder
 from quatprop.writers.ros_types import ros2_types
 from quatprop.writers.rosbag2_folder import BagFolder
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages import Message
 
 
 class SqliteAttitudes(AttitudeWriter):
@@ -44,7 +45,7 @@ class SqliteAttitudes(AttitudeWriter):
             target,
             self.storage,
             self.compression,
-            topic=message.topic or kind.topic,
+            topic=message.place,
             kind=kind.name,
             types=ros2_types(),
         )

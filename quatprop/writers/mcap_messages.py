@@ -1,0 +1,51 @@
+"""How MCAP declares what attitudes are written as: profile, encodings, definition."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.writers.foxglove_messages import FoxgloveEncoder, schema_of
+from quatprop.writers.ros_messages import Encoder
+from quatprop.writers.ros_types import ros2_types
+
+if TYPE_CHECKING:
+    from quatprop.writers.messages import Message
+
+
+class Declared(NamedTuple):
+    """What MCAP needs to know about messages.
+
+    Parameters
+    ----------
+    profile
+        Of a file that holds nothing else.
+    encoder
+        Encodes the attitudes.
+    encoding
+        How messages are encoded.
+    schema_name, schema_encoding, schema
+        Their definition.
+    """
+
+    profile: str
+    encoder: Encoder | FoxgloveEncoder
+    encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+
+
+def declared(message: Message) -> Declared:
+    """Return how MCAP declares a kind of message.
+
+    Raises
+    ------
+    UsageError
+        There is no such kind.
+    """
+    name = message.definition.name
+    if message.definition.is_ros:
+        definition, _ = ros2_types().generate_msgdef(name, ros_version=2)
+        return Declared("ros2", Encoder(message), "cdr", name, "ros2msg", definition.encode())
+    schema = schema_of(name)
+    return Declared("", FoxgloveEncoder(message), "protobuf", name, "protobuf", schema)

@@ -1,0 +1,108 @@
+"""What attitudes are written as where they are written as messages: types, topics, frames.
+
+A position or translation, which attitude does not tell, is zero. The message's frame is the
+reference; of a transform, the child is the body, so that it takes body to reference, as the
+attitude does. All of these types define the quaternion as x, y, z, w: there is no other layout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from quatprop.errors import UsageError, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """One line of :data:`MESSAGES`.
+
+    Parameters
+    ----------
+    name
+        The type, as ROS 2 names it, or as Foxglove does.
+    parts
+        Its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
+        ``position`` and ``xyzw``, or a ``pose`` of both.
+    topic
+        Where it is published by custom.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    topic: str = "/attitude"
+
+    @property
+    def is_ros(self) -> bool:
+        """Whether it is a ROS message; otherwise it is one of Foxglove's own, in protobuf."""
+        return "/" in self.name
+
+
+MESSAGES: Mapping[str, MessageType] = {
+    "QuaternionStamped": MessageType(
+        "geometry_msgs/msg/QuaternionStamped", ("stamp", "frame", "xyzw")
+    ),
+    "PoseStamped": MessageType(
+        "geometry_msgs/msg/PoseStamped", ("stamp", "frame", "position", "xyzw")
+    ),
+    "TFMessage": MessageType(
+        "tf2_msgs/msg/TFMessage", ("count", "stamp", "frame", "child", "position", "xyzw"), "/tf"
+    ),
+    "FrameTransform": MessageType(
+        "foxglove.FrameTransform", ("stamp", "frame", "child", "position", "xyzw"), "/tf"
+    ),
+    "PoseInFrame": MessageType("foxglove.PoseInFrame", ("stamp", "frame", "pose")),
+}
+"""Every message that an attitude can be written as."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """What attitudes are written as, where they are written as messages.
+
+    Parameters
+    ----------
+    type
+        A key of :data:`MESSAGES`, or its full name.
+    topic
+        None is what custom says: ``/attitude``, or ``/tf`` for transforms.
+    frame
+        Name of the reference.
+    child
+        Name of the body.
+    """
+
+    type: str = "QuaternionStamped"
+    topic: str | None = None
+    frame: str = "reference"
+    child: str = "body"
+
+    @property
+    def definition(self) -> MessageType:
+        """The type's line of :data:`MESSAGES`.
+
+        Raises
+        ------
+        UsageError
+            There is none.
+        """
+        short = self.type.replace(".", "/").rpartition("/")[2]
+        if short not in MESSAGES or self.type not in _names(MESSAGES[short].name):
+            raise UsageError(
+                f"attitudes cannot be written as {quoted(self.type)}; choose {listed(MESSAGES)}"
+            )
+        return MESSAGES[short]
+
+    @property
+    def place(self) -> str:
+        """The topic: as told, or as custom says."""
+        return self.topic or self.definition.topic
+
+
+def _names(name: str) -> tuple[str, ...]:
+    """Return what a type goes by: short, in full, and as ROS 1 has it."""
+    package, _, short = name.replace(".", "/msg/").split("/")
+    return short, name, f"{package}/{short}"
