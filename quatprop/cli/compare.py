@@ -12,6 +12,7 @@ from quatprop.cli.options import with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
 if TYPE_CHECKING:
+    from quatprop.compare import Settings
     from quatprop.signals.operands import Reading
 
 
@@ -90,15 +91,14 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
     """
     from quatprop import __version__
     from quatprop.cli.comparison_words import comparison
-    from quatprop.compare import Settings, compare
+    from quatprop.compare import compare
     from quatprop.signals.operands import read_operand
 
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
     first, second = (
-        read_operand(_reading(path, side, chosen, unsound)) for path, side in ((a, "a"), (b, "b"))
+        read_operand(reading_of(path, side, chosen, unsound)) for path, side in ((a, "a"), (b, "b"))
     )
-    chosen["min_matched"] /= 100
-    found = compare(first.series, second.series, Settings(**chosen))
+    found = compare(first.series, second.series, settings_of(chosen))
     report = {
         "quatprop": __version__,
         "a": first.report(),
@@ -113,7 +113,15 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
         raise click.exceptions.Exit(3)
 
 
-def _reading(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
+def settings_of(chosen: dict[str, Any]) -> Settings:
+    """Return how to compare, from the options that are left when both sides have theirs."""
+    from quatprop.compare import Settings
+
+    chosen["min_matched"] /= 100
+    return Settings(**chosen)
+
+
+def reading_of(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
     """Take the options of one side out of a command's."""
     from quatprop.signals.operands import Reading
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,6 +17,9 @@ from quatprop.cli.options import (
 )
 from quatprop.cli.output_options import OUTPUT_OPTIONS, message
 from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
+
+if TYPE_CHECKING:
+    from quatprop.job import Job
 
 
 @click.command(no_args_is_help=True)
@@ -152,13 +155,26 @@ def command(**chosen: Any) -> None:
     table, or - for CSV on stdin. N samples give N attitudes; the first is --q0.
     """
     from quatprop.cli import words
+    from quatprop.job import run
+
+    quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
+    job = job_of(chosen)
+    with words.progress(quiet=quiet) as tick:
+        report = run(job, tick)
+    if not quiet:
+        click.echo(words.summary(report, verbose=verbose), err=True)
+    if report["data_lost"]:
+        raise click.exceptions.Exit(3)
+
+
+def job_of(chosen: dict[str, Any]) -> Job:
+    """Return what the options ask for; in the context of the command, whose options they are."""
     from quatprop.conditioning import Conditioning
     from quatprop.conventions.layout import layout_named
-    from quatprop.job import Job, run
+    from quatprop.job import Job
     from quatprop.start import Start
     from quatprop.timeline import Policy
 
-    quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
     _refuse_idle(chosen["q0"])
     start = {
         "heading": math.radians(chosen.pop("heading")),
@@ -171,7 +187,7 @@ def command(**chosen: Any) -> None:
         start["wxyz"] = tuple(q0[q0_order.index(part)] for part in range(4))
     bias = chosen.pop("bias")
     layout = chosen.pop("layout")
-    job = Job(
+    return Job(
         log=chosen.pop("log"),
         selection=selection(chosen),
         policy=Policy(
@@ -192,12 +208,6 @@ def command(**chosen: Any) -> None:
         ),
         **chosen,
     )
-    with words.progress(quiet=quiet) as tick:
-        report = run(job, tick)
-    if not quiet:
-        click.echo(words.summary(report, verbose=verbose), err=True)
-    if report["data_lost"]:
-        raise click.exceptions.Exit(3)
 
 
 def _refuse_idle(q0: tuple[float, ...] | str | None) -> None:
