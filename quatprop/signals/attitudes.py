@@ -36,6 +36,7 @@ from quatprop.signals.channel_values import (
     FieldReading,
     channels_of,
     clock_of,
+    stamps_logged,
     timed_values,
 )
 from quatprop.signals.transforms import TransformReading, chosen_frames
@@ -111,6 +112,9 @@ class AttitudeSource:
         Reads stamps in ns and numbers, scalar first and in the terms of :data:`HAMILTON
         <quatprop.conventions.HAMILTON>`, batch after batch in the order of the log. They are not
         checked: see :class:`quatprop.signals.rotation_check.RotationCheck`.
+    stamps
+        Reads the stamps of messages and when they were logged, ns, as `rows` reads the attitudes;
+        None for a table.
     """
 
     name: str
@@ -122,6 +126,7 @@ class AttitudeSource:
     remarks: tuple[str, ...]
     provenance: dict[str, Any]
     rows: Callable[[], Rows]
+    stamps: Callable[[], Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]] | None = None
 
 
 def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSource:
@@ -288,6 +293,7 @@ def _of_field(
         remarks=(f"by its type {found.frames}",) if found.frames else (),
         provenance={},
         rows=partial(_message_rows, log, channel, reading, order, meaning),
+        stamps=partial(stamps_logged, log, channel, reading),
     )
 
 
@@ -334,6 +340,7 @@ def _of_transforms(
         remarks=(),
         provenance={},
         rows=partial(_message_rows, log, channel, reading, SCALAR_FIRST.order, meaning),
+        stamps=partial(stamps_logged, log, channel, reading),
     )
 
 

@@ -129,9 +129,32 @@ def timed_values(
         What the reading gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
         ``(N, k)``, float64, first.
     """
-    batches = (_kept(log, channel, reading, block) for block in log.blocks(channel))
-    for columns in in_time([batches]):
+    for columns in _timed(log, channel, reading):
         yield columns.values
+
+
+def stamps_logged(
+    log: MessageLog, channel: Channel, reading: Reading
+) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of one channel and when each was logged, in order of their log times.
+
+    Parameters
+    ----------
+    log, channel, reading
+        As for :func:`timed_values`.
+
+    Yields
+    ------
+    tuple
+        Stamps and log times, shape ``(N,)`` each, int64 ns.
+    """
+    for columns in _timed(log, channel, reading):
+        yield columns.values[0], columns.log_ns
+
+
+def _timed(log: MessageLog, channel: Channel, reading: Reading) -> Iterator[Columns]:
+    batches = (_kept(log, channel, reading, block) for block in log.blocks(channel))
+    return in_time([batches])
 
 
 def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: Selection) -> Clock:

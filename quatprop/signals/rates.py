@@ -26,16 +26,20 @@ from quatprop.errors import (
 from quatprop.messages.rates import rate_field_at, rate_fields
 from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
-from quatprop.signals.channel_values import channels_of, clock_of, timed_values
+from quatprop.signals.channel_values import channels_of, clock_of, stamps_logged, timed_values
 from quatprop.signals.rate_readings import rate_reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from numpy.typing import NDArray
+
     from quatprop.messages.rate_types import RateField
     from quatprop.readers.base import Channel, MessageLog, TableLog
     from quatprop.selection import Selection
     from quatprop.signals.channel_values import Clock
+
+    Int64 = NDArray[np.int64]
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
@@ -67,6 +71,9 @@ class Source:
         The method that fits what the sensor does, where the definition of its messages says it.
     increments
         Whether the sensor has integrated: then no method rules an interval.
+    stamps
+        Reads the stamps of messages and when they were logged, ns, as `batches` reads the samples;
+        None for a table.
     """
 
     name: str
@@ -79,6 +86,7 @@ class Source:
     measured: bool = True
     method: str | None = None
     increments: bool = False
+    stamps: Callable[[], Iterator[tuple[Int64, Int64]]] | None = None
 
     def ruled_by(self, method: str) -> str:
         """Return what rules the intervals if a method is asked for: the sensor, or the method."""
@@ -203,6 +211,7 @@ def _of_channel(
         measured=field.measured,
         method=field.method,
         increments=field.span is not None,
+        stamps=partial(_stamps, log, channel, field, clock),
     )
 
 
@@ -232,6 +241,13 @@ def _samples(
     reading = rate_reading(log, channel, field, clock)
     for t_ns, rate, *span_ns in timed_values(log, channel, reading):
         yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, *span_ns)
+
+
+def _stamps(
+    log: MessageLog, channel: Channel, field: RateField, clock: Clock
+) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of one channel and when they were logged."""
+    return stamps_logged(log, channel, rate_reading(log, channel, field, clock))
 
 
 def _same_topic(log: MessageLog | TableLog, found: list[Source]) -> UsageError:
