@@ -18,7 +18,6 @@ from mcap.opcode import Opcode
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from mcap.records import Channel
     from numpy.typing import NDArray
 
     Int64 = NDArray[np.int64]
@@ -27,6 +26,9 @@ CHUNK_BYTES = 1 << 20
 """About how large a chunk is before it is compressed."""
 
 _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+ENTRY_BYTES = _INDEX_ENTRY.itemsize
+"""Bytes of one message in a message index."""
+
 _RECORD_HEAD_BYTES = 9
 _ZSTD_LEVEL = -3
 """Attitudes are mostly noise to a compressor: level 1 would save 3 % for half again the time."""
@@ -72,20 +74,21 @@ class MessageChannel:
     ----------
     give
         Takes a full chunk: the channel's id, the records and their index.
-    record
-        The channel's record.
+    id_
+        The channel's id.
+    chunk_bytes
+        About how large a chunk is before it is compressed.
 
     Attributes
     ----------
-    record
-        The channel's record.
     written
         Messages written so far.
     """
 
-    def __init__(self, give: Callable[..., None], record: Channel) -> None:
+    def __init__(self, give: Callable[..., None], id_: int, chunk_bytes: int = CHUNK_BYTES) -> None:
         self._give = give
-        self.record = record
+        self._id = id_
+        self._chunk_bytes = chunk_bytes
         self.written = 0
         self._rows: NDArray[np.void] | None = None
         self._index = np.zeros(0, _INDEX_ENTRY)
@@ -102,7 +105,7 @@ class MessageChannel:
             Shape ``(N,)``, always of the same item size.
         """
         if self._rows is None:
-            self._rows = _blank_rows(self.record.id, messages.itemsize)
+            self._rows = _blank_rows(self._id, messages.itemsize, self._chunk_bytes)
             self._index = np.zeros(len(self._rows), _INDEX_ENTRY)
             self._index["offset"] = np.arange(len(self._rows)) * self._rows.itemsize
         data = messages.view(self._rows.dtype["data"])
@@ -125,11 +128,11 @@ class MessageChannel:
         if self._rows is None or not self._filled:
             return
         records = self._rows[: self._filled].tobytes()
-        self._give(self.record.id, records, self._index[: self._filled].copy())
+        self._give(self._id, records, self._index[: self._filled].copy())
         self._filled = 0
 
 
-def _blank_rows(channel: int, size: int) -> NDArray[np.void]:
+def _blank_rows(channel: int, size: int, chunk_bytes: int) -> NDArray[np.void]:
     """Return the records of a chunk of messages, without times and data."""
     dtype = np.dtype(
         [
@@ -142,7 +145,7 @@ def _blank_rows(channel: int, size: int) -> NDArray[np.void]:
             ("data", f"V{size}"),
         ]
     )
-    rows = np.zeros(max(1, CHUNK_BYTES // dtype.itemsize), dtype)
+    rows = np.zeros(max(1, chunk_bytes // dtype.itemsize), dtype)
     rows["opcode"] = Opcode.MESSAGE
     rows["length"] = dtype.itemsize - _RECORD_HEAD_BYTES
     rows["channel"] = channel

@@ -1,0 +1,114 @@
+"""What an MCAP file holds and where, as it is written: its summary in the end."""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Footer,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mcap.records import McapRecord
+
+_FOOTER_BYTES = 20
+_CRC_BYTES = 4
+
+
+@dataclass(slots=True)
+class Contents:
+    """What the summary tells of a file.
+
+    Parameters
+    ----------
+    schemas, channels
+        The records by their ids.
+    chunks, attachments, metadata
+        Where they are.
+    counts
+        Messages of each channel.
+    loose
+        Earliest and latest log time of messages outside chunks, ns.
+    """
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    loose: list[tuple[int, int]] = field(default_factory=list)
+
+    def summary(self, start: int) -> bytes:
+        """Return the summary section and the footer.
+
+        Parameters
+        ----------
+        start
+            Where the section begins in the file.
+        """
+        parts: list[bytes] = []
+        offsets: list[McapRecord] = []
+        place = start
+        for opcode, records in self._groups():
+            data = encoded(records)
+            if data:
+                parts.append(data)
+                offsets.append(SummaryOffset(opcode, place, len(data)))
+                place += len(data)
+        # The CRC is of the section and of the footer up to itself.
+        section = b"".join([*parts, encoded(offsets)])
+        footer = encoded([Footer(start, place, 0)])
+        crc = zlib.crc32(footer[:-_CRC_BYTES], zlib.crc32(section))
+        return section + footer[:-_CRC_BYTES] + crc.to_bytes(_CRC_BYTES, "little")
+
+    def _groups(self) -> Iterator[tuple[Opcode, Iterable[McapRecord]]]:
+        yield Opcode.SCHEMA, self.schemas.values()
+        yield Opcode.CHANNEL, self.channels.values()
+        yield Opcode.STATISTICS, [self._statistics()]
+        yield Opcode.CHUNK_INDEX, self.chunks
+        yield Opcode.ATTACHMENT_INDEX, self.attachments
+        yield Opcode.METADATA_INDEX, self.metadata
+
+    def _statistics(self) -> Statistics:
+        spans = [(c.message_start_time, c.message_end_time) for c in self.chunks if _holds(c)]
+        spans += self.loose
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts={k: self.counts[k] for k in sorted(self.counts)},
+            chunk_count=len(self.chunks),
+            message_count=self.counts.total(),
+            message_start_time=min((first for first, _ in spans), default=0),
+            message_end_time=max((last for _, last in spans), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+
+def _holds(chunk: ChunkIndex) -> bool:
+    """Tell whether a chunk has messages: the times of one without are zero and mean nothing."""
+    return bool(chunk.message_index_offsets)
+
+
+def encoded(records: Iterable[McapRecord]) -> bytes:
+    """Return the bytes of records, one after the other."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
