@@ -57,12 +57,12 @@ class Survey:
         """Take a schema or channel record; the first of an id stands."""
         try:
             if opcode == SCHEMA:
-                schema = records.Schema.read(_Content(content))
+                schema = records.Schema.read(Content(content))
                 self.schemas.setdefault(schema.id, schema)
             else:
-                channel = records.Channel.read(_Content(content))
+                channel = records.Channel.read(Content(content))
                 self.channels.setdefault(channel.id, channel)
-        except _MALFORMED:
+        except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"
             self.losses.append(Loss(f"{what} {place}", "it is damaged"))
 
@@ -74,7 +74,7 @@ class Survey:
         return schema == 0 or schema in self.schemas
 
 
-class _Content(ReadDataStream):
+class Content(ReadDataStream):
     """The content of one record; refuses lengths that lead outside."""
 
     def __init__(self, content: Buffer) -> None:
@@ -87,7 +87,8 @@ class _Content(ReadDataStream):
         return super().read(length)
 
 
-_MALFORMED = (EndOfFile, ValueError, struct.error)
+MALFORMED = (EndOfFile, ValueError, struct.error)
+"""What reading a record that is damaged raises."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +151,8 @@ def read_summary(source: Source, footer: Footer) -> Summary:
                 region = _indexed_chunk(content, footer.data_end)
                 summary.chunks[region.start] = region
             elif opcode == _STATISTICS:
-                statistics = records.Statistics.read(_Content(content))
-    except _MALFORMED:
+                statistics = records.Statistics.read(Content(content))
+    except MALFORMED:
         return Summary()
     if summary.found.losses:
         return Summary()
