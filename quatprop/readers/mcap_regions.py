@@ -59,6 +59,10 @@ class Source:
                 data += more
         return data
 
+    def close(self) -> None:
+        """Close the file; harmless the second time."""
+        self._file.close()
+
     def __enter__(self) -> Self:
         return self
 
@@ -68,7 +72,7 @@ class Source:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        self.close()
 
 
 @dataclass(slots=True)

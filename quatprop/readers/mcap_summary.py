@@ -82,6 +82,7 @@ class Content(ReadDataStream):
         self._size = len(content)
 
     def read(self, length: int) -> bytes:
+        """Return the next bytes."""
         if length > self._size - self.count:
             raise EndOfFile
         return super().read(length)
