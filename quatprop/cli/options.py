@@ -22,7 +22,10 @@ if TYPE_CHECKING:
             """Return the command with the option."""
 
 
-KINDS = ("mcap", "bag", "db3", "rosbag2", "ulog", "parquet", "feather", "csv")
+KINDS = (
+    *("mcap", "bag", "db3", "rosbag2", "ulog"),
+    *("parquet", "feather", "npy", "npz", "jsonl", "csv"),
+)
 """The keys of :data:`quatprop.readers.READERS`; spelled out so that help imports no reader."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")

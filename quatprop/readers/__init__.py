@@ -66,6 +66,9 @@ READERS: dict[str, Reader] = {
     "feather": Reader(
         "quatprop.readers.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow")
     ),
+    "npy": Reader("quatprop.readers.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
+    "npz": Reader("quatprop.readers.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
+    "jsonl": Reader("quatprop.readers.jsonl:JsonLinesLog", (b"{",), (".jsonl", ".ndjson")),
     "csv": Reader("quatprop.readers.csv:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }
 """Every kind of log, in the order in which ``--from`` lists them."""

@@ -1,0 +1,174 @@
+"""NumPy's array format: what a header says, and which columns the array has.
+
+Headers are read here, not by NumPy, because a file may say anything: nothing is unpickled, sizes
+are not believed, and what is no array of numbers is told in a sentence.
+
+References
+----------
+NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", and its versions 2 and 3.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import struct
+from itertools import islice
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MAGIC = b"\x93NUMPY"
+_PREAMBLES = {(1, 0): ("<H", "latin-1"), (2, 0): ("<I", "latin-1"), (3, 0): ("<I", "utf-8")}
+"""How the length of the header is stored in each version, and how its text."""
+
+_LONGEST_HEADER = 1 << 15
+_WIDEST_ROW = 1 << 20
+_MOST_COLUMNS = 4096
+
+
+class HeaderError(ValueError):
+    """A header that cannot be used; the message says why."""
+
+
+class Header(NamedTuple):
+    """What stands before the numbers of an array.
+
+    Parameters
+    ----------
+    dtype
+        Of one element.
+    shape
+        Of the array.
+    is_fortran
+        Whether columns follow one another rather than rows.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    is_fortran: bool
+
+
+class Column(NamedTuple):
+    """A column of numbers within an array.
+
+    Parameters
+    ----------
+    name
+        ``""`` for the elements of a plain array of one dimension.
+    dtype
+        Of one value.
+    start
+        Bytes before its first row, counted from the end of the header.
+    step
+        Bytes of a row.
+    offset
+        Where in a row the value stands.
+    rows
+        How many rows.
+    """
+
+    name: str
+    dtype: np.dtype[Any]
+    start: int
+    step: int
+    offset: int
+    rows: int
+
+
+def read_header(stream: BinaryIO) -> Header:
+    """Read the header of an array; the stream is left at its first number.
+
+    Raises
+    ------
+    HeaderError
+        It is damaged, or that of an array which is not read.
+    """
+    magic = stream.read(len(MAGIC) + 2)
+    version = tuple(magic[len(MAGIC) :])
+    if not magic.startswith(MAGIC) or len(version) != 2:  # noqa: PLR2004  # major and minor
+        raise HeaderError("it does not begin as a NumPy array; check that it was copied whole")
+    if version not in _PREAMBLES:
+        shown = ".".join(map(str, version))
+        raise HeaderError(f"it is of version {shown} and 1.0 to 3.0 are read; save it again")
+    form, encoding = _PREAMBLES[version]
+    size = stream.read(struct.calcsize(form))
+    length = int.from_bytes(size, "little")
+    if length > _LONGEST_HEADER:
+        raise HeaderError(f"its header claims {length} bytes, which no table needs")
+    text = stream.read(length)
+    if len(text) < length or not length:
+        raise HeaderError("it ends within its header; check that it was copied whole")
+    try:
+        return _header(ast.literal_eval(text.decode(encoding).strip()))
+    except HeaderError:
+        raise
+    except Exception as error:
+        # What a text may do to the parsers of Python and NumPy is theirs to choose.
+        raise HeaderError("its header is damaged; save it again") from error
+
+
+def _header(facts: dict[str, Any]) -> Header:
+    descr, shape = facts["descr"], facts["shape"]
+    if not isinstance(shape, tuple) or any(type(size) is not int or size < 0 for size in shape):
+        raise HeaderError("its header gives no shape; save it again")
+    dtype = np.lib.format.descr_to_dtype(descr)
+    if dtype.hasobject:
+        raise HeaderError(
+            "it holds pickled Python objects, which could run code and are not read; "
+            "save plain numbers"
+        )
+    if not 0 < dtype.itemsize <= _WIDEST_ROW:
+        raise HeaderError(f"its elements have {dtype.itemsize} bytes, which no table needs")
+    return Header(dtype, shape, bool(facts["fortran_order"]))
+
+
+def columns_of(header: Header) -> list[Column]:
+    """Return the columns of an array, at least one.
+
+    An array of records has one for each field, those of nested fields as ``field.part``, those of
+    fields that are arrays as ``field[0]``; a plain array of two dimensions has ``[0]``, ``[1]``...
+
+    Raises
+    ------
+    HeaderError
+        It is no table: it has no rows, or records in two dimensions.
+    """
+    dtype, shape, is_fortran = header
+    if len(shape) == 1:
+        rows, fields, step = shape[0], _fields(dtype), dtype.itemsize
+    elif len(shape) == 2 and not dtype.names:  # noqa: PLR2004  # rows and columns
+        rows, width = shape
+        # Where columns follow one another, each is an array by itself.
+        step = dtype.itemsize * (1 if is_fortran else width)
+        fields = ((f"[{k}]", dtype, k * dtype.itemsize) for k in range(width))
+    else:
+        raise HeaderError(
+            f"its array of shape {shape} is no table; save one row a sample, in two dimensions or "
+            "as records"
+        )
+    found = list(islice(fields, _MOST_COLUMNS + 1))
+    if not 0 < len(found) <= _MOST_COLUMNS or step > _WIDEST_ROW:
+        raise HeaderError(f"its rows have {step} bytes, which no table needs")
+    if len(shape) == 2 and is_fortran:  # noqa: PLR2004  # rows and columns
+        return [Column(name, one, place * rows, step, 0, rows) for name, one, place in found]
+    return [Column(name, one, 0, step, place, rows) for name, one, place in found]
+
+
+def _fields(
+    dtype: np.dtype[Any], name: str = "", place: int = 0
+) -> Iterator[tuple[str, np.dtype[Any], int]]:
+    """Yield name, type and place of every number in a record."""
+    if dtype.names is not None and dtype.fields is not None:
+        for field in dtype.names:
+            inner, offset = dtype.fields[field][:2]
+            yield from _fields(inner, f"{name}.{field}" if name else field, place + offset)
+    elif dtype.subdtype is not None:
+        base, shape = dtype.subdtype
+        for k in range(math.prod(shape)):
+            yield from _fields(base, f"{name}[{k}]", place + k * base.itemsize)
+    else:
+        yield name, dtype, place
