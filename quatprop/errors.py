@@ -4,6 +4,7 @@
 
     QuatpropError                      exit code 2: wrong usage or unreadable input
     ├── UsageError                     the options contradict each other or the log
+    │   └── SuiteError                 a suite of regressions that cannot be used as written
     ├── SeriesError                    arrays that are not the series they claim to be
     ├── LogError                       a log that cannot be used as asked
     │   ├── UnreadableLogError         missing, empty, not permitted, not a file
@@ -82,6 +83,28 @@ class QuatpropError(Exception):
 
 class UsageError(QuatpropError):
     """The options contradict each other or ask for something that does not exist."""
+
+
+class SuiteError(UsageError):
+    """A suite of regressions that cannot be used as written.
+
+    Parameters
+    ----------
+    suite
+        The file.
+    reason
+        What is wrong and, after a semicolon, the way out.
+    case, key
+        Where in it, if it is not about all of it.
+    """
+
+    def __init__(
+        self, suite: Path | str, reason: str, case: str | None = None, key: str | None = None
+    ) -> None:
+        where = plain(suite)
+        where += f", case {quoted(case)}" if case is not None else ""
+        where += f", {quoted(key)}" if key is not None else ""
+        super().__init__(f"{where}: {reason}")
 
 
 class SeriesError(QuatpropError, ValueError):

@@ -1,0 +1,214 @@
+"""Judge a case: whether all that it rests on is as it was, and whether its attitudes are."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop import __version__
+from quatprop.check.case import BrokenCase, Case, Outcome
+from quatprop.check.lock import sha256_of
+from quatprop.check.measure import (
+    Difference,
+    angle_text,
+    compared,
+    difference,
+    differing_stamps,
+    measured,
+)
+from quatprop.check.reference import DEFAULT, differing_provenance, read_reference
+from quatprop.errors import LogError, QuatpropError, quoted
+from quatprop.quaternion import geodesic_angle
+from quatprop.signals.operands import read_operand
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from quatprop.check.lock import Pin
+    from quatprop.check.measure import Measured
+
+DIGITS = 12
+"""How much of a SHA-256 is shown."""
+
+LFS = b"version https://git-lfs"
+"""How a file begins that stands for one that Git LFS has not brought."""
+
+
+def settled(
+    case: Case | BrokenCase, work: Callable[[Case, Pin | None], Outcome], pin: Pin | None
+) -> Outcome:
+    """Do something with a case; an error becomes its outcome.
+
+    Parameters
+    ----------
+    case
+        The case; a broken one is an error at once.
+    work
+        :func:`judge`, or an update.
+    pin
+        What it rested on.
+    """
+    if isinstance(case, BrokenCase):
+        return Outcome(case.name, "error", case.reason, line=case.line)
+    began = time.perf_counter()
+    try:
+        outcome = work(case, pin)
+    except QuatpropError as error:
+        outcome = Outcome(case.name, "error", str(error))
+    return replace(outcome, seconds=time.perf_counter() - began, line=case.line)
+
+
+def judge(case: Case, pin: Pin | None) -> Outcome:
+    """Hold a case against its reference.
+
+    Parameters
+    ----------
+    case
+        The case.
+    pin
+        What it rested on when it was last updated; None if it never was.
+
+    Raises
+    ------
+    QuatpropError
+        It cannot be judged: an input is missing, or something that it rests on has changed.
+    """
+    hashes = {key: sha256_of(path) for key, path in case.inputs.items()}
+    if pin is None:
+        raise LogError(
+            case.reference or case.inputs["log"],
+            "nothing is pinned for this case yet; run quatprop check with --update, and look at "
+            "what it writes",
+        )
+    _refuse_changes(case, pin, hashes)
+    notes = [] if pin.quatprop == __version__ else [_made_by(pin)]
+    try:
+        now = measured(case, pin.every)
+    except LogError as error:
+        reason = f"{error}; the same bytes could be used by quatprop {pin.quatprop}"
+        return Outcome(case.name, "error", reason)
+    reasons = []
+    if now.samples != pin.samples:
+        reasons.append(
+            f"{now.samples} samples were propagated, and {pin.samples} when it was pinned"
+        )
+    found: Difference | str
+    if case.external is not None:
+        found = difference(case, now.series, read_operand(case.external).series)
+    else:
+        stored = read_reference(str(case.reference)).series
+        if case.strict and (words := differing_stamps(now.series, stored)):
+            reasons.append(words)
+        found = compared(case, now.series, stored)
+        reasons += _different_end(case, pin, now, found)
+    return _outcome(case, found, reasons, notes)
+
+
+def _outcome(case: Case, found: Difference | str, reasons: list[str], notes: list[str]) -> Outcome:
+    """Put together what was found."""
+    if isinstance(found, str):
+        return Outcome(case.name, "fail", "; ".join([*reasons, found, *notes]))
+    reasons += [found.reason] if found.reason else []
+    if reasons and found.cause:
+        reasons.append(f"likely cause: {found.cause}")
+    return Outcome(
+        name=case.name,
+        verdict="fail" if reasons else "pass",
+        reason="; ".join([*reasons, *notes]) if reasons else "",
+        figure=figure(case, found),
+        error_rad=found.error_rad,
+        notes=tuple(notes),
+        comparison=found.report,
+    )
+
+
+def figure(case: Case, found: Difference) -> str:
+    """Return the worst error against the tolerance, and where it is."""
+    tolerance = case.settings.tolerance
+    limit = "" if tolerance is None else f" of {_angle(case, tolerance)}"
+    return f"{_angle(case, found.error_rad)}{limit} {found.where}"
+
+
+def _angle(case: Case, angle: float) -> str:
+    return angle_text(angle, in_degrees=case.in_degrees)
+
+
+def changed_inputs(pin: Pin, hashes: dict[str, str]) -> list[tuple[str, str, str]]:
+    """Return key, SHA-256 then and now of every input that is not what it was."""
+    return _changed(pin.inputs, hashes, "not there")
+
+
+def changed_options(pin: Pin, options: dict[str, str]) -> list[tuple[str, str, str]]:
+    """Return key, value then and now of every option that is not what it was."""
+    return _changed(pin.options, options, DEFAULT)
+
+
+def _changed(then: dict[str, str], now: dict[str, str], absent: str) -> list[tuple[str, str, str]]:
+    return [
+        (key, then.get(key, absent), now.get(key, absent))
+        for key in sorted(then.keys() | now.keys())
+        if then.get(key) != now.get(key)
+    ]
+
+
+def _refuse_changes(case: Case, pin: Pin, hashes: dict[str, str]) -> None:
+    """Refuse a case of which something is not as it was pinned."""
+    for key, then, now in changed_inputs(pin, hashes):
+        path = case.inputs.get(key, key)
+        if path in case.inputs.values() and _is_pointer(path):
+            reason = "it only points to a file that Git LFS has not brought; run git lfs pull"
+            raise LogError(path, reason)
+        raise LogError(
+            path,
+            f"its content changed since the reference was made (SHA-256 {then[:DIGITS]}, now "
+            f"{now[:DIGITS]}); restore it, or accept it with --update",
+        )
+    if options := changed_options(pin, case.options):
+        words = ", ".join(f"{key} is {quoted(now)}, not {quoted(was)}" for key, was, now in options)
+        raise LogError(
+            case.reference or case.inputs["log"],
+            f"the case asks for something else than the reference was made with: {words}; restore "
+            "it, or accept it with --update",
+        )
+    if case.reference is None:
+        return
+    if not Path(case.reference).exists():
+        raise LogError(
+            case.reference, "the reference is not there; restore it, or make it with --update"
+        )
+    if (now := sha256_of(case.reference)) != pin.reference:
+        if _is_pointer(case.reference):
+            reason = "it only points to a file that Git LFS has not brought; run git lfs pull"
+            raise LogError(case.reference, reason)
+        raise LogError(
+            case.reference,
+            f"this is not the reference that was pinned (SHA-256 {str(pin.reference)[:DIGITS]}, "
+            f"now {now[:DIGITS]}){differing_provenance(case, pin)}; restore it, or make it anew "
+            "with --update",
+        )
+
+
+def _is_pointer(path: str) -> bool:
+    if not Path(path).is_file():
+        return False
+    with Path(path).open("rb") as stream:
+        return stream.read(len(LFS)) == LFS
+
+
+def _made_by(pin: Pin) -> str:
+    return f"the reference was made by quatprop {pin.quatprop}, this is {__version__}"
+
+
+def _different_end(case: Case, pin: Pin, now: Measured, found: Difference | str) -> list[str]:
+    """Say how the last attitude differs, which a thinned reference does not hold."""
+    comparable = case.strict and case.settings.align == "none"
+    if isinstance(found, str) or not found.passed or not comparable:
+        return []
+    error = float(geodesic_angle(np.array(pin.final_wxyz), np.array(now.final_wxyz)))
+    if case.settings.tolerance is None or error <= case.settings.tolerance:
+        return []
+    return [f"the attitude at the last sample is {_angle(case, error)} from what it was"]

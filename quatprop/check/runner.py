@@ -1,0 +1,109 @@
+"""Many cases, one after the other or in processes, their outcomes in the order of the suite."""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from fnmatch import fnmatchcase
+from functools import partial
+from typing import TYPE_CHECKING
+
+from quatprop.check.case import BrokenCase, Case, Outcome
+from quatprop.check.judge import judge, settled
+from quatprop.check.lock import write_lock
+from quatprop.check.update import update
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from quatprop.check.lock import Pin
+
+
+def chosen(cases: Sequence[Case | BrokenCase], patterns: Sequence[str]) -> list[Case | BrokenCase]:
+    """Return the cases whose names match one of the patterns; all where there are none.
+
+    Parameters
+    ----------
+    cases
+        The cases.
+    patterns
+        Parts of names, or with ``*``, ``?`` or ``[...]`` patterns of whole names.
+    """
+
+    def wanted(name: str) -> bool:
+        return not patterns or any(
+            fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
+            for pattern in patterns
+        )
+
+    return [case for case in cases if wanted(case.name)]
+
+
+def outcomes(
+    cases: Sequence[Case | BrokenCase],
+    pins: dict[str, Pin],
+    *,
+    updating: bool = False,
+    processes: int = 1,
+) -> Iterator[Outcome]:
+    """Yield what comes of each case, in their order, as soon as those before are done.
+
+    Parameters
+    ----------
+    cases
+        The cases.
+    pins
+        What they rested on, by name.
+    updating
+        Make references anew instead of judging.
+    processes
+        How many cases at a time; the outcomes are the same for any number.
+    """
+    work = partial(settled, work=update if updating else judge)
+    known = [pins.get(case.name) for case in cases]
+    if processes == 1 or len(cases) == 1:
+        for case, pin in zip(cases, known, strict=True):
+            yield work(case, pin=pin)
+        return
+    # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(processes, len(cases)), context)
+    try:
+        futures = [pool.submit(work, case, pin=pin) for case, pin in zip(cases, known, strict=True)]
+        for case, future in zip(cases, futures, strict=True):
+            try:
+                yield future.result()
+            except BrokenExecutor:
+                yield Outcome(
+                    case.name,
+                    "error",
+                    "the process that ran it, or one beside it, was killed; is there enough "
+                    "memory? Run fewer at a time with -j",
+                    line=case.line,
+                )
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def pinned(found: Iterable[Outcome], lock: Path, pins: dict[str, Pin]) -> Iterator[Outcome]:
+    """Pass outcomes of an update on, and write what they pin into the lock at the end.
+
+    Parameters
+    ----------
+    found
+        The outcomes.
+    lock
+        The lock of the suite.
+    pins
+        What stays pinned of cases that are not among them.
+    """
+    made = dict(pins)
+    try:
+        for outcome in found:
+            if outcome.pin is not None:
+                made[outcome.name] = outcome.pin
+            yield outcome
+    finally:
+        # Interrupted or not: the references that were written have to be known.
+        write_lock(lock, made)
