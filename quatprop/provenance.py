@@ -58,6 +58,44 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str
     return provenance
 
 
+def provenance_of(said: Mapping[str, str], topic: str, path: Path | str) -> dict[str, Any]:
+    """Return the provenance of one topic; empty where there is none.
+
+    Parameters
+    ----------
+    said
+        What a log of messages says of each topic, as JSON; under ``""`` of all others.
+    topic
+        The topic.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    DamagedLogError
+        It is not what this package writes.
+
+    Examples
+    --------
+    >>> provenance_of({"": "{}", "/attitude": '{"quatprop": "1.0"}'}, "/attitude", "a.mcap")
+    {'quatprop': '1.0'}
+    """
+    words = said.get(topic, said.get(""))
+    return {} if words is None else provenance_in({METADATA_KEY: words.encode()}, path)
+
+
+def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
+    """Return what the metadata of a whole log say, for :func:`provenance_of`.
+
+    Parameters
+    ----------
+    custom
+        All of them, by their names.
+    """
+    words = custom.get(METADATA_KEY.decode())
+    return {} if words is None else {"": words}
+
+
 def fingerprint(path: Path | str) -> dict[str, Any]:
     """Return by what a source can be told again: its bytes and their SHA-256.
 

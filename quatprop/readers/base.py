@@ -176,6 +176,15 @@ class MessageLog(Log, Protocol):
         them into time order.
         """
 
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as written beside it; empty where it is not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+
 
 @dataclass(frozen=True, slots=True)
 class TimedColumns:

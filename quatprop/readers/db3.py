@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import apsw
@@ -11,8 +11,10 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
+from quatprop.provenance import of_all_topics, provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.packed_messages import is_packed, unpacked
+from quatprop.readers.rosbag2_parts import custom_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -189,6 +191,23 @@ class Db3Log(Closing):
         # The log may be read more than once.
         if loss not in self.losses:
             self.losses.append(loss)
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as the metadata inside may say; empty where they do not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        try:
+            rows = self._database.execute("SELECT metadata FROM metadata ORDER BY rowid DESC")
+            (text,) = next(rows, ("",))
+        except apsw.Error:
+            # Older bags have no such table.
+            text = ""
+        custom = custom_data(text) if isinstance(text, str) else {}
+        return provenance_of(of_all_topics(custom), topic, self.path)
 
     def close(self) -> None:
         """Close the database."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.provenance import provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
+from quatprop.readers.mcap_metadata import recorded
 from quatprop.readers.mcap_regions import RegionError, Source, load
 from quatprop.readers.mcap_summary import MAGIC
 from quatprop.readers.mcap_survey import survey
@@ -126,6 +128,19 @@ class McapLog(Closing):
                     found += len(messages)
                     yield _block(data, messages, bound)
         self._check_count(ids, regions, found)
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as a metadata record may say; empty where none does.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        try:
+            return provenance_of(recorded(self.path), topic, self.path)
+        except OSError as error:
+            raise self._unreadable(error) from error
 
     def _check_count(self, ids: Sequence[int], regions: Sequence[Region], found: int) -> None:
         """Note when the file states more messages than its whole regions gave."""

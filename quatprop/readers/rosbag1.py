@@ -7,12 +7,13 @@ from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
+from quatprop.provenance import METADATA_KEY, provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import CompressionError
 from quatprop.readers.prefetch import ahead
@@ -71,6 +72,11 @@ class Rosbag1Log(Closing):
         self.losses += index.losses
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
         self._channels = self._described(index)
+        self._provenance = {
+            fields[b"topic"].decode(errors="replace"): fields[METADATA_KEY].decode(errors="replace")
+            for fields in index.connections.values()
+            if fields.keys() >= {b"topic", METADATA_KEY}
+        }
 
     def _index(self) -> Index:
         """Check what the bag says about itself and find its chunks."""
@@ -155,6 +161,16 @@ class Rosbag1Log(Closing):
                     self._lose(chunk.place, damage or "it has fewer messages than it says", missing)
                 if len(messages.starts):
                     yield MessageBlock(data, *messages, messages.log_ns, bound)
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as its connection may say; empty where it does not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return provenance_of(self._provenance, topic, self.path)
 
     def _is_packed(self, chunk: Chunk) -> bool:
         try:

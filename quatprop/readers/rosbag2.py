@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from quatprop.errors import (
     plain,
     quoted,
 )
+from quatprop.provenance import of_all_topics, provenance_of
 from quatprop.readers.base import NO_BOUND, Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import (
     CompressionError,
@@ -82,6 +83,7 @@ class Rosbag2Log(Closing):
         except OSError as error:
             raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
         self.losses: list[Loss] = list(found.losses)
+        self._provenance = of_all_topics(found.custom)
         self._packing = found.message_compression
         if self._packing not in (None, "zstd"):
             raise UnsupportedLogError(
@@ -241,6 +243,16 @@ class Rosbag2Log(Closing):
         if damaged:
             place = f"topic {quoted(own.topic)}"
             self._lose(part, Loss(place, "their zstd data is damaged", damaged))
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as metadata.yaml may say; empty where it does not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return provenance_of(self._provenance, topic, self.path)
 
     def _is_packed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
         """Tell whether the messages of a block are still packed one by one."""

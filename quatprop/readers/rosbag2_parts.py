@@ -38,12 +38,15 @@ class Folder:
         Messages by topic and type as the metadata spell them.
     losses
         Parts that are not there or not read.
+    custom
+        What others than the recorder have added, by their names.
     """
 
     parts: list[Path] = field(default_factory=list)
     message_compression: str | None = None
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     losses: list[Loss] = field(default_factory=list)
+    custom: dict[str, str] = field(default_factory=dict)
 
 
 def folder(path: Path) -> Folder:
@@ -84,20 +87,46 @@ def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
     """Return what metadata.yaml says, None where it is missing or says nothing of use."""
     if not path.exists():
         return None
+    try:
+        if path.is_file() and path.stat().st_size <= MAX_METADATA:
+            metadata = _loaded(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+            if isinstance(metadata, dict) and _paths(metadata):
+                return metadata
+    except (OSError, KeyError, ValueError):
+        pass
+    losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
+    return None
+
+
+def _loaded(text: str) -> dict[str, Any]:
+    """Return what a text in YAML says; nothing where it is damaged."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        if path.is_file() and path.stat().st_size <= MAX_METADATA:
-            # The safe loader makes nothing but plain values, whatever the tags ask for.
-            loaded = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
-            metadata = loaded["rosbag2_bagfile_information"]
-            if isinstance(metadata, dict) and _paths(metadata):
-                return metadata
-    except (OSError, YAMLError, KeyError, TypeError, ValueError, RecursionError):
-        pass
-    losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
-    return None
+        # The safe loader makes nothing but plain values, whatever the tags ask for.
+        loaded = YAML(typ="safe").load(text)
+    except (YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        return {}
+    return loaded if isinstance(loaded, dict) else {}
+
+
+def custom_data(text: str) -> dict[str, str]:
+    """Return what others than the recorder have added to the metadata of a bag, by their names.
+
+    Parameters
+    ----------
+    text
+        The metadata as SQLite storage repeats them.
+    """
+    return _custom(_loaded(text)) if len(text) <= MAX_METADATA else {}
+
+
+def _custom(metadata: dict[str, Any]) -> dict[str, str]:
+    custom = metadata.get("custom_data")
+    if not isinstance(custom, dict):
+        return {}
+    return {_text(name): _text(value) for name, value in custom.items()}
 
 
 def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
@@ -148,6 +177,7 @@ def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) ->
         found.losses.append(Loss(f"part {quoted(name)}", reason))
     if _text(metadata.get("compression_mode")).lower() == "message":
         found.message_compression = _text(metadata.get("compression_format")) or "zstd"
+    found.custom = _custom(metadata)
     for entry in _dicts(metadata.get("topics_with_message_count")):
         topic, count = entry.get("topic_metadata"), _count(entry.get("message_count"))
         if isinstance(topic, dict) and count is not None:

@@ -15,7 +15,7 @@ import re
 import struct
 from array import array
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -177,6 +177,10 @@ class UlogLog(Closing):
         """Note a loss once, however often the log is read."""
         if loss not in self.losses:
             self.losses.append(loss)
+
+    def provenance(self, topic: str) -> dict[str, Any]:  # noqa: ARG002  # of the protocol
+        """Return nothing: this format has no place for it."""
+        return {}
 
     def close(self) -> None:
         """Let go of the file; it stays mapped until the last block is gone."""
