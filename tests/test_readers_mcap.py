@@ -20,6 +20,7 @@ from quatprop.readers import prefetch
 from quatprop.readers.base import Channel, Loss
 from quatprop.readers.mcap import McapLog
 from quatprop.readers.mcap_messages import LATEST, walk
+from quatprop.readers.mcap_regions import Source
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
 
@@ -413,6 +414,84 @@ def test_an_undefined_channel_is_told(tmp_path):
     log = McapLog(saved(tmp_path, content[:8] + kept))
     assert log.channels() == []
     assert Loss("channel 1", "no record says what it is") in log.losses
+
+
+def beside_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):
+    """Return a log of small messages, each ninth followed by a large one of another topic."""
+    buffer = io.BytesIO()
+    compression = options.pop("compression", CompressionType.NONE)
+    writer = Writer(buffer, chunk_size=chunk_size, compression=compression, **options)
+    writer.start("ros2", "test")
+    imu = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"Header header")
+    one, two, camera = (
+        writer.register_channel(topic, "cdr", imu, {"publisher": who})
+        for topic, who in (("/imu", "one"), ("/imu", "two"), ("/camera", ""))
+    )
+    for number in range(messages):
+        size = 24 + number % 5
+        content = number.to_bytes(size, "little")
+        writer.add_message(one if number % 3 else two, number, content, number, number)
+        if number % 9 == 0:
+            writer.add_message(camera, number, bytes([number % 256]) * picture, number, number)
+    writer.finish()
+    return saved(tmp_path, buffer.getvalue())
+
+
+def numbers_of(log):
+    """Return the number in each message of /imu."""
+    return [
+        int.from_bytes(block.data[start:end].tobytes(), "little")
+        for block in log.blocks(IMU)
+        for start, end in zip(block.starts, block.ends, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_messages_beside_images_are_all_there(tmp_path, compression):
+    """What is picked out of a chunk is what reading all of it gives."""
+    log = McapLog(beside_images(tmp_path, compression=compression))
+    assert numbers_of(log) == list(range(400))
+    assert log.losses == []
+
+
+def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
+    """Of a chunk that is not compressed, only what is wanted leaves the disk."""
+    path = beside_images(tmp_path, messages=2000)
+    log = McapLog(path)
+    read = []
+    original = Source.read
+
+    def counted(source, start, length):
+        data = original(source, start, length)
+        read.append(len(data))
+        return data
+
+    monkeypatch.setattr(Source, "read", counted)
+    assert numbers_of(log) == list(range(2000))
+    assert sum(read) < path.stat().st_size / 20
+
+
+def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
+    """Where the index does not lead to messages, the chunk is read whole and walked."""
+    path = beside_images(tmp_path)
+    content = bytearray(path.read_bytes())
+    lied = 0
+    for opcode, begin, _ in every_record(bytes(content)):
+        if opcode == 7:  # a message index
+            (offset,) = struct.unpack_from("<Q", content, begin + 9 + 2 + 4 + 8)
+            struct.pack_into("<Q", content, begin + 9 + 2 + 4 + 8, offset + 3)
+            lied += 1
+    assert lied
+    path.write_bytes(content)
+    assert numbers_of(McapLog(path)) == list(range(400))
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_threads_change_nothing(tmp_path, monkeypatch, workers):
+    """The messages are the same however many threads unpack them."""
+    monkeypatch.setattr(prefetch, "_WORKERS", workers)
+    path = beside_images(tmp_path, chunk_size=100_000, compression=CompressionType.LZ4)
+    assert numbers_of(McapLog(path)) == list(range(400))
 
 
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):

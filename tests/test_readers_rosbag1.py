@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.readers.base import Channel, Loss
 from quatprop.readers.rosbag1 import Rosbag1Log
+from quatprop.readers.rosbag1_records import RecordFile
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 REAL = [
@@ -359,3 +360,62 @@ def test_what_is_no_bag_is_refused(tmp_path, content, reason):
     with pytest.raises(DamagedLogError) as caught:
         Rosbag1Log(path)
     assert str(caught.value) == f"{path}: {reason}"
+
+
+def beside_images(path, *, messages=400, picture=40_000):
+    """Write a bag of small messages, each ninth followed by a large one of another topic."""
+    writer = Writer(path)
+    writer.chunk_threshold = 1 << 20
+    with writer:
+        text = "std_msgs/msg/String"
+        one, two, camera = (
+            writer.add_connection(topic, text, typestore=STORE, callerid=who)
+            for topic, who in (("/imu", "one"), ("/imu", "two"), ("/camera", "three"))
+        )
+        for number in range(messages):
+            content = STORE.types[text]("x" * (number % 5) + str(number))
+            packed = bytes(STORE.serialize_ros1(content, text))
+            writer.write(one if number % 3 else two, T0 + number, packed)
+            if number % 9 == 0:
+                writer.write(camera, T0 + number, struct.pack("<I", picture) + bytes(picture))
+    return path
+
+
+def test_messages_beside_images_are_all_there(tmp_path):
+    """What is picked out of a chunk is what reading all of it gives."""
+    path = beside_images(tmp_path / "log.bag")
+    found, losses = messages(path)
+    assert losses == []
+    assert found == {key: sorted(rows) for key, rows in oracle(path).items()}
+
+
+def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
+    """Of a chunk that is not packed, only what is wanted leaves the disk."""
+    path = beside_images(tmp_path / "log.bag", messages=2000)
+    read = []
+    original = RecordFile.at
+
+    def counted(file, start, size):
+        data = original(file, start, size)
+        read.append(len(data))
+        return data
+
+    monkeypatch.setattr(RecordFile, "at", counted)
+    with Rosbag1Log(path) as log:
+        (imu,) = (channel for channel in log.channels() if channel.topic == "/imu")
+        read.clear()
+        assert sum(map(len, log.blocks(imu))) == 2000
+    assert sum(read) < path.stat().st_size / 20
+
+
+def test_index_data_that_lie_about_a_chunk_beside_images_are_found_out(tmp_path):
+    """Where they do not lead to messages, the chunk is read whole and walked."""
+    path = beside_images(tmp_path / "log.bag")
+    truth, _ = messages(path)
+    content = bytearray(path.read_bytes())
+    entry = struct.pack("<II", T0 // 10**9, 5)
+    at = content.rindex(entry) + len(entry)
+    (offset,) = struct.unpack_from("<I", content, at)
+    struct.pack_into("<I", content, at, offset + 1)
+    path.write_bytes(content)
+    assert messages(path)[0] == truth

@@ -14,19 +14,22 @@ from quatprop.provenance import provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_metadata import recorded
-from quatprop.readers.mcap_regions import RegionError, Source, load
+from quatprop.readers.mcap_picked import picked
+from quatprop.readers.mcap_regions import RegionError, Source, is_plain, load
 from quatprop.readers.mcap_summary import MAGIC
 from quatprop.readers.mcap_survey import survey
 from quatprop.readers.prefetch import ahead
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.readers.compression import Buffer
     from quatprop.readers.mcap_messages import Messages
     from quatprop.readers.mcap_regions import Region
     from quatprop.readers.mcap_summary import Survey
+
+    Loaded = tuple[Buffer, Buffer, Messages | None] | RegionError
 
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
@@ -95,7 +98,7 @@ class McapLog(Closing):
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
-        Chunks are read and unpacked ahead, in threads. Only chunks that hold the channel are
+        Packed chunks are read and unpacked ahead, in threads. Only chunks that hold the channel are
         read, and nothing is kept, so that memory does not grow with the file.
 
         Parameters
@@ -117,13 +120,15 @@ class McapLog(Closing):
             source = Source(self.path)
         except OSError as error:
             raise self._unreadable(error) from error
-        with source, closing(ahead(partial(_load, source), regions)) as loaded:
+        load_one = partial(_load, source, ids)
+        with source, closing(_each(load_one, regions, source)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     self._lose(Loss(region.place, content.reason, _total([region], ids)))
                     continue
-                data, raw = content
-                messages = self._messages(data, raw, region, ids)
+                data, raw, messages = content
+                if messages is None:
+                    messages = self._messages(data, raw, region, ids)
                 if messages:
                     found += len(messages)
                     yield _block(data, messages, bound)
@@ -159,7 +164,7 @@ class McapLog(Closing):
         self, data: Buffer, raw: Buffer, region: Region, ids: Sequence[int]
     ) -> Messages | None:
         """Locate the messages of a region: by its index, or where that fails by its records."""
-        offsets = indexed(raw, region, ids)
+        offsets = indexed(raw, region.start, region, ids)
         if offsets is not None:
             messages = at_offsets(data, offsets)
             if messages is not None and messages.are_all_of(ids):
@@ -203,9 +208,24 @@ def _type_name(name: str, encoding: str) -> str:
     return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"
 
 
-def _load(source: Source, region: Region) -> tuple[Buffer, Buffer] | RegionError:
+def _each(
+    load_one: Callable[[Region], Loaded], regions: Sequence[Region], source: Source
+) -> Generator[Loaded, None, None]:
+    """Load regions one after another, ahead where that is worth threads: where they are packed."""
+    if regions and not is_plain(source, regions[0]):
+        yield from ahead(load_one, regions)
+    else:
+        yield from map(load_one, regions)
+
+
+def _load(source: Source, ids: Sequence[int], region: Region) -> Loaded:
+    """Return a region unpacked and as it is in the file, and its messages if they were picked."""
     try:
-        return load(source, region)
+        found = picked(source, region, ids)
+        if found is not None:
+            data, messages = found
+            return data, data, messages
+        return *load(source, region), None
     except RegionError as error:
         return error
 

@@ -155,7 +155,7 @@ class Messages:
         if isinstance(self.channels, int):
             wanted = np.full(len(self.starts), self.channels in ids)
         else:
-            wanted = np.isin(self.channels, ids)
+            wanted = _is_one_of(self.channels, ids)
         return Messages(
             self.starts[wanted],
             self.ends[wanted],
@@ -171,7 +171,7 @@ class Messages:
         """Return whether no message is of another channel."""
         if isinstance(self.channels, int):
             return self.channels in ids
-        return bool(np.isin(self.channels, ids).all())
+        return bool(_is_one_of(self.channels, ids).all())
 
     def counts(self) -> dict[int, int]:
         """Return how many messages each channel has."""
@@ -179,6 +179,14 @@ class Messages:
             return {self.channels: len(self.starts)}
         ids, counts = np.unique(self.channels, return_counts=True)
         return dict(zip(ids.tolist(), counts.tolist(), strict=True))
+
+
+def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.bool_]:
+    # For a few ids this is several times quicker than np.isin.
+    found = np.zeros(len(channels), np.bool_)
+    for one in ids:
+        found |= channels == one
+    return found
 
 
 def at_offsets(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
@@ -254,8 +262,21 @@ def _clamped(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     return stamps
 
 
-def indexed(raw: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64] | None:
+def indexed(
+    raw: Buffer, origin: int, region: Region, ids: Sequence[int]
+) -> NDArray[np.int64] | None:
     """Return the offsets that the message indexes of some channels list.
+
+    Parameters
+    ----------
+    raw
+        Bytes of the file that hold the message indexes of the region.
+    origin
+        Where they begin in the file.
+    region
+        Says where each index is.
+    ids
+        The channels.
 
     Returns
     -------
@@ -267,7 +288,7 @@ def indexed(raw: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64
     parts = []
     for channel in ids:
         if channel in region.holds:
-            part = _index_entries(raw, region.holds[channel] - region.start, channel)
+            part = _index_entries(raw, region.holds[channel] - origin, channel)
             if part is None:
                 return None
             parts.append(part)

@@ -28,6 +28,8 @@ RECORD = struct.Struct("<BQ")
 """Opcode and length of the content: how every record begins."""
 CHUNK_HEAD = struct.Struct("<QQQII")
 """Start time, end time, unpacked size, CRC, length of the compression's name."""
+PLAIN_HEAD = RECORD.size + CHUNK_HEAD.size + 8
+"""Bytes of a chunk record before its records, where it is not compressed."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and size of the entries of a message index."""
@@ -139,6 +141,17 @@ class RegionError(Exception):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+def is_plain(source: Source, region: Region) -> bool:
+    """Tell whether a region is a chunk that is not compressed, and begins where it should."""
+    if not region.is_chunk:
+        return False
+    head = source.read(region.start, PLAIN_HEAD)
+    if len(head) < PLAIN_HEAD or RECORD.unpack_from(head) != (CHUNK, region.length - RECORD.size):
+        return False
+    _, _, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
+    return bool(name_length == 0 and size == region.length - PLAIN_HEAD)
 
 
 def load(source: Source, region: Region) -> tuple[Buffer, Buffer]:

@@ -16,6 +16,9 @@ Result = TypeVar("Result")
 _WORKERS = max(1, min(3, (os.cpu_count() or 1) - 1))
 """One core is left to whoever uses the results."""
 
+_WORTH = 2
+"""Fewer threads than this gain nothing: one alone is slowed by handing over what it has done."""
+
 
 def ahead(
     function: Callable[[Item], Result], items: Sequence[Item]
@@ -36,7 +39,7 @@ def ahead(
     >>> list(ahead(abs, [3, -1, -2, 0]))
     [3, 1, 2, 0]
     """
-    if len(items) <= 1 + _WORKERS:  # not worth the import and the threads
+    if _WORKERS < _WORTH or len(items) <= 1 + _WORKERS:
         yield from map(function, items)
         return
     from concurrent.futures import ThreadPoolExecutor

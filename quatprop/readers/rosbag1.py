@@ -18,6 +18,7 @@ from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import CompressionError
 from quatprop.readers.prefetch import ahead
 from quatprop.readers.rosbag1_index import Chunk, Content, Index, content, indexed, walked
+from quatprop.readers.rosbag1_picked import picked
 from quatprop.readers.rosbag1_records import (
     OP_BAG_HEADER,
     OP_MESSAGE,
@@ -182,6 +183,9 @@ class Rosbag1Log(Closing):
         self, wanted: set[int], chunk: Chunk
     ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
         """Read a chunk and find the messages of some connections in it; say what is damaged."""
+        part = picked(self._file, chunk, wanted)
+        if part is not None and (few := _indexed(part, chunk, wanted)) is not None:
+            return part.data, few, ""
         try:
             loaded = content(self._file, chunk)
         except (MalformedRecordError, CompressionError) as error:

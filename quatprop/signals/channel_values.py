@@ -17,6 +17,7 @@ from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.rates import time_field_at
 from quatprop.readers.base import Loss
+from quatprop.readers.joined import joined
 from quatprop.readers.merge import Columns, in_time
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def stamps_logged(
 
 
 def _timed(log: MessageLog, channel: Channel, reading: Reading) -> Iterator[Columns]:
-    batches = (_kept(log, channel, reading, block) for block in log.blocks(channel))
+    batches = (_kept(log, channel, reading, block) for block in joined(log.blocks(channel)))
     return in_time([batches])
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import MessageError, NoSamplesError, UsageError, listed, plain, quoted
 from quatprop.messages.transforms import TransformDecoder
+from quatprop.readers.joined import joined
 from quatprop.readers.merge import Columns
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Fram
         The topic has no transforms at all.
     """
     decoder = TransformDecoder(channel, log.path)
-    for block in log.blocks(channel):
+    for block in joined(log.blocks(channel)):
         try:
             decoder.transforms(block)
         except MessageError as error:

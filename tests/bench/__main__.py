@@ -10,11 +10,18 @@ import sys
 from pathlib import Path
 
 import decode
+import mixed_logs
 import product
 import whole
 
 FOLDER = Path(".bench")
 SAMPLES = 1_000_000
+MIXED = {
+    "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
+    "images_zstd.mcap": (mixed_logs.beside_images, 10),
+    "images_none.mcap": (mixed_logs.beside_images, 10),
+}
+"""How each is written, and which part of the samples it has: pictures take room."""
 PARTS = {"decode": decode, "product": product, "whole": whole}
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
@@ -34,6 +41,10 @@ def make_logs(folder: Path, samples: int) -> None:
                        "coning", "--noise", "1e-3", "--rate", "1000", "--samples", str(samples),
                        "--seed", "1", *options]  # fmt: skip
             subprocess.run(command, check=True)
+    for name, (write, part) in MIXED.items():
+        if not (folder / name).exists():
+            print(f"making {folder / name}", flush=True)
+            write(folder / name, samples // part)
 
 
 def main() -> None:

@@ -28,7 +28,8 @@ def with_rosbags(path: Path) -> int:
     """Decode every message with rosbags."""
     count = 0
     with AnyReader([path]) as reader:
-        for connection, _, raw in reader.messages():
+        wanted = [connection for connection in reader.connections if "Imu" in connection.msgtype]
+        for connection, _, raw in reader.messages(wanted):
             count += reader.deserialize(raw, connection.msgtype).angular_velocity.x is not None
     return count
 
@@ -65,10 +66,19 @@ def select_blobs(path: Path) -> int:
     return count
 
 
-def measure(folder: Path, samples: int) -> None:
-    """Print one table a container."""
-    for name in ("imu_zstd.mcap", "imu_none.mcap", "imu.bag", "imu_db3"):
+def measure(folder: Path, _samples: int) -> None:
+    """Print one table a log."""
+    for name in (
+        "imu_zstd.mcap",
+        "imu_none.mcap",
+        "frames_zstd.mcap",
+        "images_zstd.mcap",
+        "images_none.mcap",
+        "imu.bag",
+        "imu_db3",
+    ):
         path = folder / name
+        samples = ours(path)
         table = Table(f"decode {name}, {samples:,} Imu messages")
         table.row("quatprop", best_of(5, lambda path=path: ours(path)), samples)
         if path.suffix == ".mcap":
