@@ -7,7 +7,8 @@ that what is converted there and back is the same to the bit.
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,11 +16,12 @@ import numpy as np
 from quatprop import __version__
 from quatprop.conventions import HAMILTON, REPRESENTATIONS, Meaning, Signs
 from quatprop.errors import NoSamplesError, OutputError, UsageError, listed, quoted
+from quatprop.into import open_into, written_kind
 from quatprop.provenance import fingerprint
 from quatprop.readers import open_log
 from quatprop.report import ReportFile
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.attitudes import AttitudeSelection, attitude_stamps, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 from quatprop.writers import WRITERS, kind_of, layout_of, open_table, open_writer
 from quatprop.writers.overlap import refuse_overlap
@@ -30,9 +32,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conventions import Representation
-    from quatprop.readers.base import Log
+    from quatprop.readers.base import Log, MessageLog, TableLog
     from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.writers.base import Uncommitted
+    from quatprop.writers.base import AttitudeWriter, Uncommitted
     from quatprop.writers.messages import Message
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], None]
@@ -48,6 +50,8 @@ class Conversion:
     ----------
     log, output
         Paths, or ``"-"`` for CSV on stdin and stdout.
+    into
+        The output is a copy of the log with the attitudes added as messages.
     kind, to
         Kinds of the two files; None means told by content and suffix.
     selection
@@ -75,6 +79,7 @@ class Conversion:
 
     log: str
     output: str
+    into: bool = False
     kind: str | None = None
     to: str | None = None
     selection: AttitudeSelection = field(default_factory=AttitudeSelection)
@@ -116,10 +121,12 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
     _refuse_contradictions(job)
     refuse_overlap([job.log], [job.output, job.report])
     with open_log(job.log, job.kind) as log:
+        if job.into:
+            job = replace(job, to=written_kind(log, job.output, job.to))
         source = choose_attitudes(log, job.selection)
         check = RotationCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(_sign(job))
-        with ReportFile(job.report) as report_file, _opened(job) as (writer, put):
+        with ReportFile(job.report) as report_file, _opened(job, log) as (writer, put):
             for series in check.apply(source.rows()):
                 put(series.t_ns, signs.applied(job.meaning.restated(series.wxyz)))
                 tick(check.counts.used)
@@ -160,7 +167,7 @@ def _sign(job: Conversion) -> str:
 
 
 @contextmanager
-def _opened(job: Conversion) -> Iterator[tuple[Uncommitted, Put]]:
+def _opened(job: Conversion, log: MessageLog | TableLog) -> Iterator[tuple[Uncommitted, Put]]:
     """Give what is to be committed, and a function that takes stamps and quaternions wxyz."""
     kind = kind_of(job.output, job.to)
     if job.representation in REPRESENTATIONS:
@@ -168,10 +175,7 @@ def _opened(job: Conversion) -> Iterator[tuple[Uncommitted, Put]]:
         with open_table(job.output, form.columns, job.to, comment=job.comment) as table:
             yield table, lambda t_ns, wxyz: table.write(t_ns, list(_columns(form, wxyz)))
     elif job.meaning == HAMILTON:
-        layout = layout_of(kind, job.layout).name
-        with open_writer(
-            job.output, job.to, layout=layout, message=job.message, comment=job.comment
-        ) as writer:
+        with _attitudes(job, log, layout_of(kind, job.layout).name) as writer:
             yield writer, lambda t_ns, wxyz: writer.write(AttitudeSeries(t_ns, wxyz))
     else:
         if not WRITERS[kind].table:
@@ -186,6 +190,14 @@ def _opened(job: Conversion) -> Iterator[tuple[Uncommitted, Put]]:
         order = layout_of(kind, job.layout)
         with open_table(job.output, order.columns, job.to, comment=job.comment) as table:
             yield table, lambda t_ns, wxyz: table.write(t_ns, [wxyz[:, k] for k in order.order])
+
+
+def _attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) -> AttitudeWriter:
+    """Return what takes attitudes as they are: a file of their own, or a copy of the log."""
+    options: dict[str, Any] = {"layout": layout, "message": job.message, "comment": job.comment}
+    if not job.into:
+        return open_writer(job.output, job.to, **options)
+    return open_into(log, job.output, partial(attitude_stamps, job.selection), **options)
 
 
 def _columns(form: Representation, wxyz: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:

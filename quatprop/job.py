@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.conditioning import Conditioning, condition
 from quatprop.errors import NoSamplesError, UsageError
+from quatprop.into import open_into, written_kind
 from quatprop.propagate import unit_q0
 from quatprop.readers import open_log
 from quatprop.report import Done, ReportFile, report_on
@@ -21,7 +23,7 @@ from quatprop.resample import Listed, Steady, every
 from quatprop.sanity import Watch, orientation_remarks
 from quatprop.selection import Selection
 from quatprop.signals.lookup import stamps_in
-from quatprop.signals.rates import UNITS, choose
+from quatprop.signals.rates import UNITS, choose, stamps_of
 from quatprop.start import Recording, Start, starting
 from quatprop.stretches import Stretches
 from quatprop.timeline import Policy, Timeline
@@ -32,7 +34,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from fractions import Fraction
 
+    from quatprop.readers.base import MessageLog, TableLog
     from quatprop.resample import Times
+    from quatprop.writers.base import AttitudeWriter
     from quatprop.writers.messages import Message
 
 
@@ -46,6 +50,8 @@ class Job:
         Path of the log, or ``"-"``.
     output
         Path of the attitude series, or ``"-"`` for CSV on stdout.
+    into
+        The output is a copy of the log with the attitudes added as messages.
     kind, to
         Kind of the log and of the output; None means told by content and suffix.
     selection
@@ -79,6 +85,7 @@ class Job:
 
     log: str
     output: str
+    into: bool = False
     kind: str | None = None
     to: str | None = None
     selection: Selection = field(default_factory=Selection)
@@ -120,8 +127,12 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
     """
     began = time.perf_counter()
     _refuse_contradictions(job)
-    job = replace(job, layout=layout_of(kind_of(job.output, job.to), job.layout).name)
+    if not job.into:
+        job = replace(job, layout=layout_of(kind_of(job.output, job.to), job.layout).name)
     with open_log(job.log, job.kind) as log:
+        if job.into:
+            kind = written_kind(log, job.output, job.to)
+            job = replace(job, to=kind, layout=layout_of(kind, job.layout).name)
         source = choose(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         mount = conditioned["mount"] and np.array(conditioned["mount"])
@@ -137,9 +148,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         )
         with (
             ReportFile(job.report) as report_file,
-            open_writer(
-                job.output, job.to, layout=job.layout, message=job.message, comment=job.comment
-            ) as writer,
+            _opened(job, log) as writer,
         ):
             rows = 0
             attitudes = stretches.attitudes(watch.passing(batches))
@@ -168,6 +177,19 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             report["timings"] = {"seconds": time.perf_counter() - began}
             report_file.commit(report)
     return report
+
+
+def _opened(job: Job, log: MessageLog | TableLog) -> AttitudeWriter:
+    """Return what takes the attitudes."""
+    options: dict[str, Any] = {
+        "layout": job.layout,
+        "message": job.message,
+        "comment": job.comment,
+    }
+    if not job.into:
+        return open_writer(job.output, job.to, **options)
+    stamps = partial(stamps_of, job.selection)
+    return open_into(log, job.output, stamps, **options)
 
 
 def _times(job: Job) -> Times | None:

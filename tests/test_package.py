@@ -91,7 +91,8 @@ FORBIDDEN = {
         "report",
     ),
     "check": (*CORE, "readers", "messages", "timeline", "cli", "convert", "simulate", "survey"),
-    "writers": (*UPSTREAM, *CORE, "timeline", "cli", "job", "convert", "compare", "survey"),
+    "into": (*CORE, "signals", "timeline", "cli", "job", "convert", "compare", "survey"),
+    "writers": (*UPSTREAM, *CORE, "into", "timeline", "cli", "job", "convert", "compare", "survey"),
 }
 """What each room must not import: data flows from the readers to the writers, never back."""
 

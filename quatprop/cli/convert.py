@@ -14,7 +14,7 @@ from quatprop.cli.attitude_options import (
     attitude_selection,
 )
 from quatprop.cli.options import quiet_option, report_option, with_options
-from quatprop.cli.output_options import OUTPUT_OPTIONS, message
+from quatprop.cli.output_options import OUTPUT_OPTIONS, destination, into_option, message
 
 EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 """Representation and unit of angles -> key of :data:`quatprop.conventions.REPRESENTATIONS`."""
@@ -22,7 +22,8 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 
 @click.command(no_args_is_help=True)
 @click.argument("log", metavar="IN")
-@click.argument("output", metavar="OUT")
+@click.argument("output", metavar="[OUT]", required=False)
+@into_option
 @with_options(attitude_options("IN"))
 @with_options(OUTPUT_OPTIONS)
 @click.option(
@@ -68,7 +69,7 @@ def command(**chosen: Any) -> None:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes, or - for CSV on stdin; OUT is a file, or -
-    for CSV on stdout.
+    for CSV on stdout. With --into instead, a copy of IN that holds them too.
 
     \b
     quatprop convert attitude.parquet attitude.csv --layout scalar-last
@@ -89,6 +90,7 @@ def command(**chosen: Any) -> None:
         representation=EULER_DEGREES.get((representation, unit), representation),
         drop=chosen.pop("on_invalid") == "drop",
         message=message(chosen),
+        **destination(chosen, "OUT"),
         **chosen,
     )
     with words.progress(quiet=quiet) as tick:

@@ -48,6 +48,13 @@ comment_option = click.option(
     is_flag=True,
     help="Begin csv, tsv, tum or euroc with the report in a # comment.",
 )
+into_option = click.option(
+    "--into",
+    metavar="PATH",
+    help="Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
+    "else kept. For MCAP; see --message, --out-topic and --frames.  "
+    "[default: a file of its own]",
+)
 MESSAGE_OPTIONS = (
     click.option(
         "--message",
@@ -81,3 +88,20 @@ def message(chosen: dict[str, Any]) -> Message | None:
     if not comma:
         raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
     return Message(kind or MESSAGES[0], topic, reference, body)
+
+
+def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:
+    """Take where attitudes go out of a command's options: a file of their own, or a copy.
+
+    Parameters
+    ----------
+    chosen
+        The options.
+    own
+        How the file of its own is named, for errors.
+    """
+    output, into = chosen.pop("output"), chosen.pop("into")
+    if (output is None) == (into is None):
+        both = "" if output is None else ", not both"
+        raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
+    return {"output": into or output, "into": into is not None}

@@ -15,7 +15,7 @@ from quatprop.cli.options import (
     selection,
     with_options,
 )
-from quatprop.cli.output_options import OUTPUT_OPTIONS, message
+from quatprop.cli.output_options import OUTPUT_OPTIONS, destination, into_option, message
 from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     metavar="PATH|-",
-    required=True,
-    help="Where the attitudes go; - is CSV on stdout.",
+    help="Where the attitudes go; - is CSV on stdout.  [default: none, so --into is needed]",
 )
+@into_option
 @with_options(OUTPUT_OPTIONS)
 @click.option(
     "--method",
@@ -152,7 +152,8 @@ def command(**chosen: Any) -> None:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), a CSV, Parquet or Feather
-    table, or - for CSV on stdin. N samples give N attitudes; the first is --q0.
+    table, or - for CSV on stdin. N samples give N attitudes; the first is --q0. Say where they go:
+    to a file of their own with -o, or into a copy of LOG with --into.
     """
     from quatprop.cli import words
     from quatprop.job import run
@@ -199,6 +200,7 @@ def job_of(chosen: dict[str, Any]) -> Job:
         q0=Start(**start),
         layout=layout and layout_named(layout).name,
         message=message(chosen),
+        **destination(chosen),
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
             static_ns=bias if isinstance(bias, int) else None,

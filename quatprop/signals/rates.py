@@ -132,6 +132,18 @@ def choose(log: MessageLog | TableLog, selection: Selection) -> Source:
     return replace(found[0], remarks=(*found[0].remarks, remark))
 
 
+def stamps_of(selection: Selection, log: MessageLog | TableLog) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of the messages that :func:`choose` chooses, and when they were logged.
+
+    Yields
+    ------
+    tuple
+        Shapes ``(N,)``, int64 ns, in order of log times; none for a table.
+    """
+    read = choose(log, selection).stamps
+    return iter(()) if read is None else read()
+
+
 def sources(log: MessageLog | TableLog, selection: Selection) -> list[Source]:
     """Return every source of body rates that the options leave, at least one.
 

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from quatprop.writers.messages import Message
 
 METADATA = "quatprop"
-"""Name of the metadata record that holds the provenance, as JSON under the key ``provenance``."""
+"""Name of the metadata record that holds the provenance, as JSON under the key ``provenance``.
+
+Under ``topic`` stands which topic it is about.
+"""
 
 
 class McapAttitudes(AttitudeWriter):
@@ -38,11 +41,12 @@ class McapAttitudes(AttitudeWriter):
     def __init__(self, target: Path | str, message: Message) -> None:
         told = declared(message)
         self._encoder = told.encoder
+        self._topic = message.place
         self._output = Output(target)
         with reported(target):
             self._file = McapFile(self._output.stream, told.profile, "zstd")
             schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
-            self._channel = self._file.add_channel(message.place, told.encoding, schema)
+            self._channel = self._file.add_channel(self._topic, told.encoding, schema)
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch."""
@@ -53,7 +57,9 @@ class McapAttitudes(AttitudeWriter):
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
         with reported(self._output.target):
-            self._file.add_metadata(METADATA, {"provenance": words_of(provenance)})
+            self._file.add_metadata(
+                METADATA, {"provenance": words_of(provenance), "topic": self._topic}
+            )
             self._file.finish()
         self._output.commit()
 

@@ -85,7 +85,13 @@ class McapFile:
         self._put_record(Header(header, "quatprop") if isinstance(header, str) else header)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Declare a type of messages and return its id."""
+        """Declare a type of messages and return its id: that of the same one if there is one."""
+        told = (name, encoding, data)
+        for known in self.contents.schemas.values():
+            if (known.name, known.encoding, known.data) == told:
+                # Again, since it must stand ahead of the channels that use it.
+                self._put_record(known)
+                return int(known.id)
         schema = Schema(id=_free(self.contents.schemas), name=name, encoding=encoding, data=data)
         self._put_record(schema)
         self.contents.schemas[schema.id] = schema
@@ -114,14 +120,14 @@ class McapFile:
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
         """Add words that tell about the file as a whole, after the messages written so far."""
-        self._put_chunks()
+        self.flush()
         begin = self.place
         self._put_record(Metadata(name=name, metadata=dict(content)))
         self.contents.metadata.append(MetadataIndex(begin, self.place - begin, name))
 
     def finish(self) -> None:
         """Write what is still held, the summary and the end; the stream is left open."""
-        self._put_chunks()
+        self.flush()
         self._works.stop()
         self._put_record(DataEnd(self._crc))
         self.put(self.contents.summary(self.place))
@@ -131,7 +137,7 @@ class McapFile:
         """Let go of what is held; harmless after the end."""
         self._works.stop()
 
-    def _put_chunks(self) -> None:
+    def flush(self) -> None:
         """Write everything that is still held."""
         for channel in self._channels:
             channel.flush()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.writers.foxglove_messages import FoxgloveEncoder, schema_of
 from quatprop.writers.ros_messages import Encoder
-from quatprop.writers.ros_types import ros2_types
+from quatprop.writers.ros_types import ros1_types, ros2_types
 
 if TYPE_CHECKING:
     from quatprop.writers.messages import Message
@@ -35,8 +35,15 @@ class Declared(NamedTuple):
     schema: bytes
 
 
-def declared(message: Message) -> Declared:
+def declared(message: Message, *, ros1: bool = False) -> Declared:
     """Return how MCAP declares a kind of message.
+
+    Parameters
+    ----------
+    message
+        What the attitudes are written as.
+    ros1
+        Whether ROS messages are encoded as ROS 1 does, in a file that holds such.
 
     Raises
     ------
@@ -44,6 +51,11 @@ def declared(message: Message) -> Declared:
         There is no such kind.
     """
     name = message.definition.name
+    if message.definition.is_ros and ros1:
+        definition, _ = ros1_types().generate_msgdef(name)
+        encoder = Encoder(message, ros1=True)
+        short = name.replace("/msg/", "/")
+        return Declared("ros1", encoder, "ros1", short, "ros1msg", definition.encode())
     if message.definition.is_ros:
         definition, _ = ros2_types().generate_msgdef(name, ros_version=2)
         return Declared("ros2", Encoder(message), "cdr", name, "ros2msg", definition.encode())

@@ -1,0 +1,80 @@
+"""When an attitude is logged that is added to a log: when the message was that it comes from.
+
+Stamps and log times need not be of one clock: some recorders count from when they were switched
+on. A log whose messages spread over fifty years shows nothing, so what is added stands where its
+source does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+
+
+class LogTimes:
+    """Finds log times by stamps, both in order, without holding more than is needed.
+
+    Parameters
+    ----------
+    pairs
+        Stamps and log times, shapes ``(N,)``, int64 ns, batch after batch in order of log times.
+        Stamps that step back are passed over.
+
+    Examples
+    --------
+    >>> times = LogTimes(iter([(np.array([10, 20]), np.array([1005, 1017]))]))
+    >>> times.of(np.array([10, 14, 20, 30]))
+    array([1005, 1009, 1017, 1027])
+    """
+
+    def __init__(self, pairs: Iterator[tuple[Int64, Int64]]) -> None:
+        self._pairs = pairs
+        self._stamps = np.empty(0, np.int64)
+        self._logged = np.empty(0, np.int64)
+        self._latest = np.iinfo(np.int64).min
+        self._ended = False
+
+    def of(self, t_ns: Int64) -> Int64:
+        """Return when attitudes are logged, shape ``(N,)``, int64 ns.
+
+        An attitude between messages is logged as long after the one before it as its stamp is
+        after that one's, and never before the attitude ahead of it.
+
+        Parameters
+        ----------
+        t_ns
+            Their stamps, shape ``(N,)``, in order, none before those of earlier calls.
+        """
+        if not len(t_ns):
+            return t_ns
+        while not self._ended and not (len(self._stamps) and self._stamps[-1] > t_ns[-1]):
+            self._fetch()
+        if not len(self._stamps):
+            return t_ns
+        at = np.maximum(np.searchsorted(self._stamps, t_ns, "right") - 1, 0)
+        found: Int64 = self._logged[at] + (t_ns - self._stamps[at])
+        found = np.maximum(np.maximum.accumulate(found), self._latest)
+        self._latest = found[-1]
+        self._stamps, self._logged = self._stamps[at[-1] :], self._logged[at[-1] :]
+        return found
+
+    def _fetch(self) -> None:
+        """Take another batch, without stamps that are not after those before them."""
+        batch = next(self._pairs, None)
+        if batch is None:
+            self._ended = True
+            return
+        stamps, logged = batch
+        last = self._stamps[-1:] if len(self._stamps) else stamps[:1] - 1
+        reached = np.maximum.accumulate(np.concatenate([last, stamps]))[:-1]
+        rising = stamps > reached
+        self._stamps = np.concatenate([self._stamps, stamps[rising]])
+        self._logged = np.concatenate([self._logged, logged[rising]])

@@ -1,0 +1,267 @@
+"""The records of an MCAP file, copied as they are in order of the file.
+
+Chunks are not unpacked, unless they lack their message index: that is made then. Nothing is copied
+of what tells where things are, since they are elsewhere in the copy.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import TYPE_CHECKING
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
+
+from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.readers.mcap_messages import at_offsets, walk
+from quatprop.readers.mcap_regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, Source, load
+from quatprop.readers.mcap_summary import MAGIC, MALFORMED, Content, Survey, read_footer
+from quatprop.readers.mcap_survey import survey
+from quatprop.writers.mcap_contents import Contents
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from quatprop.readers.mcap_messages import Messages
+    from quatprop.readers.mcap_regions import Region
+    from quatprop.writers.mcap_file import McapFile
+
+_PIECE = 1 << 20
+_NAMES = 1 << 16
+"""Bytes of an attachment that are read for its name and type."""
+
+_LEFT_OUT = frozenset(
+    {
+        Opcode.HEADER,
+        Opcode.FOOTER,
+        Opcode.MESSAGE,  # whole ones are in regions
+        Opcode.CHUNK,
+        Opcode.MESSAGE_INDEX,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.STATISTICS,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
+_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+
+
+class McapCopy:
+    """Copies a file, bit by bit as the time comes.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Attributes
+    ----------
+    header
+        Its first record.
+    contents
+        Its schemas and channels, and all that was copied so far.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._source = Source(path)
+            found = survey(self._source)
+            footer = read_footer(self._source)
+            self.header = _header(self._source)
+        except OSError as error:
+            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+        self.contents = Contents(dict(found.schemas), dict(found.channels))
+        self._regions = {region.start: region for region in found.regions}
+        self._starts = sorted(self._regions)
+        self._at = len(MAGIC)
+        self._end: int = self._source.size if footer is None else footer.data_end
+
+    def up_to(self, first_ns: int, file: McapFile) -> None:
+        """Copy what comes before messages that were logged after `first_ns`."""
+        self._copy(file, first_ns)
+
+    def rest(self, file: McapFile) -> None:
+        """Copy everything that is left."""
+        self._copy(file, None)
+
+    def close(self) -> None:
+        """Close the file; harmless the second time."""
+        self._source.close()
+
+    def _copy(self, file: McapFile, until: int | None) -> None:
+        while self._at < self._end:
+            region = self._regions.get(self._at)
+            if region is None:
+                self._at = self._record(file)
+                continue
+            if until is not None and region.first_ns > until:
+                return
+            if region.is_chunk:
+                self._chunk(region, file)
+            else:
+                self._messages(region, file)
+            self._at = region.end
+
+    def _messages(self, region: Region, file: McapFile) -> None:
+        """Copy messages that are outside chunks."""
+        data = self._read(region.start, region.length)
+        messages = at_offsets(data, walk(data).offsets)
+        if messages:
+            span = int(messages.log_ns.min()), int(messages.log_ns.max())
+            self.contents.loose.append(span)
+            self.contents.counts.update(messages.counts())
+        file.put(data)
+
+    def _chunk(self, region: Region, file: McapFile) -> None:
+        """Copy a chunk and its message index, or make that."""
+        begin = file.place
+        head = self._read(region.start, RECORD.size + CHUNK_HEAD.size)
+        first, last, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
+        left = region.length - len(head) - name_length - 8
+        if RECORD.unpack_from(head) != (Opcode.CHUNK, region.length - RECORD.size) or left < 0:
+            return  # the summary says that it is here; what reads its messages tells of it
+        name = self._read(region.start + len(head), name_length + 8)
+        self._through(region.start, region.length, file)
+        index_at = file.place
+        index = self._read(region.start + region.length, region.index_length)
+        offsets = _index_offsets(index, index_at)
+        if offsets and offsets.keys() == (region.holds or {}).keys():
+            file.put(index)
+            self.contents.counts.update({id_: region.count(id_) or 0 for id_ in offsets})
+        else:
+            offsets = self._index(region, file)
+        self.contents.chunks.append(
+            ChunkIndex(
+                message_start_time=first,
+                message_end_time=last,
+                chunk_start_offset=begin,
+                chunk_length=region.length,
+                message_index_offsets=offsets,
+                message_index_length=file.place - index_at,
+                compression=name[:name_length].decode(errors="replace"),
+                compressed_size=int.from_bytes(name[name_length:], "little"),
+                uncompressed_size=size,
+            )
+        )
+
+    def _index(self, region: Region, file: McapFile) -> dict[int, int]:
+        """Write the message index that a chunk lacks; return where that of each channel is."""
+        try:
+            data, _ = load(self._source, region)
+        except RegionError:
+            return {}  # kept as it is; what reads its messages tells of it
+        messages = at_offsets(data, walk(data).offsets)
+        offsets = {}
+        for id_, entries in _entries(messages).items() if messages else ():
+            offsets[id_] = file.place
+            content = entries.tobytes()
+            head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(content), id_, len(content))
+            file.put(head + content)
+            self.contents.counts[id_] += len(entries)
+        return offsets
+
+    def _record(self, file: McapFile) -> int:
+        """Copy the record that is next, if it is one to be copied; return where it ends."""
+        at = self._at
+        head = self._read(at, min(RECORD.size, self._end - at)).ljust(RECORD.size, b"\0")
+        opcode, length = RECORD.unpack(head)
+        end: int = at + RECORD.size + length
+        if opcode in {0, Opcode.DATA_END} or end > self._end:
+            after = bisect_right(self._starts, at)
+            return self._starts[after] if after < len(self._starts) else self._end
+        if opcode not in _LEFT_OUT and self._noted(opcode, at, length, file.place):
+            self._through(at, end - at, file)
+        return end
+
+    def _noted(self, opcode: int, at: int, length: int, place: int) -> bool:
+        """Note what the summary must tell of a record; return whether it is sound."""
+        if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}:
+            return True
+        size = min(length, _NAMES) if opcode == Opcode.ATTACHMENT else length
+        content = self._read(at + RECORD.size, size)
+        total = RECORD.size + length
+        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            defined = Survey()
+            defined.define(opcode, content, "")
+            return not defined.losses
+        try:
+            if opcode == Opcode.METADATA:
+                name = Metadata.read(Content(content)).name
+                self.contents.metadata.append(MetadataIndex(place, total, name))
+            else:
+                self.contents.attachments.append(_attachment(Content(content), place, total))
+        except MALFORMED:
+            return False
+        return True
+
+    def _through(self, start: int, length: int, file: McapFile) -> None:
+        """Copy bytes as they are."""
+        for begin in range(start, start + length, _PIECE):
+            file.put(self._read(begin, min(_PIECE, start + length - begin)))
+
+    def _read(self, start: int, length: int) -> bytes:
+        try:
+            data = self._source.read(start, length)
+        except OSError as error:
+            raise UnreadableLogError(self._path, f"{error.strerror}; check the disk") from error
+        if len(data) < length:
+            raise DamagedLogError(
+                self._path, "it has become shorter while it was read; copy it first"
+            )
+        return data
+
+
+def _header(source: Source) -> Header:
+    """Return the header of a file, or one that says nothing."""
+    opcode, length = RECORD.unpack(source.read(len(MAGIC), RECORD.size).ljust(RECORD.size, b"\0"))
+    if opcode == Opcode.HEADER:
+        try:
+            content = source.read(len(MAGIC) + RECORD.size, min(length, _NAMES))
+            header: Header = Header.read(Content(content))
+        except MALFORMED:
+            return Header("", "")
+        return header
+    return Header("", "")
+
+
+def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
+    """Return where the message index of each channel is; nothing where they are damaged."""
+    offsets: dict[int, int] = {}
+    at = 0
+    while at + INDEX_HEAD.size <= len(index):
+        opcode, length, id_, size = INDEX_HEAD.unpack_from(index, at)
+        if opcode != Opcode.MESSAGE_INDEX or length != size + 6 or id_ in offsets:
+            return {}
+        offsets[id_] = begin + at
+        at += RECORD.size + length
+    return offsets if at == len(index) else {}
+
+
+def _attachment(content: Content, place: int, length: int) -> AttachmentIndex:
+    """Return what the summary tells of an attachment, from the beginning of its record."""
+    log_ns, made_ns = content.read8(), content.read8()
+    name, media_type = content.read_prefixed_string(), content.read_prefixed_string()
+    return AttachmentIndex(place, length, log_ns, made_ns, content.read8(), name, media_type)
+
+
+def _entries(messages: Messages) -> Mapping[int, np.ndarray]:
+    """Return the message index of each channel of a chunk, in order of log times."""
+    entries = np.empty(len(messages), _ENTRY)
+    entries["log"] = messages.log_ns
+    entries["offset"] = messages.starts - _MESSAGE_HEAD_BYTES
+    order = np.argsort(entries["log"], kind="stable")
+    ids = np.broadcast_to(np.asarray(messages.channels), len(messages))[order]
+    entries = entries[order]
+    return {int(id_): entries[ids == id_] for id_ in np.unique(ids)}
+
+
+_MESSAGE_HEAD_BYTES = RECORD.size + 2 + 4 + 8 + 8

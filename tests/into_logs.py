@@ -1,0 +1,71 @@
+"""Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.writers.ros_types import ros2_types
+
+START = 1_700_000_000_000_000_000
+BOOT = 5_000_000_000
+"""The stamps count from when the recorder was switched on; log times do not."""
+IMU = "sensor_msgs/msg/Imu"
+RATE = 0.25
+
+
+def imu_message(store, stamp, ros1=False):
+    """Return an encoded message of a body that turns about z."""
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    nothing = np.zeros(9)
+    message = types[IMU](
+        header=types["std_msgs/msg/Header"](
+            stamp=types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9),
+            frame_id="imu",
+            **({"seq": 0} if ros1 else {}),
+        ),
+        orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
+        orientation_covariance=nothing,
+        angular_velocity=vector(0.0, 0.0, RATE),
+        angular_velocity_covariance=nothing,
+        linear_acceleration=vector(0.0, 0.0, 9.81),
+        linear_acceleration_covariance=nothing,
+    )
+    return bytes(store.serialize_ros1(message, IMU) if ros1 else store.serialize_cdr(message, IMU))
+
+
+def moments(count):
+    """Return stamps and log times: 100 Hz, each logged a little later than it was measured."""
+    for k in range(count):
+        yield BOOT + k * 10_000_000, START + k * 10_000_000 + (k % 7) * 1000
+
+
+def write_mcap(path, count=300, profile="ros2", **options):
+    """Write an MCAP file of rates, a camera, an attachment and metadata.
+
+    Every other option is that of the library's writer.
+    """
+    store = get_typestore(Stores.ROS1_NOETIC) if profile == "ros1" else ros2_types()
+    ros1 = profile == "ros1"
+    definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
+    options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
+    with path.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start(profile=profile, library="a recorder")
+        schema = writer.register_schema(
+            IMU.replace("/msg/", "/") if ros1 else IMU,
+            "ros1msg" if ros1 else "ros2msg",
+            definition.encode(),
+        )
+        imu = writer.register_channel("/imu", "ros1" if ros1 else "cdr", schema)
+        camera = writer.register_channel("/camera", "jpeg", 0, {"lens": "wide"})
+        writer.add_metadata("vehicle", {"name": "truck"})
+        for k, (stamp, logged) in enumerate(moments(count)):
+            writer.add_message(imu, logged, imu_message(store, stamp, ros1), logged + 1, k)
+            if k % 10 == 0:
+                writer.add_message(camera, logged, bytes([k % 256]) * 500, logged, k)
+            if k == count // 2:
+                writer.add_attachment(logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
+        writer.add_metadata("end", {"why": "stopped"})
+        writer.finish()
+    return path
