@@ -8,12 +8,14 @@ import pytest
 from click.testing import CliRunner
 from into_logs import BOOT, RATE, START, moments, write_mcap
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType
 from mcap_doctor import MAGIC, examine
 from rosbags.highlevel import AnyReader
 
 from quatprop.cli import cli
 from quatprop.into.log_times import LogTimes
+from quatprop.writers.mcap_contents import Contents
 
 FORMS = {
     "zstd": {},
@@ -137,6 +139,26 @@ def test_more_can_be_added_to_what_was_added_to(tmp_path):
     assert [one["topic"] for one in told] == ["/attitude", "/coning"]
     methods = [json.loads(one["provenance"])["convention"]["method"] for one in told]
     assert methods == ["start", "coning"]
+
+
+def test_topics_without_messages_are_kept(tmp_path):
+    """Some recorders tell of them in the summary only; the copy has them in both sections."""
+    log = write_mcap(tmp_path / "log.mcap")
+    out = tmp_path / "out.mcap"
+    with log.open("rb") as stream, out.open("wb") as copy:
+        summary = make_reader(stream).get_summary()
+        silent = Channel(9, "/silent", "json", {"a": "b"}, 5)
+        summary.schemas[5] = Schema(id=5, data=b"{}", encoding="jsonschema", name="Silent")
+        summary.channels[9] = silent
+        stream.seek(0)
+        end = stream.read().index(b"\x0f\x04" + bytes(7)) + 13
+        stream.seek(0)
+        copy.write(stream.read(end))
+        contents = Contents(summary.schemas, summary.channels, summary.chunk_indexes)
+        contents.counts.update(summary.statistics.channel_message_counts)
+        copy.write(contents.summary(end) + MAGIC)
+    out.replace(log)
+    assert silent in examine(added(log)).channels.values()
 
 
 def test_a_topic_that_is_there_is_refused(tmp_path):

@@ -9,6 +9,7 @@ from quatprop.into.mcap_copy import McapCopy
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.mcap import METADATA
+from quatprop.writers.mcap_contents import encoded
 from quatprop.writers.mcap_file import McapFile
 from quatprop.writers.mcap_messages import declared
 
@@ -67,6 +68,8 @@ class McapInto(AttitudeWriter):
                 before=self._before,
                 chunk_bytes=_CHUNK_BYTES,
             )
+            # Some recorders tell of topics without messages at the end only: all go first.
+            self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
             schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
             self._channel = self._file.add_channel(self._topic, told.encoding, schema)
 

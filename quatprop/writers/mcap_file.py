@@ -47,7 +47,7 @@ class McapFile:
         A key of :data:`COMPRESSIONS`.
     contents
         Schemas and channels that the file has besides those that are added, so that ids do not
-        clash; who knows them writes them with :meth:`put`.
+        clash; who knows them writes them with :meth:`put`, ahead of what is added.
     before
         Called with the first log time of a chunk, ns, before it is written: what else the file
         holds has its place there.
@@ -89,8 +89,6 @@ class McapFile:
         told = (name, encoding, data)
         for known in self.contents.schemas.values():
             if (known.name, known.encoding, known.data) == told:
-                # Again, since it must stand ahead of the channels that use it.
-                self._put_record(known)
                 return int(known.id)
         schema = Schema(id=_free(self.contents.schemas), name=name, encoding=encoding, data=data)
         self._put_record(schema)
