@@ -51,6 +51,8 @@ class Format:
         The layout that the format's own definition prescribes; None where there is a choice.
     messages
         Whether it holds ROS messages, of a type that can be chosen.
+    room
+        Whether it has a place of its own for the provenance, besides comments.
     """
 
     suffixes: tuple[str, ...]
@@ -60,11 +62,12 @@ class Format:
     comments: bool = False
     layout: str | None = None
     messages: bool = False
+    room: bool = False
 
 
 def _ros(suffixes: tuple[str, ...], opener: str) -> Format:
     """Return a format of ROS messages, whose quaternions are x, y, z, w."""
-    return Format(suffixes, opener, layout="scalar-last", messages=True)
+    return Format(suffixes, opener, layout="scalar-last", messages=True, room=True)
 
 
 WRITERS: Mapping[str, Format] = {
@@ -73,10 +76,14 @@ WRITERS: Mapping[str, Format] = {
     "jsonl": Format(
         (".jsonl", ".ndjson"), "quatprop.writers.jsonl:JsonLinesTable", table=True, text=True
     ),
-    "parquet": Format((".parquet", ".pq"), "quatprop.writers.parquet:ParquetTable", table=True),
-    "feather": Format((".feather", ".arrow"), "quatprop.writers.feather:FeatherTable", table=True),
+    "parquet": Format(
+        (".parquet", ".pq"), "quatprop.writers.parquet:ParquetTable", table=True, room=True
+    ),
+    "feather": Format(
+        (".feather", ".arrow"), "quatprop.writers.feather:FeatherTable", table=True, room=True
+    ),
     "npy": Format((".npy",), "quatprop.writers.npy:NpyTable", table=True),
-    "npz": Format((".npz",), "quatprop.writers.npy:NpzTable", table=True),
+    "npz": Format((".npz",), "quatprop.writers.npy:NpzTable", table=True, room=True),
     "tum": Format(
         (".tum",),
         "quatprop.writers.tum:attitudes",

@@ -129,28 +129,28 @@ class FoxgloveEncoder:
         OutputError
             A stamp is before 1970; the error names the target.
         """
-        before = series.t_ns < 0
-        if before.any():
+        if len(series) and series.t_ns.min() < 0:
             raise OutputError(
                 target,
-                f"MCAP has no time for the stamp {series.t_ns[before.argmax()]} ns; "
+                f"MCAP has no time for the stamp {series.t_ns[(series.t_ns < 0).argmax()]} ns; "
                 "write a table, or a trajectory",
             )
         rows = np.repeat(self._blank, len(series)).view(self._dtype)
         seconds, nanos = np.divmod(series.t_ns, NS_PER_S)
-        _put_varints(seconds, rows["seconds"])
-        _put_varints(nanos, rows["nanos"])
+        rows["seconds"], rows["nanos"] = _varints(seconds), _varints(nanos)
         for place, name in enumerate("wxyz"):
             rows[name] = series.wxyz[:, place]
         return rows
 
 
-def _put_varints(numbers: NDArray[np.int64], places: NDArray[np.uint8]) -> None:
-    """Write numbers as varints of one length, shapes ``(N,)`` and ``(N, 5)``."""
-    last = _VARINT_BYTES - 1
-    for place in range(_VARINT_BYTES):
-        more = 0x80 if place < last else 0
-        places[:, place] = numbers >> 7 * place & 0x7F | more
+def _varints(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return numbers as varints of one length, shape ``(N, 5)``."""
+    spread = numbers & 0x7F
+    for place in range(1, _VARINT_BYTES):
+        spread |= numbers << place & 0x7F << 8 * place
+    # All but the last say that there are more.
+    words = (spread | 0x80808080).astype("<i8", copy=False)
+    return words.view(np.uint8).reshape(-1, words.itemsize)[:, :_VARINT_BYTES]
 
 
 _STAMP = tag(1, VARINT) + bytes(_VARINT_BYTES) + tag(2, VARINT) + bytes(_VARINT_BYTES)

@@ -13,6 +13,7 @@ import decode
 import mixed_logs
 import product
 import whole
+import writers
 
 FOLDER = Path(".bench")
 SAMPLES = 1_000_000
@@ -22,7 +23,7 @@ MIXED = {
     "images_none.mcap": (mixed_logs.beside_images, 10),
 }
 """How each is written, and which part of the samples it has: pictures take room."""
-PARTS = {"decode": decode, "product": product, "whole": whole}
+PARTS = {"decode": decode, "product": product, "writers": writers, "whole": whole}
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
     "imu_none.mcap": ("--to", "mcap", "--compression", "none"),

@@ -1,5 +1,6 @@
 """Timing and the table it is printed in."""
 
+import statistics
 import time
 from collections.abc import Callable
 
@@ -12,6 +13,11 @@ def best_of(repeats: int, work: Callable[[], object]) -> float:
         work()
         shortest = min(shortest, time.perf_counter() - began)
     return shortest
+
+
+def median_of(repeats: int, work: Callable[[], object]) -> float:
+    """Return the median of several runs, in seconds: writing waits for disks now and then."""
+    return statistics.median(best_of(1, work) for _ in range(repeats))
 
 
 class Table:
