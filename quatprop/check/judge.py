@@ -20,7 +20,7 @@ from quatprop.check.measure import (
     differing_stamps,
     measured,
 )
-from quatprop.check.reference import DEFAULT, differing_provenance, read_reference
+from quatprop.check.reference import differing_provenance, read_reference
 from quatprop.errors import LogError, QuatpropError, quoted
 from quatprop.quaternion import geodesic_angle
 from quatprop.signals.operands import read_operand
@@ -137,19 +137,10 @@ def _angle(case: Case, angle: float) -> str:
     return angle_text(angle, in_degrees=case.in_degrees)
 
 
-def changed_inputs(pin: Pin, hashes: dict[str, str]) -> list[tuple[str, str, str]]:
-    """Return key, SHA-256 then and now of every input that is not what it was."""
-    return _changed(pin.inputs, hashes, "not there")
-
-
-def changed_options(pin: Pin, options: dict[str, str]) -> list[tuple[str, str, str]]:
-    """Return key, value then and now of every option that is not what it was."""
-    return _changed(pin.options, options, DEFAULT)
-
-
-def _changed(then: dict[str, str], now: dict[str, str], absent: str) -> list[tuple[str, str, str]]:
+def changed(then: dict[str, str], now: dict[str, str]) -> list[tuple[str, str | None, str | None]]:
+    """Return key, value then and value now of everything that is not what it was."""
     return [
-        (key, then.get(key, absent), now.get(key, absent))
+        (key, then.get(key), now.get(key))
         for key in sorted(then.keys() | now.keys())
         if then.get(key) != now.get(key)
     ]
@@ -157,22 +148,28 @@ def _changed(then: dict[str, str], now: dict[str, str], absent: str) -> list[tup
 
 def _refuse_changes(case: Case, pin: Pin, hashes: dict[str, str]) -> None:
     """Refuse a case of which something is not as it was pinned."""
-    for key, then, now in changed_inputs(pin, hashes):
-        path = case.inputs.get(key, key)
-        if path in case.inputs.values() and _is_pointer(path):
-            reason = "it only points to a file that Git LFS has not brought; run git lfs pull"
-            raise LogError(path, reason)
+    for key, then, now in changed(pin.inputs, hashes):
+        if then is None or now is None:
+            # Which inputs there are depends on options, which are told below.
+            continue
+        _refuse_pointer(case.inputs[key])
         raise LogError(
-            path,
+            case.inputs[key],
             f"its content changed since the reference was made (SHA-256 {then[:DIGITS]}, now "
             f"{now[:DIGITS]}); restore it, or accept it with --update",
         )
-    if options := changed_options(pin, case.options):
-        words = ", ".join(f"{key} is {quoted(now)}, not {quoted(was)}" for key, was, now in options)
+    if options := changed(pin.options, case.options):
+        words = ", ".join(f"{key} is {said(now)}, not {said(was)}" for key, was, now in options)
         raise LogError(
             case.reference or case.inputs["log"],
             f"the case asks for something else than the reference was made with: {words}; restore "
             "it, or accept it with --update",
+        )
+    if pin.inputs.keys() != hashes.keys() or (pin.reference is None) != (case.reference is None):
+        raise LogError(
+            case.reference or case.inputs["log"],
+            "the case is held against something else than when it was pinned; restore it, or "
+            "accept it with --update",
         )
     if case.reference is None:
         return
@@ -181,9 +178,7 @@ def _refuse_changes(case: Case, pin: Pin, hashes: dict[str, str]) -> None:
             case.reference, "the reference is not there; restore it, or make it with --update"
         )
     if (now := sha256_of(case.reference)) != pin.reference:
-        if _is_pointer(case.reference):
-            reason = "it only points to a file that Git LFS has not brought; run git lfs pull"
-            raise LogError(case.reference, reason)
+        _refuse_pointer(case.reference)
         raise LogError(
             case.reference,
             f"this is not the reference that was pinned (SHA-256 {str(pin.reference)[:DIGITS]}, "
@@ -192,11 +187,18 @@ def _refuse_changes(case: Case, pin: Pin, hashes: dict[str, str]) -> None:
         )
 
 
-def _is_pointer(path: str) -> bool:
-    if not Path(path).is_file():
-        return False
-    with Path(path).open("rb") as stream:
-        return stream.read(len(LFS)) == LFS
+def _refuse_pointer(path: str) -> None:
+    """Say so where a file only stands for one that Git LFS has not brought."""
+    if Path(path).is_file():
+        with Path(path).open("rb") as stream:
+            if stream.read(len(LFS)) == LFS:
+                reason = "it only points to a file that Git LFS has not brought; run git lfs pull"
+                raise LogError(path, reason)
+
+
+def said(value: str | None) -> str:
+    """Return a value in quotes; what was not said is the default."""
+    return "the default" if value is None else quoted(value)
 
 
 def _made_by(pin: Pin) -> str:

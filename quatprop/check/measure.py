@@ -120,7 +120,7 @@ def difference(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> Difference:
     reason = cause = ""
     if found.exceeded is not None:
         reason = (
-            f"above the tolerance from {_since(found.exceeded.t_ns, first_ns)} on "
+            f"above the tolerance, first at {_since(found.exceeded.t_ns, first_ns)} "
             f"({found.exceeded.t_ns} ns)"
         )
     if found.cause is not None:

@@ -22,7 +22,7 @@ MARK = "check"
 SHARED = ("product", "attitude")
 """What every reference has to say of its convention, in the same words."""
 
-DEFAULT = "the default"
+NOT_SAID = "the default"
 """What an option is where nothing is said."""
 
 ROWS = 1000
@@ -118,7 +118,7 @@ def differing_provenance(case: Case, pin: Pin) -> str:
     facts += [("case", made.get("case"), case.name), ("every", made.get("every"), pin.every)]
     options = made.get("options") or {}
     facts += [
-        (key, options.get(key, DEFAULT), case.options.get(key, DEFAULT))
+        (key, options.get(key, NOT_SAID), case.options.get(key, NOT_SAID))
         for key in sorted(options.keys() | case.options.keys())
     ]
     words = [

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.check.case import Case, Outcome
-from quatprop.check.judge import DIGITS, changed_inputs, changed_options, figure, judge
+from quatprop.check.judge import DIGITS, changed, figure, judge, said
 from quatprop.check.lock import Pin, sha256_of
 from quatprop.check.measure import angle_text, chooses_rows, compared, difference, measured
 from quatprop.check.reference import ROWS, read_reference, refuse_foreign, thinning, write_reference
@@ -133,10 +133,12 @@ def _changes(case: Case, pin: Pin | None, now: Measured, hashes: dict[str, str])
     if pin is None:
         return []
     changes = [
-        f"{key}: SHA-256 {was[:DIGITS]} -> {is_[:DIGITS]}"
-        for key, was, is_ in changed_inputs(pin, hashes)
+        f"{key}: SHA-256 {(was or 'none')[:DIGITS]} -> {(is_ or 'none')[:DIGITS]}"
+        for key, was, is_ in changed(pin.inputs, hashes)
     ]
-    changes += [f"{key}: {was} -> {is_}" for key, was, is_ in changed_options(pin, case.options)]
+    changes += [
+        f"{key}: {said(was)} -> {said(is_)}" for key, was, is_ in changed(pin.options, case.options)
+    ]
     if pin.quatprop != __version__:
         changes.append(f"quatprop: {pin.quatprop} -> {__version__}")
     if pin.samples != now.samples:

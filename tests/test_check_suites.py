@@ -1,0 +1,475 @@
+"""Suites: what is refused and how it is said, what an update does, and what CI is told."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cases, cli, compare, propagate
+
+SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
+
+
+@pytest.fixture(autouse=True)
+def _not_in_ci(monkeypatch):
+    """Let no test write into the summary of the CI that runs it."""
+    monkeypatch.delenv("GITHUB_STEP_SUMMARY", raising=False)
+    monkeypatch.delenv("GITHUB_ACTIONS", raising=False)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Give a folder with sample logs."""
+    (tmp_path / "logs").mkdir()
+    for name in ("spin.csv", "spin.truth.csv", "coning.mcap", "coning.truth.csv", "rest.parquet"):
+        shutil.copy(SAMPLE_LOGS / name, tmp_path / "logs")
+    return tmp_path
+
+
+def write(folder, text):
+    """Write a suite."""
+    suite = folder / "suite.toml"
+    suite.write_text(text)
+    return suite
+
+
+def check(suite, *options):
+    """Run the command; errors come back as exit code and words."""
+    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
+
+
+def stored(name="spin", log="spin.csv", *more):
+    """Return a case with a stored reference."""
+    lines = [f"[case.{name}]", f'log = "logs/{log}"', f'reference = "refs/{name}.parquet"', *more]
+    return "\n".join(lines) + "\n"
+
+
+TRUTH = """\
+[case.coning]
+log = "logs/coning.mcap"
+method = "coning"
+reference-log = "logs/coning.truth.csv"
+tol = "0.1deg"
+"""
+
+# Keys and values.
+
+
+def test_every_option_of_propagate_is_a_key():
+    """What propagate can be told, a case can be told: all but what is about its output."""
+    keys = {
+        name.removeprefix("--")
+        for option in propagate.command.params
+        if option.param_type_name == "option"
+        for name in option.opts
+        if name.startswith("--")
+    }
+    assert cases.OUTPUT_ONLY.isdisjoint(cases.KEYS)
+    assert keys - cases.OUTPUT_ONLY <= cases.KEYS
+    assert {"topic", "method", "bias", "mount", "q0", "on-gap", "rate-unit", "every", "start"} <= (
+        cases.KEYS
+    )
+
+
+def test_every_option_of_compare_is_a_key():
+    """So is what compare can be told, of its B beginning with reference."""
+    names = [name for option in compare.command.params for name in option.opts]
+    wanted = {name.removeprefix("--") for name in names if name.startswith("--")}
+    b = {f"reference-{name.removesuffix('-b')}" for name in wanted if name.endswith("-b")}
+    both = {name for name in wanted if not name.endswith(("-a", "-b"))} - cases.OUTPUT_ONLY
+    assert b | both <= cases.KEYS
+    assert {"tol", "align", "time-offset", "max-dt", "window", "reference-topic"} <= cases.KEYS
+
+
+@pytest.mark.parametrize(
+    ("more", "where", "words"),
+    [
+        ('methd = "end"', ", 'methd'", "no such key; did you mean 'method'?"),
+        ("xyzzy = 1", ", 'xyzzy'", "no such key; see quatprop propagate --help"),
+        ('output = "a.csv"', ", 'output'", "a case writes no such output; leave it out"),
+        ('method = "middle"', ", 'method'", "'middle' is not one of 'start', 'end', 'mean', "),
+        ("every = 0", ", 'every'", "0 is not in the range x>=1."),
+        ("every = true", ", 'every'", "this takes a value, not true or false"),
+        ("normalize = 1", ", 'normalize'", "this is true or false"),
+        ("bias = [0.1, 0.2]", ", 'bias'", "'0.1,0.2' is not X,Y,Z|static[:DUR], 3 numbers"),
+        ("bias = {x = 1}", ", 'bias'", "this takes text, a number or a list of them"),
+        ('start = "soon"', ", 'start'", "'soon' is not a time; write RFC 3339"),
+        ('tol = "0.1"', ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
+        ("tol = 0.1", ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
+        ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'mean', 'mount'."),
+        ('at = "none.csv"', ", 'at'", "none.csv' does not exist."),
+        ('q0 = "none.csv"', ", 'q0'", "none.csv' is not level or log, and no such file is there"),
+        ("heading = 90", "", "--heading goes with --q0 level"),
+        ('reference-topic = "/a"', ", 'reference'", "goes without 'reference-topic'"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_named(folder, more, where, words):
+    """One sentence names the suite, the case and the key; other cases are judged all the same."""
+    suite = write(folder, TRUTH + stored())
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH + stored("spin", "spin.csv", more))
+    result = check(suite)
+    assert result.exit_code == 2
+    first, second, last = result.stdout.splitlines()
+    assert first.startswith("pass   coning  ")
+    assert second.startswith(f"ERROR  spin    {suite}, case 'spin'{where}: ")
+    assert words in second
+    assert last == "2 cases: 1 passed, 1 could not be judged"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[case.a\n", ": it is not TOML: Expected ']'"),
+        ("", ": it has no cases; a suite has a table [defaults] and one table [case.NAME]"),
+        ("[cases.a]\n", ": unknown 'cases'; a suite has"),
+        ("case = 1\n", ": 'case' is no table; a suite has"),
+        ('[case]\nlog = "a"\n', ": 'case.log' is no table; a suite has"),
+        ("[defaults]\nmethd = 1\n[case.a]\n", ", case 'defaults', 'methd': no such key"),
+    ],
+)
+def test_a_broken_suite_is_refused_at_once(folder, text, words):
+    """Nothing is run of a suite that is not one."""
+    suite = write(folder, text)
+    result = check(suite)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith(f"Error: {suite}{words}")
+
+
+def test_a_suite_that_is_not_there_is_told(folder):
+    """It is named."""
+    result = check(folder / "none.toml")
+    assert (result.exit_code, result.stderr) == (
+        2, f"Error: {folder / 'none.toml'}: it cannot be read: No such file or directory\n",
+    )  # fmt: skip
+
+
+def test_a_suite_that_is_no_text_is_told(folder):
+    """Bytes that are not UTF-8 are no TOML."""
+    suite = folder / "suite.toml"
+    suite.write_bytes(b"[case.\xff]")
+    assert check(suite).stderr == f"Error: {suite}: it is not UTF-8 text: byte 6\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[case.a]\nreference = "a.parquet"\n', 'there is no log; say log = "PATH"'),
+        ('[case.a]\nlog = "-"\nreference = "a.parquet"\n', "'log': this is no path"),
+        ('[case.a]\nlog = "a.csv"\n', "nothing to hold it against; say reference = "),
+        ('[case.a]\nlog = "a.csv"\nreference-topic = "/b"\n', "'tol': no tolerance; say tol"),
+        ('[case.a]\nlog = "a.csv"\nreference = "a.csv"\n', "'reference': a stored reference is P"),
+    ],
+)  # fmt: skip
+def test_what_a_case_lacks_is_told(folder, text, words):
+    """So is what to say."""
+    result = check(write(folder, text))
+    assert result.exit_code == 2
+    assert words in result.stdout
+
+
+def test_two_cases_do_not_share_a_reference(folder):
+    """An update of one would be that of the other."""
+    second = stored("other").replace("refs/other", "refs/../refs/spin")
+    result = check(write(folder, stored() + second), "--update")
+    assert result.exit_code == 2
+    assert "case 'other', 'reference': case 'spin' has it already" in result.stdout
+
+
+def test_a_case_says_what_the_defaults_do_not(folder):
+    """A case's own value is taken before that of the defaults, also false before true."""
+    defaults = '[defaults]\nmethod = "end"\nnormalize = true\nrates = "inertial"\n'
+    suite = write(folder, defaults + TRUTH + "normalize = false\n")
+    assert check(suite, "--update").exit_code == 1  # inertial rates are not those of the log
+    lock = json.loads((folder / "suite.lock.json").read_text())
+    assert lock["cases"]["coning"]["options"] == {"method": "coning", "rates": "inertial"}
+
+
+def test_paths_are_relative_to_the_suite(folder, monkeypatch):
+    """Wherever it is run from: the log, the reference, and the files that options name."""
+    suite = write(folder, stored("spin", "spin.csv", 'at = "logs/spin.truth.csv"'))
+    (folder / "elsewhere").mkdir()
+    monkeypatch.chdir(folder / "elsewhere")
+    assert check("../suite.toml", "--update").exit_code == 0
+    assert (folder / "refs" / "spin.parquet").exists()
+    monkeypatch.chdir(folder)
+    assert check("suite.toml").exit_code == 0
+    assert check(suite).exit_code == 0
+    truth = folder / "logs" / "spin.truth.csv"
+    truth.write_text(truth.read_text().replace(",1,", ",1.0,", 1))
+    assert "logs/spin.truth.csv: its content changed" in check("suite.toml").stdout
+
+
+def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
+    """A log that holds both rates and attitudes is held against itself, and pinned once."""
+    log = tmp_path / "log.mcap"
+    made = CliRunner().invoke(cli, ["propagate", str(SAMPLE_LOGS / "coning.mcap"), "-o", str(log)])
+    assert made.exit_code == 0, made.output
+    text = '[case.a]\nlog = "coning.mcap"\nreference-log = "log.mcap"\n'
+    shutil.copy(SAMPLE_LOGS / "coning.mcap", tmp_path)
+    suite = write(tmp_path, text + 'reference-topic = "/attitude"\ntol = "1e-9rad"\n')
+    assert check(suite, "--update").exit_code == 0
+    pins = json.loads((tmp_path / "suite.lock.json").read_text())["cases"]["a"]
+    assert set(pins["inputs"]) == {"log", "reference-log"}
+    assert pins["reference"] is None
+    assert pins["error_rad"] < 1e-9
+
+
+# Updates.
+
+
+def test_an_update_says_what_changed(folder):
+    """Options, SHA-256, samples, and how far the new reference is from the old one."""
+    suite = write(folder, stored())
+    new = check(suite, "--update")
+    assert new.stdout.splitlines()[0] == (
+        f"pass   spin  new      1000 of 1000 attitudes in {folder / 'refs' / 'spin.parquet'}"
+    )
+    log = folder / "logs" / "spin.csv"
+    lines = log.read_text().splitlines()
+    log.write_text("\n".join(lines[:-1]) + "\n")
+    write(folder, stored("spin", "spin.csv", 'mount = "x,-y,-z"'))
+    changed = check(suite, "--update")
+    assert changed.exit_code == 0
+    first, sha, mount, samples, attitudes, _ = changed.stdout.splitlines()
+    assert first.startswith("pass   spin  updated  999 of 999 attitudes in ")
+    assert sha.split()[:2] == ["log:", "SHA-256"]
+    assert mount == "       mount: the default -> 'x,-y,-z'"
+    assert samples == "       samples: 1000 -> 999"
+    assert attitudes.startswith("       attitudes: up to ")
+    assert "rad from the old reference, at +" in attitudes
+    assert check(suite).exit_code == 0
+
+
+def test_what_passes_is_left_as_it_is(folder):
+    """A second update touches nothing."""
+    suite = write(folder, stored() + TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    again = check(suite, "--update")
+    assert again.exit_code == 0
+    assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_an_update_of_some_cases_leaves_the_others_pinned(folder):
+    """With -k the lock keeps what it knows; a case that is gone is forgotten."""
+    suite = write(folder, stored() + TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    assert check(suite, "--update", "-k", "spin").exit_code == 0
+    assert check(suite).exit_code == 0
+    write(folder, TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    assert list(json.loads((folder / "suite.lock.json").read_text())["cases"]) == ["coning"]
+
+
+def test_an_update_does_not_hide_a_failure_against_a_series_from_elsewhere(folder):
+    """The truth stays the truth: the case fails in an update, too, which pins what it saw."""
+    suite = write(folder, TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH.replace('"coning"\nref', '"end"\nref').replace("0.1deg", "0.01deg"))
+    result = check(suite, "--update")
+    assert result.exit_code == 1
+    assert result.stdout.startswith("FAIL   coning  updated  ")
+    assert "       method: 'coning' -> 'end'\n       worst error: " in result.stdout
+
+
+def test_an_update_replaces_only_what_an_update_wrote(folder):
+    """A truth that somebody named as the reference is not lost."""
+    suite = write(folder, stored())
+    (folder / "refs").mkdir()
+    reference = folder / "refs" / "spin.parquet"
+    shutil.copy(SAMPLE_LOGS / "rest.truth.parquet", reference)
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert f"{reference}: this was not written by check --update, which would" in result.stdout
+    assert reference.read_bytes() == (SAMPLE_LOGS / "rest.truth.parquet").read_bytes()
+
+
+def test_an_update_never_replaces_a_log(folder):
+    """A reference at the place of a log is refused, also of another case."""
+    shutil.copy(SAMPLE_LOGS / "rest.parquet", folder / "logs" / "rest.parquet")
+    rest = stored("rest", "rest.parquet")
+    suite = write(folder, rest + stored("spin").replace("refs/spin", "logs/rest"))
+    before = (folder / "logs" / "rest.parquet").read_bytes()
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert "this is an input of the run; choose another output" in result.output
+    assert (folder / "logs" / "rest.parquet").read_bytes() == before
+
+
+def test_a_case_chooses_its_rows(folder):
+    """`every` and `rate` of a case are those of its reference."""
+    suite = write(
+        folder, stored("a", "spin.csv", "every = 100") + stored("b", "spin.csv", "rate = 7")
+    )
+    assert check(suite, "--update").exit_code == 0
+    assert len(pq.read_table(folder / "refs" / "a.parquet")) == 10
+    assert len(pq.read_table(folder / "refs" / "b.parquet")) == 70
+    assert check(suite).exit_code == 0
+
+
+def test_a_lock_that_is_none_is_refused(folder):
+    """A merge that went wrong does not pass for an empty lock."""
+    suite = write(folder, stored())
+    (folder / "suite.lock.json").write_text("<<<<<<< ours\n")
+    result = check(suite)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(
+        f"Error: {folder / 'suite.lock.json'}: it is not the lock that --update writes; restore it"
+    )
+
+
+# What CI is told.
+
+
+@pytest.fixture
+def mixed(folder):
+    """Give a suite of which one case passes, one fails, and one cannot be judged."""
+    suite = write(folder, TRUTH + stored() + stored("rest", "rest.parquet"))
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH.replace("0.1deg", "1e-9deg") + stored() + stored("rest", "rest.parquet"))
+    (folder / "logs" / "rest.parquet").unlink()
+    return suite
+
+
+def test_junit_has_each_case(mixed, folder):
+    """Counts, failures with their reasons, and the line in the suite."""
+    target = folder / "junit.xml"
+    assert check(mixed, "--junit", target).exit_code == 2
+    root = ET.parse(target).getroot()  # noqa: S314  # our own file
+    assert root.tag == "testsuites"
+    assert [root.get(key) for key in ("tests", "failures", "errors", "skipped")] == list("3110")
+    (tests,) = root
+    assert [case.get("name") for case in tests] == ["coning", "spin", "rest"]
+    assert [case.get("line") for case in tests] == ["1", "6", "9"]
+    failure, error = tests.find("./testcase/failure"), tests.find("./testcase/error")
+    assert failure.get("message").startswith("above the tolerance, first at +")
+    assert error.get("message").endswith("rest.parquet: no such file or folder; check the path")
+
+
+def test_junit_never_replaces_what_is_read(mixed, folder):
+    """A mistyped --junit does not cost a log."""
+    log = folder / "logs" / "spin.csv"
+    before = log.read_bytes()
+    result = check(mixed, "--junit", log)
+    assert result.exit_code == 2
+    assert "this is an input of the run; choose another output" in result.stderr
+    assert log.read_bytes() == before
+
+
+@pytest.mark.usefixtures("mixed")
+def test_github_gets_a_summary_and_annotations(folder, monkeypatch):
+    """The summary is appended to; annotations go to stderr; stdout stays JSON."""
+    summary = folder / "summary.md"
+    summary.write_text("before\n")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.chdir(folder)
+    result = check("suite.toml", "--json")
+    assert json.loads(result.stdout)["failed"] == 1
+    first, second = result.stderr.splitlines()
+    assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
+    assert second == (
+        "::error file=suite.toml,line=9,title=rest%3A error::logs/rest.parquet: no such file or "
+        "folder; check the path"
+    )
+    lines = summary.read_text().splitlines()
+    assert lines[:2] == [
+        "before", "### suite.toml: 3 cases: 1 passed, 1 failed, 1 could not be judged",
+    ]  # fmt: skip
+    assert lines[3:5] == ["| case | verdict | worst error | why |", "|---|---|---|---|"]
+    assert [line.split(" | ")[:2] for line in lines[5:8]] == [
+        ["| coning", ":x: failed"], ["| spin", "passed"], ["| rest", ":warning: error"],
+    ]  # fmt: skip
+
+
+def test_names_cannot_command_what_shows_them(folder, monkeypatch):
+    """Line breaks, bars and escapes in a name stay text in the terminal, the summary, and XML."""
+    summary, junit = folder / "summary.md", folder / "junit.xml"
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(summary))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    suite = write(folder, '[case."a\\n::error::|<b>\\u001b[31m"]\nlog = "logs/none.csv"\n')
+    result = check(suite, "--junit", junit)
+    assert result.exit_code == 2
+    assert "\x1b" not in result.output
+    assert not any(line.startswith("::error::") for line in result.output.splitlines())
+    assert "| a\\\\n::error::\\|\\<b\\>\\\\x1b\\[31m |" in summary.read_text()
+    (case,) = ET.parse(junit).getroot().iter("testcase")  # noqa: S314  # our own file
+    assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"
+
+
+def test_a_killed_process_is_an_error_of_its_case(folder, monkeypatch):
+    """Where memory runs out, the system kills a process; that is said, and is no pass."""
+    from concurrent.futures.process import BrokenProcessPool
+
+    from quatprop.check import runner
+
+    class Pool:
+        def __init__(self, *_):
+            pass
+
+        def submit(self, *_, **__):
+            from concurrent.futures import Future
+
+            future = Future()
+            future.set_exception(BrokenProcessPool())
+            return future
+
+        def shutdown(self, **_):
+            pass
+
+    monkeypatch.setattr(runner, "ProcessPoolExecutor", Pool)
+    result = check(write(folder, stored() + TRUTH), "-j", "2")
+    assert result.exit_code == 2
+    assert result.stdout.count("was killed; is there enough memory?") == 2
+
+
+# pytest.
+
+
+def pytest_run(folder, *options):
+    """Run pytest with the plugin, and no other."""
+    command = [sys.executable, "-m", "pytest", "-p", "quatprop.pytest_plugin", "-p",
+               "no:cacheprovider", "-W", "error", "-rA", *options]  # fmt: skip
+    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+
+
+def test_pytest_collects_cases(mixed):
+    """Each case is a test; a failure is its reason, without a traceback."""
+    result = pytest_run(mixed.parent, "--quatprop-suite", "suite.toml")
+    assert result.returncode == 1, result.stdout
+    assert "1 passed, 2 failed" in result.stdout or "2 failed, 1 passed" in result.stdout
+    assert "PASSED suite.toml::spin" in result.stdout
+    assert "FAILED suite.toml::coning" in result.stdout
+    assert "above the tolerance, first at +" in result.stdout
+    assert "no such file or folder; check the path" in result.stdout
+    assert "Traceback" not in result.stdout
+
+
+def test_pytest_chooses_cases_beside_other_tests(mixed):
+    """The suite comes beside the tests that pytest finds, and -k chooses among all of them."""
+    (mixed.parent / "test_other.py").write_text("def test_spinning(): pass\n")
+    result = pytest_run(mixed.parent, "--quatprop-suite=suite.toml", "-k", "spin")
+    assert result.returncode == 0, result.stdout
+    assert "2 passed, 2 deselected" in result.stdout
+
+
+def test_pytest_tells_of_a_broken_suite(folder):
+    """It is an error of the collection, in one sentence."""
+    write(folder, "[case.a\n")
+    result = pytest_run(folder, "--quatprop-suite=suite.toml")
+    assert result.returncode == 2
+    assert "it is not TOML: Expected ']'" in result.stdout
+    assert "Traceback" not in result.stdout
