@@ -20,7 +20,7 @@ from quatprop.propagate import unit_q0
 from quatprop.readers import open_log
 from quatprop.report import Done, ReportFile, report_on
 from quatprop.resample import Listed, Steady, every
-from quatprop.sanity import Watch, orientation_remarks
+from quatprop.sanity import Watch, orientation_remarks, stamp_remarks
 from quatprop.selection import Selection
 from quatprop.signals.lookup import stamps_in
 from quatprop.signals.rates import UNITS, choose, stamps_of
@@ -160,7 +160,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
                 raise NoSamplesError(job.log, source.name)
             findings = watch.remarks(timeline.counts.median_dt_ns)
             if job.log != "-":
-                findings += orientation_remarks(log, source)
+                findings += [*stamp_remarks(source), *orientation_remarks(log, source)]
             done = Done(
                 log=log,
                 source=source,

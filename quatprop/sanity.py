@@ -19,6 +19,7 @@ from quatprop.readers.base import is_table
 from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.times import utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -58,6 +59,12 @@ MOVING = math.radians(1.0)
 
 OFF_SCALE = 20.0
 """A factor beyond this between rates and orientation is a unit (180/pi = 57.3), not a drift."""
+
+
+OTHER_CLOCK_NS = 3_600_000_000_000
+"""Stamps further from the time of recording are of another clock, not late."""
+
+_NONE = np.empty(0, dtype=np.int64)
 
 
 class Watch:
@@ -143,6 +150,27 @@ def _runs(hit: NDArray[np.bool_]) -> int:
     return int(window.all(axis=1).sum())
 
 
+def stamp_remarks(source: Source) -> list[str]:
+    """Return what is remarkable about header stamps beside the times of recording.
+
+    Only the beginning of the log is read.
+    """
+    if source.clock != "header" or source.stamps is None:
+        return []
+    stamped, logged = next(source.stamps(), (_NONE, _NONE))
+    zeros = int(np.count_nonzero(stamped == 0))
+    way_out = "; for the time of recording choose --clock log"
+    if zeros:
+        return [f"{zeros} of the first {len(stamped)} header stamps are zero{way_out}"]
+    if not logged.any():
+        return []
+    if abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
+        return []
+    begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
+    said = f"header stamps begin at {begin} and the recording at {recorded}: another clock"
+    return [said + way_out]
+
+
 def orientation_remarks(log: MessageLog | TableLog, source: Source) -> list[str]:
     """Return what the orientation beside the rates tells, if the log has one.
 
@@ -208,7 +236,8 @@ def against_orientation(
             f"the log's own orientation turns {by_orientation / max(by_rates, 1e-9):.3g} times as "
             "far as its rates: were they scaled by pi/180 once too often?"
         )
-    if by_rates > MOVING and by_rates > OFF_SCALE * by_orientation:
+    # An orientation that stands still was never estimated: many drivers leave it at identity.
+    if by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
         return (
             f"the rates turn {by_rates / max(by_orientation, 1e-9):.3g} times as far as the log's "
             "own orientation: if they are in deg/s, say --rate-unit deg/s"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from typing import Literal
 
@@ -68,6 +68,18 @@ def duration_text(ns: int) -> str:
         if abs(ns) >= NS_PER_UNIT[unit]:
             return f"{ns / NS_PER_UNIT[unit]:.6g} {unit}"
     return f"{ns} ns"
+
+
+def utc_text(ns: int) -> str:
+    """Return a time since 1970 as UTC, to the second.
+
+    Examples
+    --------
+    >>> utc_text(1_700_000_000_500_000_000)
+    '2023-11-14T22:13:20Z'
+    """
+    moment = datetime(1970, 1, 1) + timedelta(seconds=ns // NS_PER_UNIT["s"])  # noqa: DTZ001  # UTC
+    return moment.isoformat(timespec="seconds") + "Z"
 
 
 @dataclass(frozen=True, slots=True)

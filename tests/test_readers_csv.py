@@ -234,6 +234,19 @@ def test_gcsv_is_scaled():
     assert rate.tolist() == [[9.75, 21.5, -45.75], [1, 2, 3]]
 
 
+@pytest.mark.parametrize(
+    ("letters", "mount"),
+    [("XYZ", ""), ("YxZ", "y,-x,z"), ("zXy", "-z,x,-y"), ("XXZ", ""), ("north", "")],
+)
+def test_the_orientation_of_a_gcsv_is_a_mounting(tmp_path, letters, mount):
+    """Small letters are axes turned around; what is no orientation says nothing."""
+    path = tmp_path / "log.gcsv"
+    path.write_text(
+        f"GYROFLOW IMU LOG\norientation,{letters}\ntscale,0.001\ngscale,1\nt,gx,gy,gz\n0,1,2,3\n"
+    )
+    assert CsvLog(path).notes.mount == mount
+
+
 def test_a_gcsv_with_an_odd_time_scale_is_refused():
     """A tick that is no decimal unit would not be exact."""
     text = "GYROFLOW IMU LOG\ntscale,0.002\ngscale,1\nt,gx,gy,gz\n0,1,2,3\n"

@@ -53,8 +53,9 @@ def chosen(header, name="log.csv", notes=None, **options):
 def test_a_header_that_names_columns_and_units_needs_no_options(header):
     """Every convention is recognised with its columns, its units and its name."""
     dialect, rate, rate_unit, time, time_unit = KNOWN[header]
-    expected = TableColumns(rate, rate_unit, time, time_unit, dialect=dialect)
-    assert chosen(header) == expected
+    found = chosen(header)
+    expected = TableColumns(rate, rate_unit, time, time_unit, dialect=dialect, method=found.method)
+    assert found == expected
 
 
 def test_every_dialect_has_a_name():
@@ -80,6 +81,33 @@ def test_gcsv_times_and_rates_are_scaled_as_its_keys_say():
     found = chosen("t,gx,gy,gz", notes=notes)
     expected = TableColumns((1, 2, 3), "rad/s", (0,), "ms", dialect="gcsv", rate_scale=0.5)
     assert found == expected
+
+
+def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
+    """Its rates are taken as they are, and the mounting that turns them is named."""
+    notes = Notes(declared={0: "ms"}, title="GYROFLOW IMU LOG", mount="y,-x,z")
+    (said,) = chosen("t,gx,gy,gz", notes=notes).remarks
+    assert said == (
+        "the file says how its sensor sits, and rates are taken as they are; to turn them into the "
+        "camera's axes say --mount y,-x,z"
+    )
+
+
+def test_stamps_that_a_sample_rate_replaces_are_named():
+    """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
+    found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")
+    assert (found.time, found.sample_rate) == ((), 200.0)
+    assert found.remarks == (
+        "--sample-rate 200 counts the rows; the stamps in 'time' are not used",
+    )
+    assert chosen("wx,wy,wz", sample_rate=200.0, rate_unit="rad/s").remarks == ()
+
+
+def test_averages_of_px4_want_the_method_end():
+    """sensor_combined holds averages over the interval before each stamp."""
+    header = "timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt"
+    assert chosen(header).method == "end"
+    assert chosen("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z").method is None
 
 
 def test_gx_alone_is_not_a_gyroscope():

@@ -112,3 +112,10 @@ def test_an_orientation_that_does_not_move_tells_nothing():
     assert against_orientation([noise], [still]) is None
     assert against_orientation([GyroSeries(t_ns + 1, noise.rate)], [still]) is None
     assert against_orientation([], []) is None
+
+
+def test_an_orientation_that_was_never_filled_tells_nothing_of_a_body_that_turns():
+    """Drivers without an estimate leave the identity; the rates are not wrong for it."""
+    t_ns = np.arange(1000) * 10 * MS
+    still = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (1000, 1)))
+    assert against_orientation([GyroSeries(t_ns, np.full((1000, 3), 0.5))], [still]) is None

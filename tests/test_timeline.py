@@ -136,6 +136,18 @@ def test_held_rates_repeat_the_last_finite_one_across_batches():
     assert (counts.nonfinite.count, counts.dropped) == (2, 0)
 
 
+def test_there_must_be_a_rate_to_hold():
+    """Before the first finite rate there is none, and zero would be a guess."""
+    rate = np.ones((3, 3))
+    rate[0, 1] = np.nan
+    with pytest.raises(
+        TimelineError,
+        match=r"the rate of sample 0 \(t = 0 ns\) is not finite and there is none before it to "
+        r"hold; choose --on-nonfinite drop, or begin later with --start$",
+    ):
+        applied(Policy(on_nonfinite="hold"), gyro([0, 10, 20], rate))
+
+
 def test_gaps_are_intervals_over_ten_medians():
     """Ten medians are no gap; more is one, located by the sample after it."""
     _, _, counts = applied(Policy(), gyro([0, 10, 20, 30, 130, 231, 241, 251, 261]))

@@ -230,6 +230,10 @@ class TableColumns:
         The convention that was recognised, such as ``"EuRoC"``, or ``""`` where options said all.
     rate_scale
         What stored rates are multiplied by to be in `rate_unit`.
+    method
+        The method that fits what the sensor does, where the convention says it.
+    remarks
+        What the user should know of the choice.
     """
 
     rate: tuple[int, int, int]
@@ -239,6 +243,8 @@ class TableColumns:
     sample_rate: float | None = None
     dialect: str = ""
     rate_scale: float = 1.0
+    method: str | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def timed(self) -> TimedColumns:

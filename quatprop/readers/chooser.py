@@ -35,12 +35,16 @@ class Notes:
         What stored rates are multiplied by.
     title
         The first line, where lines come before the header.
+    mount
+        How the lines before the header say that the sensor sits, as signed axes such as
+        ``"y,-x,z"``; ``""`` where they say nothing, or that nothing is turned.
     """
 
     sample_rate: float | None = None
     declared: Mapping[int, str] = field(default_factory=dict)
     rate_scale: float = 1.0
     title: str = ""
+    mount: str = ""
 
 
 class TimeConvention(Protocol):

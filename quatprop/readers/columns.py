@@ -7,6 +7,7 @@ that settles it.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +26,7 @@ from quatprop.readers.dialects import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -102,7 +103,29 @@ class _Chooser(Chooser):
             sample_rate,
             dialect.name if conventional else "",
             self.notes.rate_scale,
+            dialect.method if conventional else None,
+            tuple(self._remarks(dialect)),
         )
+
+    def _remarks(self, dialect: Dialect) -> Iterator[str]:
+        if self.notes.mount:
+            yield (
+                "the file says how its sensor sits, and rates are taken as they are; "
+                f"to turn them into the camera's axes say --mount {self.notes.mount}"
+            )
+        if self.selection.sample_rate is None:
+            return
+        try:
+            stamps, _ = replace(self, selection=replace(self.selection, sample_rate=None)).time(
+                dialect
+            )
+        except UndeclaredError:
+            return
+        if stamps:
+            yield (
+                f"--sample-rate {self.selection.sample_rate:g} counts the rows; the stamps in "
+                f"{self.names(stamps)} are not used"
+            )
 
     # The convention.
 

@@ -61,6 +61,9 @@ class Dialect:
         Further columns, or the first line of the file, by which it is told from others.
     file
         Pattern found in the name of the file, where columns alone do not tell a gyroscope.
+    method
+        What the sensor does, where the convention says it: ``"end"`` for averages over the
+        interval before the stamp.
     """
 
     name: str
@@ -71,6 +74,7 @@ class Dialect:
     log_time: str = ""
     needs: tuple[str, ...] = ()
     file: str = ""
+    method: str | None = None
 
 
 _AXIS = r"(?P<axis>[xyz])"
@@ -86,7 +90,7 @@ TIME_NAMES = r"t|time|timestamp|time_?stamp|stamp"
 DIALECTS = (
     Dialect("quatprop", r"w" + _AXIS, (r"t",), "rad/s", "ns", needs=("t_ns",)),
     Dialect("EuRoC", r"w_[a-z]+_[a-z]+_" + _AXIS, (r"timestamp",), "rad/s", "ns"),
-    Dialect("PX4 ulog2csv", r"gyro_rad" + _INDEX, (r"timestamp",), "rad/s", "us"),
+    Dialect("PX4 ulog2csv", r"gyro_rad" + _INDEX, (r"timestamp",), "rad/s", "us", method="end"),
     Dialect(
         "PX4 ulog2csv",
         r"(?P<axis>roll|pitch|yaw)speed",

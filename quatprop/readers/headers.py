@@ -248,4 +248,12 @@ def _notes(before: list[str], names: list[str], path: Path) -> Notes:
             path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
         )
     declared = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
-    return Notes(declared=declared, rate_scale=scale, title=title)
+    mount = _gcsv_mount(keys.get("orientation", "XYZ").strip())
+    return Notes(declared=declared, rate_scale=scale, title=title, mount=mount)
+
+
+def _gcsv_mount(letters: str) -> str:
+    """Return an orientation of gcsv as signed axes: a small letter is an axis turned around."""
+    if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
+        return ""
+    return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)

@@ -173,8 +173,9 @@ def _of_table(log: TableLog, selection: Selection) -> Source:
         rate=rate,
         unit=columns.rate_unit,
         clock=time or counted,
-        remarks=(),
+        remarks=columns.remarks,
         batches=partial(log.series, columns),
+        method=columns.method,
     )
 
 
@@ -193,10 +194,27 @@ def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
         return found
     if selection.topic is not None:
         if wanted and selection.rate_field is not None:
-            raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
+            raise _no_such_field(log, wanted, selection.rate_field)
         named = [c.topic for c in channels_of(log) if rate_fields(c, log.path)]
         raise NoSuchTopicError(log.path, selection.topic, named)
+    if wanted and selection.rate_field is not None:
+        raise _no_such_field(log, wanted, selection.rate_field)
     raise NoRatesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
+
+
+def _no_such_field(log: MessageLog, channels: list[Channel], name: str) -> UsageError:
+    """Return the error for a field that no message has, with the rates that there are."""
+    known = [
+        f"{field.name} ({channel.topic})"
+        for channel in channels
+        for field in rate_fields(channel, log.path)
+    ]
+    there = (
+        f"the rates that are known are {listed(known)}"
+        if known
+        else (f"the topics are {listed(f'{c.topic} ({c.type_name})' for c in channels)}")
+    )
+    return UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
 
 
 def _fields(log: MessageLog, channel: Channel, selection: Selection) -> list[RateField]:
@@ -218,7 +236,7 @@ def _of_channel(
         rate=field.name,
         unit=unit,
         clock=clock.name,
-        remarks=_remarks(field),
+        remarks=(*_remarks(field), *_unit_remarks(channel, field, unit)),
         batches=partial(_samples, log, channel, field, UNITS[unit], clock),
         measured=field.measured,
         method=field.method,
@@ -233,6 +251,14 @@ def _remarks(field: RateField) -> tuple[str, ...]:
     if field.burst is not None:
         return ("many samples a message: each has its own time, counted back from the stamp",)
     return ()
+
+
+def _unit_remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
+    if field.unit is not None and unit != field.unit:
+        yield (
+            f"{channel.type_name} has its rates in {field.unit}, by definition; they are read as "
+            f"{unit}, as --rate-unit says"
+        )
 
 
 def _unit(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:

@@ -176,7 +176,14 @@ class Timeline:
         return batch
 
     def _hold(self, batch: GyroSeries, good: NDArray[np.bool_]) -> GyroSeries:
-        before = np.zeros(3) if self._held is None else self._held
+        if self._held is None and not good[0]:
+            raise TimelineError(
+                self.path,
+                f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not finite and "
+                "there is none before it to hold; choose --on-nonfinite drop, or begin later with "
+                "--start",
+            )
+        before = batch.rate[0] if self._held is None else self._held
         rows = np.concatenate([before[None], batch.rate])
         latest_good = np.maximum.accumulate(np.where(good, np.arange(1, len(rows)), 0))
         rate = rows[latest_good]

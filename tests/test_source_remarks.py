@@ -1,0 +1,90 @@
+"""What is said about a source of rates before anything is propagated."""
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.errors import UsageError
+from quatprop.job import Job, run
+from quatprop.readers import open_log
+from quatprop.selection import Selection
+from quatprop.signals.rates import choose
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+IMU = "sensor_msgs/msg/Imu"
+T0 = 1_700_000_000_000_000_000
+STEP_NS = 10_000_000
+
+
+def bag(path, stamps):
+    """Write Imu messages with these header stamps, ns, recorded every 10 ms from T0 on."""
+    types = STORE.types
+    vector, zeros = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    attitude = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    with Writer(path) as writer:
+        connection = writer.add_connection("/imu", IMU, typestore=STORE)
+        for number, stamp in enumerate(stamps):
+            time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+            rate = vector(0.1, 0.2, 0.3 + 0.01 * (number % 7))
+            message = types[IMU](
+                types["std_msgs/msg/Header"](0, time, "imu"),
+                *(attitude, zeros, rate, zeros, vector(0.0, 0.0, 9.8), zeros),
+            )
+            packed = STORE.serialize_ros1(message, IMU)
+            writer.write(connection, T0 + number * STEP_NS, bytes(packed))
+    return path
+
+
+def remarks(path, tmp_path, **options):
+    """Return the remarks of a propagation."""
+    job = Job(log=str(path), output=str(tmp_path / "out.csv"), selection=Selection(**options))
+    return run(job)["remarks"]
+
+
+def test_nothing_is_said_of_stamps_that_are_a_little_late(tmp_path):
+    """Transport takes its time, and that is no other clock."""
+    path = bag(tmp_path / "log.bag", [T0 - 50_000_000 + k * STEP_NS for k in range(50)])
+    assert remarks(path, tmp_path) == []
+
+
+def test_stamps_since_start_up_are_remarked_on(tmp_path):
+    """Stamps of another epoch are used, and said; the times of recording are a choice."""
+    path = bag(tmp_path / "log.bag", [60_000_000_000 + k * STEP_NS for k in range(50)])
+    (said,) = remarks(path, tmp_path)
+    assert said == (
+        "header stamps begin at 1970-01-01T00:01:00Z and the recording at 2023-11-14T22:13:20Z: "
+        "another clock; for the time of recording choose --clock log"
+    )
+    assert remarks(path, tmp_path, clock="log") == []
+
+
+def test_stamps_of_zero_are_counted(tmp_path):
+    """A driver that does not know the time yet writes zero."""
+    stamps = [0] * 3 + [T0 + k * STEP_NS for k in range(3, 50)]
+    said = remarks(bag(tmp_path / "log.bag", stamps), tmp_path)
+    zeros = "3 of the first 50 header stamps are zero; for the time of recording choose --clock log"
+    assert said[-1] == zeros
+
+
+def test_a_unit_against_the_definition_is_said(tmp_path):
+    """Imu is in rad/s by definition; who knows better is obeyed, and it is said."""
+    path = bag(tmp_path / "log.bag", [T0 + k * STEP_NS for k in range(50)])
+    assert remarks(path, tmp_path, rate_unit="rad/s") == []
+    (said,) = remarks(path, tmp_path, rate_unit="deg/s")
+    assert said == (
+        "sensor_msgs/msg/Imu has its rates in rad/s, by definition; they are read as deg/s, as "
+        "--rate-unit says"
+    )
+
+
+@pytest.mark.parametrize("topic", [None, "/imu"])
+def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
+    """A slip of the pen in --rate-field is answered with the rates of the log."""
+    path = bag(tmp_path / "log.bag", [T0])
+    with open_log(str(path)) as log, pytest.raises(UsageError) as caught:
+        choose(log, Selection(topic=topic, rate_field="angular_velocty"))
+    assert str(caught.value) == (
+        f"{path}: no message has a field 'angular_velocty'; the rates that are known are "
+        "'angular_velocity (/imu)'"
+    )
