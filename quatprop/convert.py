@@ -17,13 +17,13 @@ from quatprop import __version__
 from quatprop.conventions import HAMILTON, REPRESENTATIONS, Meaning, Signs
 from quatprop.errors import NoSamplesError, OutputError, UsageError, listed, quoted
 from quatprop.into import open_into, written_kind
-from quatprop.provenance import fingerprint
+from quatprop.provenance import Fingerprint
 from quatprop.readers import open_log
 from quatprop.report import ReportFile
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, attitude_stamps, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
-from quatprop.writers import WRITERS, kind_of, layout_of, open_table, open_writer
+from quatprop.writers import WRITERS, has_room, kind_of, layout_of, open_table, open_writer
 from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
@@ -126,13 +126,19 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
         source = choose_attitudes(log, job.selection)
         check = RotationCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(_sign(job))
-        with ReportFile(job.report) as report_file, _opened(job, log) as (writer, put):
+        # Where nothing keeps it, reading the source once more is not worth its time.
+        kept = job.report is not None or has_room(job.output, job.to, comment=job.comment)
+        with (
+            ReportFile(job.report) as report_file,
+            _opened(job, log) as (writer, put),
+            Fingerprint(job.log, wanted=kept) as fingerprint,
+        ):
             for series in check.apply(source.rows()):
                 put(series.t_ns, signs.applied(job.meaning.restated(series.wxyz)))
                 tick(check.counts.used)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            report = _report(job, log, source, check)
+            report = _report(job, log, source, check, fingerprint.result())
             writer.commit(report)
             report_file.commit(report)
     return report
@@ -206,14 +212,18 @@ def _columns(form: Representation, wxyz: NDArray[np.float64]) -> Iterator[NDArra
 
 
 def _report(
-    job: Conversion, log: Log, source: AttitudeSource, check: RotationCheck
+    job: Conversion,
+    log: Log,
+    source: AttitudeSource,
+    check: RotationCheck,
+    fingerprint: dict[str, Any],
 ) -> dict[str, Any]:
     """Return the provenance of the source, extended by what was done now."""
     before = source.provenance
     read = {
         "path": job.log,
         "kind": log.kind,
-        **fingerprint(job.log),
+        **fingerprint,
         "name": source.name,
         "type": source.type_name,
         "clock": source.clock,

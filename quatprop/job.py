@@ -17,6 +17,7 @@ from quatprop.conditioning import Conditioning, condition
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.into import open_into, written_kind
 from quatprop.propagate import unit_q0
+from quatprop.provenance import Fingerprint
 from quatprop.readers import open_log
 from quatprop.report import Done, ReportFile, report_on
 from quatprop.resample import Listed, Steady, every
@@ -27,7 +28,7 @@ from quatprop.signals.rates import UNITS, choose, stamps_of
 from quatprop.start import Recording, Start, starting
 from quatprop.stretches import Stretches
 from quatprop.timeline import Policy, Timeline
-from quatprop.writers import kind_of, layout_of, open_writer
+from quatprop.writers import has_room, kind_of, layout_of, open_writer
 from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
@@ -146,9 +147,12 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             rates=job.rates,
             times=_times(job),
         )
+        # Where nothing keeps it, reading the source once more is not worth its time.
+        kept = job.report is not None or has_room(job.output, job.to, comment=job.comment)
         with (
             ReportFile(job.report) as report_file,
             _opened(job, log) as writer,
+            Fingerprint(job.log, wanted=kept) as fingerprint,
         ):
             rows = 0
             attitudes = stretches.attitudes(watch.passing(batches))
@@ -171,6 +175,7 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
                 method_difference=stretches.method_difference,
                 rows=rows,
                 remarks=findings,
+                fingerprint=fingerprint.result(),
             )
             report = report_on(job, done)
             writer.commit(report)

@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import DamagedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from types import TracebackType
+    from typing import Self
+
+_BLOCK_BYTES = 1 << 20
 
 METADATA_KEY = b"quatprop"
 """Key of a file's metadata that holds the provenance, as JSON."""
@@ -102,23 +107,95 @@ def fingerprint(path: Path | str) -> dict[str, Any]:
     Parameters
     ----------
     path
-        A file; of a folder, its files in order of their names; ``"-"`` cannot be read again.
+        A file, or a folder; pipes and ``"-"`` cannot be read again.
 
     Returns
     -------
     dict
-        ``bytes`` and ``sha256``, None where there is nothing to read.
+        ``bytes`` and ``sha256``, None where there is nothing to read. Of a folder also ``files``,
+        the same of each file in it by name; its ``sha256`` is that of what ``sha256sum *`` prints
+        for them.
     """
-    place = Path(path)
-    files = sorted(place.iterdir()) if place.is_dir() else [place]
-    files = [file for file in files if file.is_file()]
-    if not files:
-        return {"bytes": None, "sha256": None}
-    digest = hashlib.sha256()
-    size = 0
-    for file in files:
-        with file.open("rb") as stream:
-            while data := stream.read(1 << 20):
-                digest.update(data)
-                size += len(data)
-    return {"bytes": size, "sha256": digest.hexdigest()}
+    with Fingerprint(path) as found:
+        return found.result()
+
+
+class Fingerprint:
+    """Takes the fingerprint of a source in a thread, while others read it.
+
+    Parameters
+    ----------
+    path
+        As for :func:`fingerprint`.
+    wanted
+        Whether it is wanted at all: reading everything once more is not for free. Otherwise
+        ``sha256`` is None.
+    """
+
+    def __init__(self, path: Path | str, *, wanted: bool = True) -> None:
+        self._place = Path(path)
+        self._wanted = wanted
+        self._stopped = threading.Event()
+        self._found: dict[str, Any] = {"bytes": None, "sha256": None}
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def result(self) -> dict[str, Any]:
+        """Wait for the fingerprint and return it; see :func:`fingerprint`.
+
+        Raises
+        ------
+        UnreadableLogError
+            The source cannot be read to its end.
+        """
+        self._thread.join()
+        if self._error is not None:
+            raise UnreadableLogError(
+                self._place, f"it cannot be read: {self._error.strerror}"
+            ) from self._error
+        return self._found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stopped.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            if self._place.is_dir():
+                files = sorted(file for file in self._place.iterdir() if file.is_file())
+                if files:
+                    self._found = _of_folder({file.name: self._of_file(file) for file in files})
+            elif self._place.is_file():
+                self._found = self._of_file(self._place)
+        except OSError as error:
+            self._error = error
+
+    def _of_file(self, file: Path) -> dict[str, Any]:
+        digest = hashlib.sha256()
+        size = 0
+        block = memoryview(bytearray(_BLOCK_BYTES))
+        with file.open("rb", buffering=0) as stream:
+            if not self._wanted:
+                return {"bytes": stream.seek(0, 2), "sha256": None}
+            while not self._stopped.is_set() and (count := stream.readinto(block)):
+                digest.update(block[:count])
+                size += count
+        return {"bytes": size, "sha256": digest.hexdigest()}
+
+
+def _of_folder(files: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    size = sum(facts["bytes"] for facts in files.values())
+    if any(facts["sha256"] is None for facts in files.values()):
+        return {"bytes": size, "sha256": None}
+    lines = "".join(f"{facts['sha256']}  {name}\n" for name, facts in files.items())
+    digest = hashlib.sha256(lines.encode(errors="surrogateescape"))
+    return {"bytes": size, "sha256": digest.hexdigest(), "files": files}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop import __version__
@@ -53,6 +52,8 @@ class Done(NamedTuple):
         Attitudes written.
     remarks
         What looks wrong.
+    fingerprint
+        Bytes and SHA-256 of the log; see :func:`quatprop.provenance.fingerprint`.
     """
 
     log: Log
@@ -64,6 +65,7 @@ class Done(NamedTuple):
     method_difference: float
     rows: int
     remarks: list[str]
+    fingerprint: dict[str, Any]
 
 
 class ReportFile:
@@ -113,7 +115,7 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
         "source": {
             "path": job.log,
             "kind": log.kind,
-            "bytes": _size(job.log),
+            **done.fingerprint,
             "name": source.name,
             "type": source.type_name,
             "rate": source.rate,
@@ -157,11 +159,3 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
             "turned_rad": counts.turned,
         },
     }
-
-
-def _size(log: str) -> int | None:
-    """Return the bytes of a log; of all its files where it is a folder."""
-    path = Path(log)
-    if path.is_dir():
-        return sum(part.stat().st_size for part in path.iterdir() if part.is_file())
-    return path.stat().st_size if path.is_file() else None

@@ -248,6 +248,22 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     )
 
 
+def has_room(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
+    """Return whether the provenance is kept in a file, in a comment or in a place of its own.
+
+    Parameters
+    ----------
+    target, kind, comment
+        As for :func:`open_writer`.
+
+    Examples
+    --------
+    >>> has_room("attitude.csv"), has_room("attitude.parquet")
+    (False, True)
+    """
+    return comment or WRITERS[kind_of(target, kind)].room
+
+
 def _opener(target: Path | str, kind: str, *, comment: bool) -> tuple[Any, dict[str, Any]]:
     """Return what opens a format and the options it is called with."""
     chosen = WRITERS[kind]
