@@ -60,6 +60,7 @@ ENDS = (
     "convert",
     "compare",
     "check",
+    "plot",
     "simulate",
     "survey",
     "report",
@@ -91,6 +92,8 @@ FORBIDDEN = {
         "report",
     ),
     "check": (*CORE, "readers", "messages", "timeline", "cli", "convert", "simulate", "survey"),
+    "plot": ("cli", "job", "convert", "check", "batch", "simulate", "survey", "report"),
+    "plot/reduction.py": ("readers", "signals", "compare", "writers"),
     "into": (*CORE, "signals", "timeline", "cli", "job", "convert", "compare", "survey"),
     "writers": (*UPSTREAM, *CORE, "into", "timeline", "cli", "job", "convert", "compare", "survey"),
 }

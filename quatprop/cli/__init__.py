@@ -18,6 +18,7 @@ COMMANDS = {
     "propagate": "Turn the body rates of one log into its attitude series.",
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
+    "plot": "Draw rates, attitudes, or the error against a reference.",
     "check": "Hold recorded logs against references, as a regression test.",
     "simulate": "Write a log whose true attitude is known.",
 }

@@ -1,0 +1,342 @@
+"""A picture onto paper, with matplotlib: PNG, SVG, PDF.
+
+Only figures are used, no pyplot: nothing is kept between pictures. The same picture gives the same
+bytes: no dates, no names that are made up anew.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.errors import UsageError
+from quatprop.plot.lines import TURN, lone_points
+from quatprop.plot.palette import ALARM, GRID, INK, PAPER, SHADE, colour_of, stroke_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from quatprop.plot.picture import Picture, Row
+
+WIDTH = 7.5
+"""Inches: a page between its margins."""
+
+HEAD, ROW, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
+"""Inches: title and facts; one of several rows; an only row; the time axis."""
+
+LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
+"""Inches: a line of notes, of facts, and of the legend."""
+
+MARGIN = 0.012
+"""Share of the width left of words."""
+
+DOTS = 200
+"""Dots an inch of a PNG."""
+
+FONT = 8.5
+"""Points."""
+
+LONGEST_TITLE = 88
+"""Characters that fit the width in the title's size; facts, which are smaller, may have more."""
+
+LONGEST_FACT = 125
+
+THIN, THICKER = 0.8, 0.6
+"""Points: a line, and what each line below another has more."""
+
+FLAT = 1e-9
+"""Share of its size below which a series counts as constant: its rounding is not drawn large."""
+
+SMALLEST, LARGEST = 1e-2, 1e5
+"""Values between are written out on an axis, others with an exponent each."""
+
+WIDE_ANGLE = 150.0
+"""deg: angles that reach further have the full circle as their axis."""
+
+LEVEL_SHARE = 100.0
+"""An error this many times above or below its tolerance has a logarithmic axis."""
+
+SETTINGS: dict[Any, Any] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": FONT,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.unicode_minus": True,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    # A name may hold what would be mathematics.
+    "text.parse_math": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.1,
+    "figure.constrained_layout.h_pad": 0.03,
+    "svg.hashsalt": "quatprop",
+    "pdf.fonttype": 42,
+}
+
+_GROUND: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
+"""Under words that lie over lines."""
+
+METADATA: dict[str, dict[str, Any]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+    "pdf": {"CreationDate": None, "ModDate": None, "Creator": "quatprop", "Producer": None},
+}
+"""What is said inside a file about itself: nothing that changes from run to run."""
+
+
+def require_matplotlib() -> None:
+    """Make sure that pictures can be drawn.
+
+    Raises
+    ------
+    UsageError
+        matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl  # noqa: F401  # asked for, before anything is read
+    except ImportError as error:
+        raise UsageError(
+            "pictures need matplotlib, which is not installed; pip install 'quatprop[plot]'"
+        ) from error
+
+
+def drawn(picture: Picture, kind: str) -> bytes:
+    """Return a picture as a file.
+
+    Parameters
+    ----------
+    picture
+        What to draw.
+    kind
+        ``"png"``, ``"svg"`` or ``"pdf"``.
+    """
+    return _saved(picture, kind, SETTINGS)
+
+
+def inline_svg(picture: Picture) -> str:
+    """Return a picture as an SVG element for a page: its text stays text, its ground is clear."""
+    content = _saved(picture, "svg", {**SETTINGS, "svg.fonttype": "none"}, transparent=True)
+    text = content.decode()
+    text = text[text.index("<svg") :]
+    return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+
+
+def _saved(picture: Picture, kind: str, settings: dict[Any, Any], **options: Any) -> bytes:
+    import matplotlib as mpl
+
+    stream = BytesIO()
+    with mpl.rc_context(settings), warnings.catch_warnings():
+        # Letters that the font does not have are drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure(picture).savefig(stream, format=kind, dpi=DOTS, metadata=METADATA[kind], **options)
+    return stream.getvalue()
+
+
+def figure(picture: Picture) -> Figure:
+    """Return the figure of a picture; its looks are those of matplotlib's settings."""
+    from matplotlib.figure import Figure
+
+    rows = picture.rows
+    body = SINGLE if len(rows) == 1 else ROW * len(rows)
+    head = HEAD + FILE_LINE * -(-len(picture.legend) // 2)
+    foot = FOOT + LINE * len(picture.notes)
+    height = head + body + foot
+    result = Figure(figsize=(WIDTH, height))
+    grid = result.add_gridspec(
+        len(rows), 1, left=0.122, right=0.985, top=1 - head / height, bottom=foot / height,
+        hspace=0.12,
+    )  # fmt: skip
+    shared: Axes | None = None
+    for number, row in enumerate(rows):
+        axes = result.add_subplot(grid[number], sharex=shared)
+        shared = shared or axes
+        _draw_row(axes, row, picture)
+        axes.tick_params(labelbottom=number == len(rows) - 1)
+        axes.yaxis.set_label_coords(-0.083, 0.5)
+    result.axes[-1].set_xlabel(picture.time)
+    _set_time(result.axes[0], picture)
+    _write_words(result, picture, height)
+    if picture.legend:
+        _write_legend(result, picture, 1 - head / height)
+    return result
+
+
+def _draw_row(axes: Axes, row: Row, picture: Picture) -> None:
+    quantity = row.quantity
+    for file, spans in enumerate(picture.gaps):
+        if len(spans):
+            several = len(picture.gaps) > 1
+            axes.broken_barh(
+                [(start, stop - start) for start, stop in spans.tolist()],
+                (0, 1),
+                transform=axes.get_xaxis_transform(),
+                color=colour_of(file) if several else SHADE,
+                alpha=0.25 if several else 0.6,
+                linewidth=0.4,
+                zorder=0.5,
+            )
+    for number, curve in enumerate(row.curves):
+        colour, points = colour_of(curve.colour), lone_points(curve.drawn)
+        axes.plot(
+            *curve.drawn,
+            color=colour,
+            linestyle=stroke_of(curve.colour),
+            # Of lines that coincide, those below show on both sides.
+            linewidth=THIN + THICKER * (len(row.curves) - 1 - number),
+        )
+        if len(points.seconds):
+            axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
+    axes.grid(visible=True)
+    axes.set_axisbelow(True)
+    unit = f"\n{quantity.unit}" if quantity.unit else ""
+    axes.set_ylabel(quantity.name.replace(" error ", " error\n") + unit)
+    _set_values(axes, row)
+    if row.level is not None:
+        axes.axhline(row.level[0], color=ALARM, linestyle="dashed", linewidth=1.0)
+        axes.annotate(
+            row.level[1],
+            (0.995, row.level[0]),
+            xycoords=axes.get_yaxis_transform(),
+            xytext=(0, 2),
+            textcoords="offset points",
+            horizontalalignment="right",
+            color=ALARM,
+            bbox=_GROUND,
+        )
+    for mark in row.marks:
+        _draw_mark(axes, mark.seconds, mark.value, mark.words, first=mark.sign == "first")
+
+
+def _draw_mark(axes: Axes, seconds: float, value: float, words: str, *, first: bool) -> None:
+    """Point at a place; the words go to the side where there is room."""
+    axes.plot(
+        [seconds],
+        [value],
+        linestyle="none",
+        marker="o" if first else "v",
+        markersize=6,
+        markerfacecolor="none" if first else ALARM,
+        markeredgecolor=ALARM,
+        markeredgewidth=1.2,
+        zorder=4,
+        clip_on=False,
+    )
+    low, high = axes.dataLim.intervalx
+    right = seconds > (low + high) / 2
+    axes.annotate(
+        words,
+        (seconds, value),
+        xytext=(-7 if right else 7, 5),
+        textcoords="offset points",
+        horizontalalignment="right" if right else "left",
+        bbox=_GROUND,
+        zorder=5,
+    )
+
+
+def _set_values(axes: Axes, row: Row) -> None:
+    """Choose the range, the scale and the ticks of a row."""
+    values = np.concatenate([curve.drawn.values for curve in row.curves])
+    values = values[np.isfinite(values)]
+    axes.margins(y=0.08)
+    axes.ticklabel_format(axis="y", useOffset=False, style="plain")
+    if not len(values):
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
+        return
+    low, high = float(values.min()), float(values.max())
+    if not SMALLEST <= max(-low, high) < LARGEST:
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    if row.level is not None or row.marks:
+        _set_error_scale(axes, row, high)
+    elif row.quantity.turns and max(-low, high) > WIDE_ANGLE:
+        axes.set_ylim(-TURN / 2 - 10, TURN / 2 + 10)
+        axes.set_yticks(np.linspace(-TURN / 2, TURN / 2, 5))
+    else:
+        size = max(-low, high)
+        if high - low <= max(FLAT * size, row.quantity.least):
+            middle, half = (low + high) / 2, 0.05 * size
+            if half <= row.quantity.least:
+                half = row.quantity.scale
+            axes.set_ylim(middle - half, middle + half)
+
+
+def _set_error_scale(axes: Axes, row: Row, high: float) -> None:
+    """Show an error from zero; where it is far from its tolerance, on a logarithmic axis."""
+    level = row.level[0] if row.level else high
+    top = max(high, level)
+    if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
+        axes.set_yscale("log", nonpositive="mask")
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
+    else:
+        axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)
+
+
+def _set_time(axes: Axes, picture: Picture) -> None:
+    seconds = [curve.drawn.seconds for row in picture.rows for curve in row.curves]
+    there = np.concatenate(seconds)
+    there = there[np.isfinite(there)]
+    low, high = (float(there.min()), float(there.max())) if len(there) else (0.0, 0.0)
+    margin = 0.01 * (high - low) if high > low else 0.5
+    axes.set_xlim(low - margin, high + margin)
+    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+
+
+def _write_words(result: Figure, picture: Picture, height: float) -> None:
+    """Write title and facts at the top, notes at the bottom."""
+    title = shortened(picture.title, LONGEST_TITLE)
+    result.text(MARGIN, 1 - 0.1 / height, title, fontsize=FONT + 1.5, weight="bold", va="top")
+    small = FONT - 1
+    for number, fact in enumerate(picture.facts):
+        place = 1 - (0.32 + FACT_LINE * number) / height
+        result.text(MARGIN, place, shortened(fact, LONGEST_FACT), fontsize=small, va="top")
+    for number, note in enumerate(reversed(picture.notes)):
+        place = (0.07 + LINE * number) / height
+        result.text(MARGIN, place, shortened(note, LONGEST_FACT), fontsize=small)
+
+
+def _write_legend(result: Figure, picture: Picture, top: float) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8)
+        for file in range(len(picture.legend))
+    ]
+    legend = result.legend(
+        handles,
+        [f"{number}" for number in range(len(handles))],
+        loc="lower left",
+        bbox_to_anchor=(0.006, top),
+        ncols=2,
+        frameon=False,
+        borderaxespad=0.2,
+        borderpad=0.1,
+        labelspacing=0.2,
+    )
+    # Set afterwards, since names that begin with "_" would be left out.
+    for text, name in zip(legend.get_texts(), picture.legend, strict=True):
+        text.set_text(shortened(name, LONGEST_FACT // 2))
+
+
+def shortened(text: str, longest: int) -> str:
+    """Return a text with its middle left out where it is too long.
+
+    Examples
+    --------
+    >>> shortened("a very long name", 9)
+    'a ve…name'
+    """
+    if len(text) <= longest:
+        return text
+    half = (longest - 1) // 2
+    return f"{text[: longest - 1 - half]}\N{HORIZONTAL ELLIPSIS}{text[-half:]}"

@@ -1,0 +1,312 @@
+"""Files to what is drawn of them: read once from beginning to end, in flat memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.conditioning import Conditioning, condition
+from quatprop.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSamplesError,
+    NoSuchTopicError,
+    UndeclaredError,
+    UsageError,
+    plain,
+)
+from quatprop.plot.picture import Part, instant_text
+from quatprop.plot.sketch import AttitudeSketch, RateSketch
+from quatprop.readers import open_log
+from quatprop.sanity import Watch
+from quatprop.selection import Selection
+from quatprop.series import GyroSeries
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.rates import UNITS, choose
+from quatprop.timeline import OBSERVE, Timeline
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.readers.base import Loss, MessageLog, TableLog
+    from quatprop.signals.attitudes import AttitudeSource
+    from quatprop.signals.rates import Source
+    from quatprop.timeline.counts import Counts
+    from quatprop.times import Instant
+
+    Tick = Callable[[int], None]
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+SHOWS = ("rates", "attitude")
+"""What can be drawn of a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What to look at in files.
+
+    Parameters
+    ----------
+    kind
+        A key of :data:`quatprop.readers.READERS`; None: told by content and suffix.
+    show
+        One of :data:`SHOWS`; None: the rates of a file that has some, else its attitudes.
+    rates, attitudes
+        Which samples.
+    components
+        Draw quaternions as they are instead of as angles.
+    start, end
+        The part to draw, ends included.
+    """
+
+    kind: str | None = None
+    show: str | None = None
+    rates: Selection = field(default_factory=Selection)
+    attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
+    components: bool = False
+    start: Instant | None = None
+    end: Instant | None = None
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether a file has to be read once before it can be read for good."""
+        return Conditioning(start=self.start, end=self.end).looks_ahead
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """One file, read.
+
+    Parameters
+    ----------
+    path
+        The file.
+    part
+        What is drawn of it.
+    name
+        File, topic and type.
+    meaning
+        What the numbers are: unit and clock, or convention and method.
+    facts
+        Name and text of what is in its table.
+    remarks
+        What looks wrong.
+    losses
+        What could not be read.
+    """
+
+    path: str
+    part: Part
+    name: str
+    meaning: str
+    facts: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...]
+    losses: tuple[Loss, ...]
+
+
+def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
+    """Read a file for a picture.
+
+    Parameters
+    ----------
+    path
+        A log or a table, or ``"-"`` for CSV on stdin.
+    view
+        What to look at.
+    tick
+        Called with the number of samples read so far.
+
+    Raises
+    ------
+    LogError
+        The file cannot be used as asked, or holds neither rates nor attitudes.
+    UsageError
+        It can be read only once, and would have to be twice.
+    """
+    if path == "-" and view.looks_ahead:
+        raise UsageError("stdin can be read only once; relative --start and --end need a file")
+    with open_log(path, view.kind) as log:
+        source = _chosen(log, view)
+        if isinstance(source, tuple):
+            return _see_attitudes(path, log, source[0], view, tick)
+        return _see_rates(path, log, source, view, tick)
+
+
+def _chosen(log: MessageLog | TableLog, view: View) -> Source | tuple[AttitudeSource]:
+    """Return the rates, or in a tuple the attitudes, that are to be drawn."""
+    if view.show == "attitude":
+        return (choose_attitudes(log, view.attitudes),)
+    try:
+        return choose(log, view.rates)
+    except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
+        if view.show == "rates":
+            raise
+        try:
+            return (choose_attitudes(log, view.attitudes),)
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
+            raise _neither(log, error, other) from error
+
+
+def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -> LogError:
+    """Return the error that says most of a file with neither rates nor attitudes."""
+    if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
+        held = rates.reason.removeprefix("no body rates found; ")
+        for option, other in (("--rate-field", "--quat-field"), ("--rate-cols", "--quat-cols")):
+            held = held.replace(f" {option}", f" {option} or {other}")
+        return LogError(log.path, f"neither body rates nor attitudes found; {held}")
+    return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
+
+
+def _see_rates(
+    path: str, log: MessageLog | TableLog, source: Source, view: View, tick: Tick
+) -> Seen:
+    part = Conditioning(start=view.start, end=view.end)
+    batches, _ = condition(source.batches, part, UNITS[source.unit])
+    sketch, watch = RateSketch(source.unit, UNITS[source.unit]), Watch()
+    counts = _counted(sketch.passing(watch.passing(batches)), path, tick)
+    if not counts.used:
+        raise NoSamplesError(path, source.name)
+    highest = f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"
+    return Seen(
+        path=path,
+        part=Part(_file(path), ((sketch.rows, sketch.reduced()),), counts.gap_limit_ns),
+        name=_named(path, source),
+        meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
+        facts=(
+            *_where_from(path, log, source),
+            ("rate", f"{source.rate} in {source.unit}"),
+            *_counts(counts),
+            ("largest rate", highest),
+        ),
+        remarks=(*source.remarks, *_events(counts), *watch.remarks(counts.median_dt_ns)),
+        losses=tuple(log.losses),
+    )
+
+
+def _see_attitudes(
+    path: str, log: MessageLog | TableLog, source: AttitudeSource, view: View, tick: Tick
+) -> Seen:
+    sketch = AttitudeSketch(components=view.components)
+    counts = _counted(_stamps(_within(source, view), sketch), path, tick)
+    if not counts.used:
+        raise NoSamplesError(path, source.name)
+    remarks = [*source.remarks, *_events(counts)]
+    if sketch.absent:
+        remarks.append(
+            f"{sketch.absent} rows are no attitude (zero, absent or not finite): not drawn"
+        )
+    made = source.provenance.get("convention")
+    method = made.get("method") if isinstance(made, dict) else None
+    how = f", propagated with method {method}" if method else ""
+    stored = f"{source.meaning.convention} {source.meaning.direction}"
+    return Seen(
+        path=path,
+        part=Part(_file(path), ((sketch.rows, sketch.reduced()),), counts.gap_limit_ns),
+        name=_named(path, source),
+        meaning=f"{attitude_words(components=view.components)}{how}, {source.clock} clock",
+        facts=(
+            *_where_from(path, log, source),
+            ("attitude", f"{source.quaternion}, stored {source.layout}, {stored}"),
+            *((("method", str(method)),) if method else ()),
+            *_counts(counts),
+            ("off unit length", f"at most {sketch.worst:.3g}"),
+        ),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
+
+
+def attitude_words(*, components: bool) -> str:
+    """Return the convention of what is drawn."""
+    form = "components, sign continuous" if components else "zyx angles"
+    return f"Hamilton q, body to reference, as {form}"
+
+
+def _counted(batches: Iterable[GyroSeries], path: str, tick: Tick) -> Counts:
+    """Let samples pass and return what was seen of their stamps."""
+    timeline = Timeline(OBSERVE, path)
+    for _ in timeline.apply(batches):
+        tick(timeline.counts.used)
+    return timeline.counts
+
+
+def _stamps(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> Iterator[GyroSeries]:
+    """Sketch attitudes, and yield their stamps as those of rates of zero."""
+    for t_ns, wxyz in rows:
+        sketch.add_rows(t_ns, wxyz)
+        yield GyroSeries(t_ns, np.broadcast_to(0.0, (len(t_ns), 3)))
+
+
+def _within(source: AttitudeSource, view: View) -> Iterator[tuple[Int64, Float64]]:
+    """Yield the rows of the part that is to be drawn."""
+    first_ns = last_ns = 0
+    if view.looks_ahead:
+        stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
+        if stamps:
+            first_ns, last_ns = stamps[0][0], stamps[-1][1]
+    origin = {"clock": 0, "first": first_ns, "last": last_ns}
+    bounds = np.iinfo(np.int64)
+    low = bounds.min if view.start is None else view.start.ns + origin[view.start.origin]
+    high = bounds.max if view.end is None else view.end.ns + origin[view.end.origin]
+    for t_ns, wxyz in source.rows():
+        inside = (t_ns >= low) & (t_ns <= high)
+        yield t_ns[inside], wxyz[inside]
+
+
+def _file(path: str) -> str:
+    return "stdin" if path == "-" else plain(Path(path).name)
+
+
+def _named(path: str, source: Source | AttitudeSource) -> str:
+    said = " ".join(plain(text) for text in (source.name, source.type_name) if text)
+    return f"{_file(path)}: {said}"
+
+
+def _where_from(
+    path: str, log: MessageLog | TableLog, source: Source | AttitudeSource
+) -> Iterator[tuple[str, str]]:
+    yield "file", f"{path} ({log.kind})"
+    yield "source", " ".join(text for text in (source.name, source.type_name) if text)
+    yield "clock", source.clock
+
+
+def _counts(counts: Counts) -> Iterator[tuple[str, str]]:
+    yield "samples", samples_text(counts)
+    for word, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
+        yield word, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
+    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
+        said = f"median {duration_text(counts.median_dt_ns)}"
+        yield "interval", f"{said}, longest {duration_text(counts.max_dt_ns)}"
+
+
+def samples_text(counts: Counts) -> str:
+    """Return how many samples there were, over which time and how often."""
+    said = f"{counts.used:,} sample{'s' if counts.used > 1 else ''}"
+    if counts.span_ns <= 0:
+        return said
+    often = (counts.used - 1) / (counts.span_ns * 1e-9)
+    return f"{said} over {duration_text(counts.span_ns)}, {often:.6g} Hz"
+
+
+def _events(counts: Counts) -> Iterator[str]:
+    """Return what is to be said about the stamps, in the words of somebody who only looks."""
+    limit = duration_text(counts.gap_limit_ns or 0)
+    longest = duration_text(counts.max_dt_ns or 0)
+    for event, one, many, what in (
+        (counts.gaps, "gap", "gaps", f"longer than {limit}, the longest {longest}: shaded"),
+        (counts.duplicates, "repeated stamp", "repeated stamps", ""),
+        (counts.backwards, "stamp that steps back", "stamps that step back", ""),
+        (counts.nonfinite, "rate that is not finite", "rates that are not finite", "not drawn"),
+    ):
+        if event.count:
+            words = f"{event.count:,} {many if event.count > 1 else one}"
+            after = f" {what}" if event is counts.gaps else f" ({what})" if what else ""
+            yield f"{words}{after}, first at {event.first_ns} ns"

@@ -1,0 +1,175 @@
+"""From what is left of a series to the lines that are drawn: seconds, values, and where they break.
+
+A line breaks (a NaN stands in it) at gaps of time and where an angle goes once around: it leaves
+at one edge of the picture and comes back at the other, without a bar between.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.plot.reduction import Reduced
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+TURN = 360.0
+"""deg."""
+
+
+class Line(NamedTuple):
+    """A line to draw.
+
+    Parameters
+    ----------
+    seconds, values
+        Its points, shape ``(P,)``; NaN in both where it breaks.
+    """
+
+    seconds: Float64
+    values: Float64
+
+
+class Continuous:
+    """Angles without leaps from one end of their range to the other.
+
+    Whole turns are added so that every angle is within half a turn of the one before it. The turns
+    are counted in integers: nothing is rounded up along the way.
+
+    Parameters
+    ----------
+    traces
+        How many angles each sample has.
+    """
+
+    def __init__(self, traces: int) -> None:
+        self._turns = np.zeros((traces, 1), dtype=np.int64)
+        self._last = np.full((traces, 1), np.nan)
+
+    def applied(self, degrees: Float64) -> Float64:
+        """Return the next angles, shape ``(traces, N)``, deg; NaN are passed over."""
+        if not degrees.shape[1]:
+            return degrees
+        known = _held(np.concatenate([self._last, degrees], axis=1))
+        steps = np.nan_to_num(np.diff(known, axis=1))
+        turns = self._turns - np.cumsum(np.rint(steps / TURN).astype(np.int64), axis=1)
+        self._turns, self._last = turns[:, -1:].copy(), known[:, -1:].copy()
+        continued: Float64 = degrees + TURN * turns
+        return continued
+
+
+def _held(values: Float64) -> Float64:
+    """Return values ``(traces, N)`` where each NaN is the value before it, if there is one."""
+    missing = np.isnan(values)
+    if not missing.any():
+        return values
+    latest = np.maximum.accumulate(np.where(missing, 0, np.arange(values.shape[1])), axis=1)
+    return np.take_along_axis(values, latest, axis=1)
+
+
+def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
+    """Return the gaps between bins as first and last stamps, shape ``(G, 2)``, int64 ns.
+
+    Gaps inside a bin are narrower than a dot.
+
+    Parameters
+    ----------
+    reduced
+        The series.
+    limit_ns
+        The longest interval that is no gap, ns; None: there are no gaps.
+    """
+    if limit_ns is None:
+        return np.empty((0, 2), np.int64)
+    before, after = reduced.last_ns[:-1], reduced.first_ns[1:]
+    long = after - before > limit_ns
+    return np.stack([before[long], after[long]], axis=1)
+
+
+def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = None) -> Line:
+    """Return one trace as a line.
+
+    Parameters
+    ----------
+    reduced
+        The series.
+    trace
+        Which of its traces.
+    start_ns
+        The stamp at which the seconds begin, ns.
+    limit_ns
+        The longest interval that is no gap, ns.
+    """
+    # Differences are formed before they are floats: stamps are too large for those.
+    begin, end = (reduced.first_ns - start_ns) * 1e-9, (reduced.last_ns - start_ns) * 1e-9
+    middle, nothing = (begin + end) / 2, np.full(len(reduced), np.nan)
+    first, last = reduced.first[trace], reduced.last[trace]
+    low, high = reduced.low[trace], reduced.high[trace]
+    broken = np.zeros(len(reduced), dtype=np.bool_)
+    if limit_ns is not None:
+        broken[:-1] = reduced.first_ns[1:] - reduced.last_ns[:-1] > limit_ns
+    # Extremes that are the first or the last value would make a stair of a slope.
+    wanted = [
+        np.ones(len(reduced), dtype=np.bool_),
+        ~(low >= np.fmin(first, last)) & ~np.isnan(low),
+        ~(high <= np.fmax(first, last)) & ~np.isnan(high),
+        ~((begin == end) & (first == last)),
+        broken,
+    ]
+    chosen = np.stack(wanted, axis=1)
+    return Line(
+        np.stack([begin, middle, middle, end, nothing], axis=1)[chosen],
+        np.stack([first, low, high, last, nothing], axis=1)[chosen],
+    )
+
+
+def folded(continuous: Line) -> Line:
+    """Return a line of angles, deg, within half a turn of zero, cut where it leaves that range.
+
+    Parameters
+    ----------
+    continuous
+        A line of angles of any size, without leaps.
+
+    Examples
+    --------
+    >>> line = Line(np.array([0.0, 2.0]), np.array([170.0, 190.0]))
+    >>> folded(line).values.tolist()
+    [170.0, 180.0, nan, -180.0, -170.0]
+    """
+    seconds, values = continuous
+    turns = np.floor((values + TURN / 2) / TURN)
+    inside = values - TURN * turns
+    crossed = np.nan_to_num(np.diff(turns))
+    (before,) = np.nonzero(crossed)
+    if not len(before):
+        return Line(seconds, inside)
+    up = np.sign(crossed[before])
+    here, there = before, before + 1
+    leaving = TURN * turns[here] + up * TURN / 2
+    coming = TURN * turns[there] - up * TURN / 2
+    slope = (seconds[there] - seconds[here]) / (values[there] - values[here])
+    left = seconds[here] + (leaving - values[here]) * slope
+    back = seconds[here] + (coming - values[here]) * slope
+    edge, nothing = up * TURN / 2, np.full(len(before), np.nan)
+    # More than one turn on the way has been everywhere.
+    whole = np.abs(crossed[before]) > 1
+    always = np.ones(len(before), dtype=np.bool_)
+    wanted = np.stack([always, always, whole, whole, whole, always], axis=1)
+    cut_seconds = np.stack([left, nothing, left, back, nothing, back], axis=1)[wanted]
+    cut_values = np.stack([edge, nothing, -edge, edge, nothing, -edge], axis=1)[wanted]
+    places = np.repeat(there, wanted.sum(axis=1))
+    return Line(np.insert(seconds, places, cut_seconds), np.insert(inside, places, cut_values))
+
+
+def lone_points(drawn: Line) -> Line:
+    """Return the points of a line that have no neighbour: a line shows nothing of them."""
+    there = np.isfinite(drawn.values)
+    padded = np.concatenate([[False], there, [False]])
+    lone = there & ~padded[:-2] & ~padded[2:]
+    return Line(drawn.seconds[lone], drawn.values[lone])

@@ -1,0 +1,69 @@
+"""Colours that people with any colour vision tell apart.
+
+References
+----------
+Okabe and Ito, "Color Universal Design: how to make figures and presentations that are friendly to
+colorblind people", 2008.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY_BLUE = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+
+AXES = {"x": VERMILION, "y": GREEN, "z": BLUE, "w": PURPLE, "": BLACK}
+"""Colours of axes; black where there is no axis."""
+
+FILES = (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION, BLACK)
+"""Colours of files laid over one another, in their order."""
+
+Stroke = Literal["solid", "dashed", "dotted", "dashdot"]
+
+STROKES: tuple[Stroke, ...] = ("solid", "dashed", "dotted", "dashdot")
+"""How lines are drawn when the colours have been used up, in their order."""
+
+INK = "#222222"
+"""Text and axes."""
+
+GRID = "#DDDDDD"
+
+PAPER = "#FEFEFE"
+"""Under words; not white itself, so that it can be told from it."""
+
+SHADE = "#BBBBBB"
+"""Gaps."""
+
+ALARM = VERMILION
+"""Tolerances and what is above them."""
+
+DARK = {
+    BLACK: "#F0F0F0",
+    BLUE: "#4AA8E0",
+    GREEN: "#2FC79B",
+    SKY_BLUE: "#8ECBF2",
+    VERMILION: "#FF8A3D",
+    INK: "#E6E6E6",
+    GRID: "#3A3A3A",
+    SHADE: "#5A5A5A",
+    PAPER: "#16181B",
+}
+"""What is too dark for a dark page, and what stands for it there."""
+
+
+def colour_of(key: str | int) -> str:
+    """Return the colour of an axis or of the file with a number."""
+    return AXES[key] if isinstance(key, str) else FILES[key % len(FILES)]
+
+
+def stroke_of(key: str | int) -> Stroke:
+    """Return how the line of an axis or of the file with a number is drawn."""
+    if isinstance(key, str):
+        return STROKES[0]
+    return STROKES[key // len(FILES) % len(STROKES)]

@@ -1,0 +1,194 @@
+"""A series of any length to as many points as a picture can show, in flat memory.
+
+Time is cut into bins whose widths are powers of two of a nanosecond. How long the series will be
+is not known beforehand, so the bins begin narrow, and neighbours are joined whenever there are too
+many. Of every bin stay the first, lowest, highest and last value of each trace: drawn at the
+resolution of the bins this is the same line as that of all samples, so a spike of one sample
+stands out as it should.
+
+Bins sit at fixed times, not where the first sample or a batch happened to be, so the result does
+not depend on how the samples arrived.
+
+References
+----------
+Jugel, Jerzak, Hackenbroich and Markl, "M4: a visualization-oriented time series data
+aggregation", Proc. VLDB Endowment 7(10), 2014.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+BINS = 2048
+"""Most bins that are kept; they cover at least half as many dots of a printed page."""
+
+PENDING = 65_536
+"""Samples that are gathered before they are sorted into bins."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """What is left of a series: bins in order of time, only those that hold samples.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        Stamps of the first and the last sample of each bin, as they arrived, shape ``(M,)``,
+        int64 ns.
+    first, low, high, last
+        Values of each trace, shape ``(traces, M)``. NaN where a sample is missing; `low` and
+        `high` only where all are.
+    samples
+        Samples that went in.
+    """
+
+    first_ns: Int64
+    last_ns: Int64
+    first: Float64
+    low: Float64
+    high: Float64
+    last: Float64
+    samples: int
+
+    def __len__(self) -> int:
+        return len(self.first_ns)
+
+
+class Reduction:
+    """Takes a series batch after batch and keeps no more than fits a picture.
+
+    Parameters
+    ----------
+    traces
+        How many values each sample has.
+    bins
+        Most bins to keep, at least 2: stamps on both sides of zero never share one.
+
+    Examples
+    --------
+    >>> reduction = Reduction(1, bins=4)
+    >>> reduction.add(np.arange(8), [np.array([0.0, 1, 0, 0, 0, 9, 0, 0])])
+    >>> reduction.result().high.tolist()
+    [[1.0, 0.0, 9.0, 0.0]]
+    """
+
+    def __init__(self, traces: int, bins: int = BINS) -> None:
+        self._bins = bins
+        self._shift = 0
+        self._index = np.empty(0, np.int64)
+        empty = np.empty(0, np.int64)
+        values = np.empty((traces, 0))
+        self._kept = Reduced(empty, empty, values, values, values, values, 0)
+        self._pending: list[tuple[Int64, Float64]] = []
+        self._waiting = 0
+
+    def add(self, t_ns: Int64, values: Sequence[Float64] | Float64) -> None:
+        """Take the next samples.
+
+        Parameters
+        ----------
+        t_ns
+            Stamps, shape ``(N,)``, int64 ns, in any order.
+        values
+            Of each trace, shape ``(traces, N)``; NaN or infinite where there is none.
+        """
+        if not len(t_ns):
+            return
+        self._pending.append((t_ns, np.array(values, dtype=np.float64)))
+        self._waiting += len(t_ns)
+        if self._waiting >= PENDING:
+            self._sort_in()
+
+    def result(self) -> Reduced:
+        """Return what is left of all samples so far."""
+        self._sort_in()
+        return self._kept
+
+    def _sort_in(self) -> None:
+        """Bring the pending samples into their bins."""
+        if not self._pending:
+            return
+        t_ns = np.concatenate([stamps for stamps, _ in self._pending])
+        values = np.concatenate([rows for _, rows in self._pending], axis=1)
+        self._pending, self._waiting = [], 0
+        values[~np.isfinite(values)] = np.nan
+        low_ns, high_ns = int(t_ns.min()), int(t_ns.max())
+        if len(self._index):
+            low_ns = min(low_ns, int(self._index[0]) << self._shift)
+            high_ns = max(high_ns, int(self._index[-1]) << self._shift)
+        before = self._shift
+        while (high_ns >> self._shift) - (low_ns >> self._shift) >= self._bins:
+            self._shift += 1
+        index, new = _joined(
+            t_ns >> self._shift,
+            Reduced(t_ns, t_ns, values, values, values, values, len(t_ns)),
+        )
+        old, kept = self._index >> (self._shift - before), self._kept
+        self._index, self._kept = _joined(
+            np.concatenate([old, index]),
+            Reduced(
+                np.concatenate([kept.first_ns, new.first_ns]),
+                np.concatenate([kept.last_ns, new.last_ns]),
+                np.concatenate([kept.first, new.first], axis=1),
+                np.concatenate([kept.low, new.low], axis=1),
+                np.concatenate([kept.high, new.high], axis=1),
+                np.concatenate([kept.last, new.last], axis=1),
+                kept.samples + new.samples,
+            ),
+        )
+
+
+def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
+    """Join parts of one bin; earlier ones stand before later ones.
+
+    Parameters
+    ----------
+    index
+        The bin of each part, shape ``(N,)``, N at least 1.
+    parts
+        Bins, or samples as bins of one.
+    """
+    if (index[1:] < index[:-1]).any():
+        order = np.argsort(index, kind="stable")
+        index = index[order]
+        parts = Reduced(
+            parts.first_ns[order],
+            parts.last_ns[order],
+            parts.first[:, order],
+            parts.low[:, order],
+            parts.high[:, order],
+            parts.last[:, order],
+            parts.samples,
+        )
+    starts = np.flatnonzero(np.concatenate([[True], index[1:] != index[:-1]]))
+    ends = np.append(starts[1:], len(index)) - 1
+    joined = Reduced(
+        parts.first_ns[starts],
+        parts.last_ns[ends],
+        parts.first[:, starts],
+        _extremes(np.minimum, np.fmin, parts.low, starts),
+        _extremes(np.maximum, np.fmax, parts.high, starts),
+        parts.last[:, ends],
+        parts.samples,
+    )
+    return index[starts], joined
+
+
+def _extremes(
+    plain: np.ufunc, passing_nan: np.ufunc, values: Float64, starts: NDArray[np.intp]
+) -> Float64:
+    """Return the extremes of each run of values; what passes over NaN is slower."""
+    chosen = passing_nan if np.isnan(values).any() else plain
+    found: Float64 = chosen.reduceat(values, starts, axis=1)
+    return found

@@ -1,0 +1,170 @@
+"""Files in, a picture out: the whole of ``quatprop plot``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from quatprop.compare import Settings, compare
+from quatprop.errors import plain
+from quatprop.plot.errors import Compared, error_page
+from quatprop.plot.files import View, see
+from quatprop.plot.page import Page, Table
+from quatprop.plot.picture import picture
+from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.signals.operands import Reading, read_operand
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from quatprop.plot.files import Seen
+    from quatprop.signals.operands import Operand
+
+    Tick = Callable[[int], None]
+
+NOTES = 3
+"""Warnings that stand below a picture; a report has all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """What to draw.
+
+    Parameters
+    ----------
+    files
+        Paths, at least one; ``"-"`` is CSV on stdin.
+    output
+        Where the picture goes.
+    view
+        What to look at in the files.
+    reference
+        Draw the error of each file against this series instead; None: what is in the files.
+    settings
+        How to compare with the reference.
+    """
+
+    files: tuple[str, ...]
+    output: str
+    view: View = field(default_factory=View)
+    reference: Reading | None = None
+    settings: Settings = field(default_factory=Settings)
+
+
+def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
+    """Draw files into a picture.
+
+    Parameters
+    ----------
+    job
+        What to draw.
+    tick
+        Called with the number of samples of a file read so far.
+
+    Returns
+    -------
+    dict
+        ``lines``, what each file shows; ``warnings``; ``losses``; ``data_lost``. JSON-ready.
+
+    Raises
+    ------
+    LogError
+        A file cannot be used as asked.
+    OutputError
+        The picture cannot be written.
+    UsageError
+        The files have different things to show, or matplotlib is not installed.
+    ComparisonError
+        A file cannot be compared with the reference.
+    """
+    inputs = [*job.files, None if job.reference is None else job.reference.path]
+    with PictureFile(job.output, inputs) as target:
+        if job.reference is None:
+            page, losses = _of_files([see(path, job.view, tick) for path in job.files])
+            lost = bool(losses)
+        else:
+            page, operands = _against(job, job.reference)
+            losses = [asdict(loss) for operand in operands for loss in operand.losses]
+            lost = any(operand.data_lost for operand in operands)
+        target.commit(page)
+    return {
+        "lines": list(page.lead),
+        "warnings": list(page.warnings),
+        "losses": losses,
+        "data_lost": lost,
+    }
+
+
+def _of_files(seen: list[Seen]) -> tuple[Page, list[dict[str, Any]]]:
+    """Return the report on files, each as it is, and what was lost of them."""
+    several = len(seen) > 1
+    warnings = tuple(
+        f"{one.part.label}: {remark}" if several else remark
+        for one in seen
+        for remark in one.remarks
+    )
+    losses = [asdict(loss) for one in seen for loss in one.losses]
+    meanings = list(dict.fromkeys(one.meaning for one in seen))
+    counts = "; ".join(dict(one.facts)["samples"] for one in seen)
+    title = seen[0].name
+    if several:
+        title = f"{len(seen)} files: " + ", ".join(names_of([one.path for one in seen]))
+    drawn = picture(
+        [replace(one.part, label=f"{name}, {one.name.partition(': ')[2]}")
+         for one, name in zip(seen, names_of([one.path for one in seen]), strict=True)],
+        title=title,
+        facts=("; ".join(meanings), counts),
+        notes=noted(warnings),
+    )  # fmt: skip
+    page = Page(
+        heading=title,
+        lead=tuple(f"{one.name}: {dict(one.facts)['samples']}" for one in seen),
+        picture=drawn,
+        warnings=warnings,
+        tables=tuple(Table(one.name, one.facts) for one in seen),
+        made_by=MADE_BY,
+    )
+    return page, losses
+
+
+def _against(job: Plot, reference: Reading) -> tuple[Page, list[Operand]]:
+    """Return the report on the errors of files against a reference, and all that was read."""
+    known = read_operand(reference)
+    names = names_of([*job.files, reference.path])
+    every = []
+    for path, name in zip(job.files, names, strict=False):
+        reading = Reading(path, job.view.kind, job.view.attitudes, drop=True)
+        operand = read_operand(reading)
+        every.append(Compared(name, operand, compare(operand.series, known.series, job.settings)))
+    page = error_page(every, names[-1], known)
+    return page, [*(one.operand for one in every), known]
+
+
+def names_of(paths: Iterable[str]) -> list[str]:
+    """Return what files are called: their own names, or their paths where those are the same.
+
+    Examples
+    --------
+    >>> names_of(["runs/a.csv", "b.csv"]), names_of(["1/a.csv", "2/a.csv"])
+    (['a.csv', 'b.csv'], ['1/a.csv', '2/a.csv'])
+    """
+    paths = list(paths)
+    own = ["stdin" if path == "-" else Path(path).name for path in paths]
+    return [
+        plain(path if own.count(name) > 1 else name) for path, name in zip(paths, own, strict=True)
+    ]
+
+
+def noted(warnings: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what stands below a picture.
+
+    Examples
+    --------
+    >>> noted(("one", "two", "three", "four"))
+    ('one', 'two', 'and 2 more warnings')
+    """
+    if len(warnings) <= NOTES:
+        return warnings
+    kept = warnings[: NOTES - 1]
+    return (*kept, f"and {len(warnings) - len(kept)} more warnings")

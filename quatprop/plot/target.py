@@ -1,0 +1,96 @@
+"""Where a picture goes: its kind by the suffix, in its place only when it is whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop import __version__
+from quatprop.errors import OutputError
+from quatprop.plot.draw import drawn, require_matplotlib
+from quatprop.plot.page import html
+from quatprop.writers.atomic import Output, is_stdout, is_stream, reported
+from quatprop.writers.overlap import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from types import TracebackType
+    from typing import Self
+
+    from quatprop.plot.page import Page
+
+KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}
+"""Suffix -> kind of picture."""
+
+MADE_BY = f"quatprop {__version__}"
+
+
+class PictureFile:
+    """A picture or a report on its way to a file.
+
+    Parameters
+    ----------
+    target
+        Where it goes; the suffix tells its kind.
+    inputs, outputs
+        What the run reads and writes besides: no picture goes there.
+
+    Raises
+    ------
+    OutputError
+        The suffix is that of no picture, or the file cannot be written; told before anything is
+        computed.
+    UsageError
+        matplotlib is not installed.
+    """
+
+    def __init__(
+        self, target: str, inputs: Iterable[str | None], outputs: Iterable[str | None] = ()
+    ) -> None:
+        self._kind = kind_of(target)
+        require_matplotlib()
+        refuse_overlap(inputs, [*outputs, target])
+        self._output = Output(target)
+
+    def commit(self, page: Page) -> None:
+        """Draw the picture, or the report around it, and put it in its place."""
+        content = html(page).encode() if self._kind == "html" else drawn(page.picture, self._kind)
+        with reported(self._output.target):
+            self._output.stream.write(content)
+        self._output.commit()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._output.discard()
+
+
+def kind_of(target: str) -> str:
+    """Return the kind of a picture by the suffix of its name.
+
+    Raises
+    ------
+    OutputError
+        The suffix is that of no picture.
+
+    Examples
+    --------
+    >>> kind_of("rates.PNG")
+    'png'
+    """
+    if is_stdout(target) or is_stream(target):
+        raise OutputError(target, "a picture goes to a file; name one that ends in .png")
+    kind = KINDS.get(Path(target).suffix.lower())
+    if kind is None:
+        raise OutputError(
+            target,
+            "the suffix does not tell the kind of picture; use .png, .svg or .pdf, or .html for a "
+            "report",
+        )
+    return kind

@@ -1,0 +1,149 @@
+"""Lines that are drawn: breaks at gaps and at wraps, and nothing but the series in between."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quatprop.plot.lines import Continuous, Line, folded, gaps_in, line, lone_points
+from quatprop.plot.reduction import Reduction
+
+
+def reduced(t_ns, *traces, bins=2048):
+    """Return series as they are kept for a picture."""
+    reduction = Reduction(len(traces), bins)
+    reduction.add(np.asarray(t_ns, dtype=np.int64), np.array(traces, dtype=float))
+    return reduction.result()
+
+
+def wrapped(degrees):
+    """Return angles from -180 up to 180."""
+    return (np.asarray(degrees) + 180) % 360 - 180
+
+
+angles = st.lists(st.floats(-179, 179), min_size=2, max_size=40)
+
+
+@given(angles, st.lists(st.integers(0, 40), max_size=4))
+@settings(deadline=None)
+def test_angles_are_continued_as_numpy_does_it(steps, cuts):
+    """Whole turns are added as numpy.unwrap adds them, however the series was cut."""
+    angle = wrapped(np.cumsum(steps))
+    want = np.unwrap(angle, period=360)
+    continuous = Continuous(1)
+    parts = np.split(angle, sorted(min(cut, len(angle)) for cut in cuts))
+    got = np.concatenate([continuous.applied(part[None])[0] for part in parts])
+    np.testing.assert_allclose(got, want, atol=1e-9)
+
+
+def test_missing_angles_are_passed_over():
+    """An angle after missing ones is continued from the last that is known, in batches too."""
+    continuous = Continuous(1)
+    first = continuous.applied(np.array([[np.nan, 170.0, np.nan]]))
+    second = continuous.applied(np.array([[np.nan, -170.0]]))
+    assert np.concatenate([first, second], axis=1)[0].tolist()[1::3] == [170.0, 190.0]
+
+
+def test_a_long_spin_is_counted_without_rounding():
+    """After a million turns an angle is what it was, to the last bit."""
+    angle = np.tile([0.1, 120.1, -119.9], 1_000_000)
+    continued = Continuous(1).applied(angle[None])[0]
+    assert continued[-1] == 360.0 * 1_000_000 - 119.9
+
+
+def test_a_line_is_the_series_where_it_fits():
+    """With a bin for every two samples the line is the samples, each once and in their order."""
+    t_ns = np.arange(1000) * 1_000_000
+    values = np.random.default_rng(2).normal(size=1000)
+    got = line(reduced(t_ns, values), 0, 0)
+    np.testing.assert_allclose(got.seconds, t_ns * 1e-9)
+    assert got.values.tolist() == values.tolist()
+
+
+def test_seconds_are_exact_at_large_stamps():
+    """Stamps of today keep their nanoseconds: the start is taken off before they are floats."""
+    start = 1_700_000_000_000_000_000
+    got = line(reduced([start, start + 1, start + 7], [1, 2, 3]), 0, start)
+    np.testing.assert_allclose(got.seconds, [0.0, 1e-9, 7e-9], rtol=1e-12)
+
+
+def test_a_line_breaks_at_gaps_and_they_are_told():
+    """An interval longer than the limit breaks the line; one of the limit does not."""
+    kept = reduced([0, 10, 20, 120, 130, 231], [1, 1, 1, 1, 1, 1])
+    assert np.isnan(line(kept, 0, 0, 100).values).tolist() == [False] * 5 + [True, False]
+    assert gaps_in(kept, 100).tolist() == [[130, 231]]
+    assert gaps_in(kept, None).tolist() == []
+
+
+def test_gaps_are_told_in_a_long_series_too():
+    """Where bins hold many samples, a gap between them has the stamps of its two ends."""
+    t_ns = np.arange(1_000_000) * 1_000_000
+    t_ns[600_000:] += 60_000_000_000
+    kept = reduced(t_ns, np.zeros(1_000_000))
+    assert gaps_in(kept, 10_000_000).tolist() == [[599_999_000_000, 660_000_000_000]]
+
+
+def test_missing_values_break_a_line():
+    """A NaN among the samples is a break, not a bridge."""
+    got = line(reduced([0, 1, 2, 3], [1, np.nan, 2, 3]), 0, 0)
+    assert np.isnan(got.values).any()
+    assert got.values[np.isfinite(got.values)].tolist() == [1, 2, 3]
+
+
+def bars(drawn):
+    """Return the height of the tallest stretch that is drawn between two points."""
+    heights = np.abs(np.diff(drawn.values))
+    return np.nanmax(heights)
+
+
+def test_a_wrap_is_cut_at_the_edges_of_its_range():
+    """A line leaves at 180 degrees and comes back at -180 in the same instant, both ways."""
+    up = folded(Line(np.array([0.0, 1.0]), np.array([170.0, 200.0])))
+    np.testing.assert_allclose(up.seconds, [0, 1 / 3, np.nan, 1 / 3, 1])
+    np.testing.assert_allclose(up.values, [170, 180, np.nan, -180, -160])
+    down = folded(Line(np.array([0.0, 1.0]), np.array([-170.0, -200.0])))
+    np.testing.assert_allclose(down.values, [-170, -180, np.nan, 180, 160])
+    np.testing.assert_allclose(down.seconds, [0, 1 / 3, np.nan, 1 / 3, 1])
+
+
+@pytest.mark.parametrize("samples", [500, 5_000, 500_000])
+def test_wraps_draw_no_bars(samples):
+    """An angle that goes around ten times is ten slopes, however many samples are in a bin."""
+    turning = np.linspace(0, 3600, samples)
+    continued = Continuous(1).applied(wrapped(turning)[None])
+    drawn = folded(line(reduced(np.arange(samples) * 1_000_000, *continued), 0, 0))
+    assert bars(drawn) < 3600 / min(samples, 500) * 1.5
+    assert np.nanmin(drawn.values) == -180
+    assert np.nanmax(drawn.values) == 180
+    assert np.isnan(drawn.values).sum() == 10
+
+
+@given(angles, st.integers(2, 30))
+@settings(deadline=None)
+def test_what_is_drawn_of_an_angle_is_the_angle(steps, bins):
+    """Folded points are the angles of the line they come from, at the same times, but for cuts."""
+    angle = np.cumsum(steps)
+    kept = reduced(np.arange(len(angle)) * 1_000_000_000, angle, bins=bins)
+    before = line(kept, 0, 0)
+    after = folded(before)
+    finite = np.isfinite(after.values)
+    assert (np.abs(after.values[finite]) <= 180).all()
+    want = set(zip(before.seconds.tolist(), wrapped(before.values).round(6).tolist(), strict=True))
+    got = set(zip(after.seconds.tolist(), wrapped(after.values).round(6).tolist(), strict=True))
+    assert {(t, v) for t, v in want if abs(v) < 179.999} <= got
+
+
+def test_a_fast_spin_is_a_full_band():
+    """Where an angle goes around within a bin, the bin is drawn over its whole range."""
+    turning = np.arange(1_000_000) * 100.0
+    continued = Continuous(1).applied(wrapped(turning)[None])
+    kept = reduced(np.arange(1_000_000) * 1_000_000, *continued)
+    drawn = folded(line(kept, 0, 0))
+    heights = np.abs(np.diff(drawn.values))
+    assert (heights == 360).sum() >= len(kept)
+
+
+def test_points_without_neighbours_are_told():
+    """A sample alone between two gaps would be no line at all."""
+    drawn = Line(np.arange(6.0), np.array([1, np.nan, 2, np.nan, 3, 4]))
+    assert lone_points(drawn).values.tolist() == [1, 2]
