@@ -1,0 +1,95 @@
+"""Records of ROS 1 bags as they are written: a head of named fields and data, after their lengths.
+
+References
+----------
+ROS wiki, "Bags/Format/2.0".
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+MAGIC = b"#ROSBAG V2.0\n"
+NS_PER_S = 1_000_000_000
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
+"""Kinds of records."""
+
+ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
+"""One message in the index data of a chunk."""
+
+_HEAD_BYTES = 4096
+"""Bytes of the bag's first record: padded, since it is written again at the end."""
+
+
+def bag(index: int, connections: int, chunks: int) -> bytes:
+    """Return the bag's first record: where the index is, and how much it tells of."""
+    head = {
+        "index_pos": struct.pack("<Q", index),
+        "conn_count": u4(connections),
+        "chunk_count": u4(chunks),
+    }
+    padding = _HEAD_BYTES - len(record(BAG, head, b""))
+    return record(BAG, head, b" " * padding)
+
+
+def connection(id_: int, described: Mapping[str, bytes]) -> bytes:
+    """Return what tells of a connection: its number, its topic and all that is known of it."""
+    return record(CONNECTION, {"conn": u4(id_), "topic": described["topic"]}, fields(described))
+
+
+def chunk_head(compression: str, size: int) -> dict[str, bytes]:
+    """Return the head of a chunk of `size` bytes when unpacked."""
+    return {"compression": compression.encode(), "size": u4(size)}
+
+
+def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
+    """Return where the messages of a connection are in the chunk ahead."""
+    head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
+    return record(INDEX, head, entries.tobytes())
+
+
+def chunk_info(place: int, indexes: Mapping[int, NDArray[np.void]]) -> bytes:
+    """Return what the index tells of a chunk: where it is, its times, its messages."""
+    times = [
+        each["sec"].astype(np.int64) * NS_PER_S + each["nanosec"]
+        for each in indexes.values()
+        if len(each)
+    ]
+    head = {
+        "ver": u4(1),
+        "chunk_pos": struct.pack("<Q", place),
+        "start_time": _time(min((int(each.min()) for each in times), default=0)),
+        "end_time": _time(max((int(each.max()) for each in times), default=0)),
+        "count": u4(len(indexes)),
+    }
+    counts = (u4(id_) + u4(len(entries)) for id_, entries in indexes.items())
+    return record(CHUNK_INFO, head, b"".join(counts))
+
+
+def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
+    """Return a record."""
+    named = fields({"op": op, **head})
+    return u4(len(named)) + named + u4(len(data)) + data
+
+
+def fields(named: Mapping[str, bytes]) -> bytes:
+    """Return named values, each after its length."""
+    joined = (name.encode() + b"=" + value for name, value in named.items())
+    return b"".join(u4(len(field)) + field for field in joined)
+
+
+def u4(number: int) -> bytes:
+    """Return a number in four bytes."""
+    return struct.pack("<I", number)
+
+
+def _time(ns: int) -> bytes:
+    return struct.pack("<II", *divmod(ns, NS_PER_S))
