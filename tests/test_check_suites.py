@@ -97,6 +97,7 @@ def test_every_option_of_compare_is_a_key():
         ('method = "middle"', ", 'method'", "'middle' is not one of 'start', 'end', 'mean', "),
         ("every = 0", ", 'every'", "0 is not in the range x>=1."),
         ("every = true", ", 'every'", "this takes a value, not true or false"),
+        ('pin-log = "no"', ", 'pin-log'", "this is true or false"),
         ("normalize = 1", ", 'normalize'", "this is true or false"),
         ("bias = [0.1, 0.2]", ", 'bias'", "'0.1,0.2' is not X,Y,Z|static[:DUR], 3 numbers"),
         ("bias = {x = 1}", ", 'bias'", "this takes text, a number or a list of them"),
@@ -221,6 +222,25 @@ def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
     assert set(pins["inputs"]) == {"log", "reference-log"}
     assert pins["reference"] is None
     assert pins["error_rad"] < 1e-9
+
+
+def test_a_log_that_is_made_anew_need_not_be_pinned(folder):
+    """Other bytes of the same rates pass then, and other rates fail as a regression."""
+    suite = write(folder, stored("spin", "spin.csv", "pin-log = false"))
+    assert check(suite, "--update").exit_code == 0
+    log = folder / "logs" / "spin.csv"
+    log.write_text(log.read_text() + "\n")
+    assert check(suite).exit_code == 0
+    lines = log.read_text().splitlines()
+    t_ns, *_ = lines[501].split(",")
+    log.write_text("\n".join([*lines[:501], f"{t_ns},0,0,0", *lines[502:]]))
+    result = check(suite)
+    assert result.exit_code == 1
+    # A hundredth of a second at a quarter turn a second.
+    assert result.stdout.startswith("FAIL   spin  0.0157 rad of 1e-09 rad at +")
+    assert "above the tolerance, first at +5.01 s" in result.stdout
+    log.unlink()
+    assert check(suite).exit_code == 2
 
 
 # Updates.

@@ -36,6 +36,8 @@ class Case:
         What is read: the key of the suite -> its path.
     strict
         Whether the stamps have to be those of the reference.
+    pins_log
+        Whether the log has to be the same bytes; not so if what is tested makes it.
     in_degrees
         Whether the tolerance is written in degrees; angles are then told in them.
     line
@@ -50,6 +52,7 @@ class Case:
     options: dict[str, str]
     inputs: dict[str, str]
     strict: bool = True
+    pins_log: bool = True
     in_degrees: bool = False
     line: int = 1
 

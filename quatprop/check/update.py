@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.check.case import Case, Outcome
-from quatprop.check.judge import DIGITS, changed, figure, judge, said
+from quatprop.check.judge import DIGITS, changed, figure, hashes_of, judge, said
 from quatprop.check.lock import Pin, sha256_of
 from quatprop.check.measure import angle_text, chooses_rows, compared, difference, measured
 from quatprop.check.reference import ROWS, read_reference, refuse_foreign, thinning, write_reference
@@ -30,7 +30,7 @@ def update(case: Case, pin: Pin | None) -> Outcome:
     QuatpropError
         The case cannot be run, or its reference not be written.
     """
-    hashes = {key: sha256_of(path) for key, path in case.inputs.items()}
+    hashes = hashes_of(case)
     if case.reference is not None:
         refuse_overlap(case.inputs.values(), [case.reference])
         if pin is None or pin.reference is None:

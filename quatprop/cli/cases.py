@@ -58,7 +58,10 @@ COMPARE = {
 }
 """Key -> option of ``compare``; those of its B begin with ``reference-``."""
 
-KEYS = {"log", "reference", "reference-log", *PROPAGATE, *COMPARE}
+PIN_LOG = "pin-log"
+"""Key of a case whose log is made anew each time, where it is false."""
+
+KEYS = {"log", "reference", "reference-log", PIN_LOG, *PROPAGATE, *COMPARE}
 
 
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
@@ -125,6 +128,8 @@ class _Parser:
         values = self.table.values
         for key in values:
             _refuse_unknown(self.suite, key, self.table.name)
+        if not isinstance(values.get(PIN_LOG, True), bool):
+            raise self._error("this is true or false", PIN_LOG)
         log = self._path("log", required=True)
         self.inputs["log"] = log
         job_context = self._parsed(propagate.command, PROPAGATE, ["--output=-", "--", log])
@@ -155,6 +160,7 @@ class _Parser:
             options=self._said(job_context),
             inputs=self.inputs,
             strict=not {"time-offset", "match", "max-dt"} & values.keys(),
+            pins_log=values.get(PIN_LOG, True),
             in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
             line=self.table.line,
         )
