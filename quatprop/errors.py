@@ -33,7 +33,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 MAX_LISTED = 12
@@ -250,12 +250,18 @@ class NoSamplesError(LogError):
         The log.
     source
         The topic or the columns.
+    outside
+        Samples that were left out as before and after the chosen part.
     """
 
-    def __init__(self, path: Path | str, source: str) -> None:
-        super().__init__(
-            path, f"no samples in {quoted(source)}; check --start and --end, or look with info"
-        )
+    def __init__(self, path: Path | str, source: str, outside: Sequence[int] = (0, 0)) -> None:
+        reason = f"no samples in {quoted(source)}; look with info"
+        if any(outside):
+            reason = (
+                f"no samples in {quoted(source)} between --start and --end: {outside[0]} are "
+                f"before, {outside[1]} after; a number without a unit is in ns"
+            )
+        super().__init__(path, reason)
 
 
 class NoSuchTopicError(LogError):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.conditioning import Conditioning, condition
+from quatprop.conditioning import Conditioning, clipping_remarks, condition
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.into import open_into, written_kind
 from quatprop.propagate import unit_q0
@@ -161,8 +161,9 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
                 rows += len(series)
                 tick(timeline.counts.used)
             if not timeline.counts.used:
-                raise NoSamplesError(job.log, source.name)
-            findings = watch.remarks(timeline.counts.median_dt_ns)
+                raise NoSamplesError(job.log, source.name, conditioned["outside"])
+            findings = clipping_remarks(job.conditioning, conditioned)
+            findings += watch.remarks(timeline.counts.median_dt_ns)
             if job.log != "-":
                 findings += [*stamp_remarks(source), *orientation_remarks(log, source)]
             done = Done(

@@ -646,3 +646,31 @@ def test_a_parquet_table_of_rates(tmp_path):
     result = run("propagate", path, "-o", tmp_path / "o.csv")
     assert result.exit_code == 0, result.output
     assert "(parquet)" in result.stderr
+
+
+def test_a_part_without_samples_says_where_they_are(log, tmp_path):
+    """Seconds taken for nanoseconds leave nothing; the sentence says on which side."""
+    out = tmp_path / "out.csv"
+    refused(
+        run("propagate", log, "-o", out, "--start", "2000000000"),
+        f"{log}: no samples in 'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]' "
+        "between --start and --end: 11 are before, 0 after; a number without a unit is in ns",
+    )
+
+
+def test_an_end_of_the_part_that_leaves_nothing_out_is_remarked_on(log, tmp_path):
+    """An end outside the log may be a slip of the unit; a relative one cannot be."""
+    out = tmp_path / "out.csv"
+    said = run("propagate", log, "-o", out, "--start", "0", "--end", "1700000000").stderr
+    assert "warning: --start is before the first sample and leaves nothing out; a number" in said
+    assert "warning: --end is after the last sample and leaves nothing out; a number" in said
+    relative = run("propagate", log, "-o", out, "--start", "+0s", "--end", "500000000").stderr
+    assert "warning" not in relative
+
+
+def test_a_part_that_ends_before_it_starts_is_refused(log, tmp_path):
+    """The ends are swapped, or in different units."""
+    refused(
+        run("propagate", log, "-o", tmp_path / "o.csv", "--start", "+2s", "--end", "500000000"),
+        "--start is 1.5 s after --end; swap them, or check units",
+    )

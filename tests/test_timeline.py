@@ -157,6 +157,23 @@ def test_gaps_are_intervals_over_ten_medians():
     ]
 
 
+@pytest.mark.parametrize("size", [1, 3, 100])
+def test_gaps_are_listed_by_the_stamps_around_them(size):
+    """Wherever batches end, each gap is told by where it begins and where it ends."""
+    stamps = [0, 10, 20, 30, 231, 241, 251, 500, 510]
+    whole = gyro(stamps)
+    batches = [whole[k : k + size] for k in range(0, len(whole), size)]
+    _, _, counts = applied(Policy(max_gap_ns=50 * MS), *batches)
+    assert counts.gap_list == [(30 * MS, 231 * MS), (251 * MS, 500 * MS)]
+
+
+def test_not_every_gap_of_very_many_is_listed():
+    """The list is bounded; the count is of all."""
+    _, _, counts = applied(Policy(max_gap_ns=5 * MS), gyro(range(0, 30_000, 10)))
+    assert (counts.gaps.count, len(counts.gap_list)) == (2999, 1000)
+    assert counts.gap_list[-1] == (9990 * MS, 10_000 * MS)
+
+
 def test_a_gap_can_be_an_error():
     """With --on-gap error the first interval over --max-gap is refused."""
     with pytest.raises(

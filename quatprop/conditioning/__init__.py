@@ -14,6 +14,7 @@ import numpy as np
 from quatprop.conditioning.rest import AT_REST, REST_WINDOW_NS, quietest, windows_of
 from quatprop.errors import UsageError, quoted
 from quatprop.quaternion import normalize, rotation_matrix
+from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -122,12 +123,14 @@ def condition(
     batches : iterator of GyroSeries
         The samples, rad/s, body axes.
     facts : dict
-        ``bias_rad_s``, ``rest``, ``mount``, ``start_ns`` and ``end_ns``; JSON-ready.
+        ``bias_rad_s``, ``rest``, ``mount``, ``start_ns``, ``end_ns`` and ``outside``, the samples
+        left out so far as before or after them; JSON-ready.
 
     Raises
     ------
     UsageError
-        The log has no rest to take a bias from, or the mounting is not a rotation.
+        The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
+        before it starts.
     """
     mount = None if wanted.mount is None else mounting(wanted.mount)
     bias = None if wanted.bias is None else np.array(wanted.bias) * unit
@@ -148,19 +151,45 @@ def condition(
         bias = rest.mean
     start_ns = _absolute(wanted.start, first_ns, last_ns)
     end_ns = _absolute(wanted.end, first_ns, last_ns)
+    if start_ns is not None and end_ns is not None and start_ns > end_ns:
+        raise UsageError(
+            f"--start is {duration_text(start_ns - end_ns)} after --end; swap them, or check units"
+        )
+    outside = [0, 0]
     facts = {
         "bias_rad_s": None if bias is None else bias.tolist(),
         "rest": None if rest is None or wanted.static_ns is None else rest.told(),
         "mount": None if mount is None else mount.tolist(),
         "start_ns": start_ns,
         "end_ns": end_ns,
+        "outside": outside,
     }
     batches = iter(read())
     if start_ns is not None or end_ns is not None:
-        batches = clipped(batches, start_ns, end_ns)
+        batches = clipped(batches, start_ns, end_ns, outside)
     if bias is not None or mount is not None:
         batches = conditioned(batches, bias=bias, mount=mount)
     return batches, facts
+
+
+def clipping_remarks(wanted: Conditioning, facts: dict[str, Any]) -> list[str]:
+    """Return a sentence for each absolute end of the part that leaves nothing out.
+
+    Parameters
+    ----------
+    wanted, facts
+        What was asked for, and what :func:`condition` tells once all samples have passed.
+    """
+    before, after = facts["outside"]
+    ends = (
+        ("--start", "before the first", wanted.start, before),
+        ("--end", "after the last", wanted.end, after),
+    )
+    return [
+        f"{option} is {side} sample and leaves nothing out; a number without a unit is in ns"
+        for option, side, moment, left_out in ends
+        if moment is not None and moment.origin == "clock" and not left_out
+    ]
 
 
 def conditioned(
@@ -190,13 +219,22 @@ def conditioned(
 
 
 def clipped(
-    batches: Iterable[GyroSeries], start_ns: int | None, end_ns: int | None
+    batches: Iterable[GyroSeries],
+    start_ns: int | None,
+    end_ns: int | None,
+    outside: list[int] | None = None,
 ) -> Iterator[GyroSeries]:
-    """Yield the samples with start <= t <= end; None leaves an end open."""
+    """Yield the samples with start <= t <= end; None leaves an end open.
+
+    The samples before and after are counted in the two numbers of `outside`.
+    """
+    left_out = [0, 0] if outside is None else outside
     low = np.iinfo(np.int64).min if start_ns is None else start_ns
     high = np.iinfo(np.int64).max if end_ns is None else end_ns
     for batch in batches:
         inside = (batch.t_ns >= low) & (batch.t_ns <= high)
+        left_out[0] += int(np.count_nonzero(batch.t_ns < low))
+        left_out[1] += int(np.count_nonzero(batch.t_ns > high))
         if inside.all():
             yield batch
         elif inside.any():

@@ -16,7 +16,7 @@ import numpy as np
 
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
-from quatprop.timeline.counts import Counts
+from quatprop.timeline.counts import LISTED_GAPS, Counts
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -292,7 +292,11 @@ class Timeline:
         limit = counts.gap_limit_ns
         if limit is None or longest <= limit:
             return
-        counts.gaps.add(np.flatnonzero(intervals > limit), start, ends)
+        where = np.flatnonzero(intervals > limit)
+        counts.gaps.add(where, start, ends)
+        after = ends[where[: LISTED_GAPS - len(counts.gap_list)]]
+        before = after - intervals[where[: len(after)]]
+        counts.gap_list += zip(before.tolist(), after.tolist(), strict=True)
         if self.policy.on_gap == "error":
             raise TimelineError(
                 self.path,

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
     from quatprop.timeline import Policy
 
+LISTED_GAPS = 1000
+"""So many gaps are listed one by one; the others are counted."""
+
 INTEGRATED_SHARE = 0.001
 """Increments that miss more than this share of the log's time are remarked on."""
 
@@ -70,6 +73,8 @@ class Counts:
     duplicates, backwards, nonfinite, gaps
         Stamps equal to the one before; earlier than one before; rates not finite; long intervals.
         A gap is located by the sample after it.
+    gap_list
+        The first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns.
     """
 
     read: int = 0
@@ -87,6 +92,7 @@ class Counts:
     backwards: Event = field(default_factory=Event)
     nonfinite: Event = field(default_factory=Event)
     gaps: Event = field(default_factory=Event)
+    gap_list: list[tuple[int, int]] = field(default_factory=list)
 
     @property
     def span_ns(self) -> int:
