@@ -1,0 +1,230 @@
+"""What is written opens in other people's software, and they see the same numbers."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+from evo.tools import file_interface
+from mcap.reader import NonSeekingReader, SeekingReader
+from pyarrow import csv, feather, parquet
+from pyarrow import json as arrow_json
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from quatprop.convert import Conversion, convert
+from quatprop.quaternion import geodesic_angle
+from quatprop.series import AttitudeSeries
+from quatprop.writers import open_writer
+
+ROWS = 2_000
+T_NS = 1_700_000_000_123_456_789 + np.arange(ROWS, dtype=np.int64) * 5_000_001
+
+
+def _wxyz():
+    q = np.random.default_rng(8).normal(size=(ROWS, 4))
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
+
+
+WXYZ = _wxyz()
+XYZW = WXYZ[:, [1, 2, 3, 0]]
+NAMES = {"scalar-first": ["qw", "qx", "qy", "qz"], "scalar-last": ["qx", "qy", "qz", "qw"]}
+STORED = {"scalar-first": WXYZ, "scalar-last": XYZW}
+VECTORS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+
+
+def written(folder, kind, layout=None, name=None):
+    """Write the attitudes and return the file."""
+    path = folder / (name or f"attitude.{kind}")
+    with open_writer(path, kind, layout=layout) as writer:
+        writer.write(AttitudeSeries(T_NS, WXYZ))
+        writer.commit({"quatprop": "1.0"})
+    return path
+
+
+def _numpy_archive(path):
+    with np.load(path) as archive:
+        return {name: archive[name] for name in archive.files if name != "quatprop"}
+
+
+def _numpy_records(path):
+    rows = np.load(path)
+    return {name: rows[name] for name in rows.dtype.names}
+
+
+def _numpy_text(path):
+    names = path.read_text().partition("\n")[0].split(",")
+    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    stamps = np.loadtxt(path, delimiter=",", skiprows=1, usecols=0, dtype=np.int64)
+    return {names[0]: stamps, **dict(zip(names[1:], rows.T[1:], strict=True))}
+
+
+def _lines(path):
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _arrow(read):
+    return lambda path: {k: v.to_numpy() for k, v in zip(*_parts(read(path)), strict=True)}
+
+
+def _parts(table):
+    return table.column_names, table.columns
+
+
+def _pandas(read):
+    return lambda path: {name: column.to_numpy() for name, column in read(path).items()}
+
+
+def _polars(read):
+    return lambda path: {column.name: column.to_numpy() for column in read(path)}
+
+
+READ = {
+    ("csv", "numpy"): _numpy_text,
+    ("csv", "pandas"): _pandas(pd.read_csv),
+    ("csv", "polars"): _polars(pl.read_csv),
+    ("csv", "pyarrow"): _arrow(csv.read_csv),
+    ("tsv", "pandas"): _pandas(lambda path: pd.read_csv(path, sep="\t")),
+    ("tsv", "polars"): _polars(lambda path: pl.read_csv(path, separator="\t")),
+    ("jsonl", "json"): _lines,
+    ("jsonl", "pandas"): _pandas(lambda path: pd.read_json(path, lines=True, precise_float=True)),
+    ("jsonl", "polars"): _polars(pl.read_ndjson),
+    ("jsonl", "pyarrow"): _arrow(arrow_json.read_json),
+    ("parquet", "pyarrow"): _arrow(parquet.read_table),
+    ("parquet", "pandas"): _pandas(pd.read_parquet),
+    ("parquet", "polars"): _polars(pl.read_parquet),
+    ("feather", "pyarrow"): _arrow(feather.read_table),
+    ("feather", "pandas"): _pandas(pd.read_feather),
+    ("feather", "polars"): _polars(pl.read_ipc),
+    ("npy", "numpy"): _numpy_records,
+    ("npz", "numpy"): _numpy_archive,
+}
+
+
+@pytest.mark.parametrize("layout", NAMES)
+@pytest.mark.parametrize(("kind", "reader"), READ)
+def test_tables_open_elsewhere(tmp_path, kind, reader, layout):
+    """Names, order, types and every bit of stamps and components are the same."""
+    found = READ[kind, reader](written(tmp_path, kind, layout))
+    assert list(found) == ["t_ns", *NAMES[layout]]
+    assert found["t_ns"].dtype == np.int64
+    assert found["t_ns"].tolist() == T_NS.tolist()
+    stored = np.column_stack([found[name] for name in NAMES[layout]])
+    assert stored.tobytes() == STORED[layout].tobytes()
+
+
+@pytest.mark.parametrize("layout", NAMES)
+def test_scipy_turns_vectors_the_same_way(tmp_path, layout):
+    """Rotation.from_quat with the scalar where the layout has it gives the matrices we write."""
+    table = parquet.read_table(written(tmp_path, "parquet", layout))
+    stored = np.column_stack([table[name] for name in NAMES[layout]])
+    rotation = Rotation.from_quat(stored, scalar_first=layout == "scalar-first")
+    matrices = tmp_path / "matrices.npy"
+    convert(Conversion(str(tmp_path / "attitude.parquet"), str(matrices), representation="matrix"))
+    rows = np.load(matrices)
+    expected = np.stack([rows[f"r{i}{j}"] for i in "123" for j in "123"], 1).reshape(-1, 3, 3)
+    for vector in VECTORS:
+        np.testing.assert_allclose(rotation.apply(vector), expected @ vector, atol=1e-15)
+
+
+def test_evo_reads_trajectories(tmp_path):
+    """TUM and EuRoC files have the same quaternions in evo; its stamps are float64 seconds."""
+    tum = file_interface.read_tum_trajectory_file(written(tmp_path, "tum"))
+    euroc = file_interface.read_euroc_csv_trajectory(written(tmp_path, "euroc", name="euroc.csv"))
+    for found in (tum, euroc):
+        valid, _ = found.check()
+        assert valid
+        np.testing.assert_array_equal(found.orientations_quat_wxyz, WXYZ)
+        np.testing.assert_array_equal(found.positions_xyz, np.zeros((ROWS, 3)))
+        np.testing.assert_allclose(found.timestamps, T_NS / 1e9, rtol=0, atol=2.4e-7)
+
+
+def test_the_command_of_evo_reads_a_trajectory(tmp_path):
+    """`evo_traj tum` finds nothing to complain about."""
+    command = Path(sys.executable).with_name("evo_traj")
+    path = written(tmp_path, "tum")
+    done = subprocess.run(
+        [command, "tum", path, "--full_check"], capture_output=True, text=True, check=False,
+        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    said = dict(line.split("\t")[1:] for line in done.stdout.splitlines() if line.count("\t") == 2)
+    assert said["nr. of poses"] == str(ROWS)
+    checked = ("SE(3) conform", "array shapes", "nr. of stamps", "quaternions", "timestamps")
+    assert [said[what] for what in checked] == ["yes", "ok", "ok", "ok", "ok"]
+
+
+@pytest.mark.parametrize("kind", ["bag", "rosbag2", "rosbag2-mcap"])
+def test_rosbags_reads_every_message(tmp_path, kind):
+    """AnyReader opens bags of both kinds, and each message has its stamp, frame and quaternion."""
+    path = written(tmp_path, kind, name="attitude.bag" if kind == "bag" else "attitude")
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
+    with AnyReader([path], default_typestore=store) as reader:
+        assert reader.message_count == ROWS
+        messages = [
+            (log_ns, reader.deserialize(data, connection.msgtype))
+            for connection, log_ns, data in reader.messages()
+        ]
+    stamps = [one.header.stamp for _, one in messages]
+    assert [log_ns for log_ns, _ in messages] == T_NS.tolist()
+    assert [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps] == T_NS.tolist()
+    quaternions = [one.quaternion for _, one in messages]
+    found = np.array([[q.w, q.x, q.y, q.z] for q in quaternions])
+    assert found.tobytes() == WXYZ.tobytes()
+    assert {one.header.frame_id for _, one in messages} == {"reference"}
+
+
+@pytest.mark.parametrize("reader_of", [SeekingReader, NonSeekingReader])
+def test_the_mcap_package_reads_every_message_and_every_checksum(tmp_path, reader_of):
+    """Its readers pass over the file with CRCs validated, along the index and straight through."""
+    path = written(tmp_path, "mcap")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with path.open("rb") as file:
+        messages = list(reader_of(file, validate_crcs=True).iter_messages())
+    assert [message.log_time for _, _, message in messages] == T_NS.tolist()
+    schema, channel, _ = messages[0]
+    assert (schema.name, schema.encoding) == ("geometry_msgs/msg/QuaternionStamped", "ros2msg")
+    assert (channel.topic, channel.message_encoding) == ("/attitude", "cdr")
+    found = [store.deserialize_cdr(one.data, schema.name).quaternion for _, _, one in messages]
+    assert np.array([[q.w, q.x, q.y, q.z] for q in found]).tobytes() == WXYZ.tobytes()
+    with path.open("rb") as file:
+        records = list(SeekingReader(file, validate_crcs=True).iter_metadata())
+    assert [json.loads(one.metadata["provenance"]) for one in records] == [{"quatprop": "1.0"}]
+
+
+def test_provenance_is_where_other_software_finds_it(tmp_path):
+    """Keys of a schema, a string in an archive: nothing of ours is needed to read it."""
+    said = {"quatprop": "1.0"}
+    metadata = parquet.read_metadata(written(tmp_path, "parquet")).metadata
+    assert json.loads(metadata[b"quatprop"]) == said
+    schema = pa.ipc.open_file(written(tmp_path, "feather")).schema
+    assert json.loads(schema.metadata[b"quatprop"]) == said
+    path = written(tmp_path, "npz")
+    assert json.loads(str(np.load(path)["quatprop"])) == said
+    assert zipfile.ZipFile(path).testzip() is None
+
+
+def test_angles_and_vectors_mean_to_scipy_what_they_are_called(tmp_path):
+    """Columns yaw, pitch, roll are intrinsic ZYX; rotation vectors are scipy's."""
+    source = written(tmp_path, "npz")
+    for form, columns, rebuild in (
+        ("euler-zyx", ("yaw_rad", "pitch_rad", "roll_rad"),
+         lambda rows: Rotation.from_euler("ZYX", rows)),
+        ("euler-zyx-deg", ("yaw_deg", "pitch_deg", "roll_deg"),
+         lambda rows: Rotation.from_euler("ZYX", rows, degrees=True)),
+        ("rotvec", ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), Rotation.from_rotvec),
+    ):  # fmt: skip
+        target = tmp_path / f"{form}.parquet"
+        convert(Conversion(str(source), str(target), representation=form))
+        table = parquet.read_table(target)
+        rows = np.column_stack([table[name] for name in columns])
+        assert geodesic_angle(rebuild(rows).as_quat(scalar_first=True), WXYZ).max() < 2e-14

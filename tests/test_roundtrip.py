@@ -1,0 +1,97 @@
+"""Every pair of formats that hold ns and float64: there and back is the same to the bit."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from quatprop.conventions.layout import LAYOUTS
+from quatprop.convert import Conversion, convert
+from quatprop.readers import READERS, open_log
+from quatprop.series import AttitudeSeries
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.writers import WRITERS, open_writer
+
+SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
+"""Endings of the kinds whose name is not their suffix; a file of EuRoC is a CSV."""
+
+ROS = {kind for kind, known in WRITERS.items() if known.messages}
+PLACES = [
+    (kind, layout)
+    for kind, known in WRITERS.items()
+    for layout in (("scalar-first", "scalar-last") if known.layout is None else (known.layout,))
+]
+"""Every format in every layout it allows."""
+
+
+def unit(random, count):
+    """Return random unit quaternions, among them signs and zeros that are easily lost."""
+    wxyz = random.normal(size=(count, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    wxyz[:4] = [[1, -0.0, 0, -0.0], [-0.0, 0, -1, 0], [0.5, -0.5, 0.5, -0.5], [1, 5e-324, 0, 0]]
+    return wxyz
+
+
+def series(kind, rows=2_000):
+    """Return attitudes at awkward stamps: near 1.7e18 ns, one apart, repeated, from zero.
+
+    Negative ones where the format has them: ROS has not.
+    """
+    random = np.random.default_rng(5)
+    t_ns = 1_700_000_000_123_456_789 + np.cumsum(random.integers(0, 3, rows))
+    t_ns[:3] = [0, 1, 999_999_999]
+    if kind not in ROS:
+        t_ns[:5] = [-(2**63) + 1, -1_000_000_000, -999_999_999, -1, 0]
+    return AttitudeSeries(t_ns, unit(random, rows))
+
+
+def written(folder, kind, layout, attitudes):
+    """Write attitudes and return the file."""
+    path = folder / f"attitude{SUFFIX.get(kind, '.' + kind)}"
+    with open_writer(path, kind, layout=layout) as writer:
+        writer.write(attitudes)
+        writer.commit({})
+    return path
+
+
+def read(path):
+    """Return stamps and wxyz of a file, and in which layout it has them."""
+    with open_log(path) as log:
+        source = choose_attitudes(log, AttitudeSelection())
+        t_ns, wxyz = zip(*source.rows(), strict=True)
+        assert log.losses == []
+    return np.concatenate(t_ns), np.concatenate(wxyz), source.layout
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_that_is_written_can_be_read(tmp_path, kind):
+    """Nothing needs to be said: the content tells the kind, the names the layout.
+
+    There are enough rows for several blocks of every writer and reader.
+    """
+    attitudes = series(kind, 150_000)
+    t_ns, wxyz, _ = read(written(tmp_path, kind, None, attitudes))
+    assert t_ns.tolist() == attitudes.t_ns.tolist()
+    assert wxyz.tobytes() == attitudes.wxyz.tobytes()
+
+
+@pytest.mark.parametrize(("first", "second"), list(product(PLACES, PLACES)))
+def test_converted_to_any_other_format_it_is_the_same_to_the_bit(tmp_path, first, second):
+    """Stamps and numbers survive each pair of formats, in each layout that they allow."""
+    (kind, layout), (other, other_layout) = first, second
+    attitudes = series(other if other in ROS else kind)
+    source = written(tmp_path, kind, layout, attitudes)
+    assert read(source)[2] == LAYOUTS[layout].name
+    target = tmp_path / f"converted{SUFFIX.get(other, '.' + other)}"
+    convert(Conversion(str(source), str(target), to=other, layout=other_layout))
+    t_ns, wxyz, found = read(target)
+    assert t_ns.tobytes() == attitudes.t_ns.tobytes()
+    assert wxyz.tobytes() == attitudes.wxyz.tobytes()
+    assert found == LAYOUTS[other_layout].name
+
+
+def test_every_kind_takes_part():
+    """Each reader of attitudes reads what a writer wrote, but for logs nobody writes."""
+    read_kinds = set(READERS) - {"ulog", "db3"}
+    assert read_kinds - set(WRITERS) == set()
+    assert set(WRITERS) - read_kinds == {"tsv", "tum", "euroc", "rosbag2-mcap"}
