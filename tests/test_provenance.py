@@ -1,0 +1,256 @@
+"""How a file came about: kept, read back and extended by every format that has room for it."""
+
+import hashlib
+import json
+import os
+import threading
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from click.testing import CliRunner
+from mcap.writer import Writer as McapWriter
+
+from quatprop.cli import cli
+from quatprop.errors import DamagedLogError, UsageError
+from quatprop.provenance import Fingerprint, fingerprint
+from quatprop.readers import open_log
+from quatprop.series import AttitudeSeries
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.writers import WRITERS, has_room, open_writer
+
+COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
+CARRIERS = sorted({kind for kind, known in WRITERS.items() if known.room} | COMMENTED)
+RATES = "t_ns,wx,wy,wz\n1000000000,0,0,1\n2000000000,0,0,1\n"
+ATTITUDES = AttitudeSeries(np.array([5, 6]), np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]]))
+
+
+def run(*arguments, code=0):
+    """Run the command and return the result."""
+    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def told(path):
+    """Return what a file says of itself, as its reader gives it."""
+    with open_log(path) as log:
+        return choose_attitudes(log, AttitudeSelection()).provenance
+
+
+def written(path, kind, said):
+    """Write attitudes with any provenance."""
+    with open_writer(path, kind, comment=kind in COMMENTED) as writer:
+        writer.write(ATTITUDES)
+        writer.commit(said)
+    return path
+
+
+def place(folder, number, kind):
+    """Return a name for a file of a kind, by which it can be told."""
+    suffix = {"euroc": "euroc.csv"}.get(kind, kind)
+    return folder / (f"{number}" if kind.startswith("rosbag2") else f"{number}.{suffix}")
+
+
+@pytest.fixture
+def rates(tmp_path):
+    """Return a log of two samples."""
+    path = tmp_path / "rates.csv"
+    path.write_text(RATES)
+    return path
+
+
+@pytest.mark.parametrize("kind", CARRIERS)
+def test_every_format_with_room_keeps_it_word_for_word(tmp_path, kind):
+    """What a writer was given is what the reader gives, whatever letters are in it."""
+    said = {
+        "quatprop": "1",
+        "source": {"path": "b\u00fcgel \u2028\n\t'\"#.bag"},
+        "numbers": [1.5, None],
+    }
+    assert told(written(tmp_path / "file", kind, said)) == said
+
+
+@pytest.mark.parametrize("kind", CARRIERS)
+def test_conversions_are_added_one_after_the_other(tmp_path, rates, kind):
+    """Source, method and counts of the propagation stay; each conversion is one step of history."""
+    first, second = place(tmp_path, 1, kind), place(tmp_path, 2, kind)
+    last = tmp_path / "last.parquet"
+    comment = ["--header-comment"] if kind in COMMENTED else []
+    run("propagate", rates, "-o", first, "--to", kind, "--method", "mean", *comment)
+    run("convert", first, second, "--to", kind, "--sign", "positive", *comment)
+    run("convert", second, last)
+    begun, end = told(first), told(last)
+    for key in ("counts", "policy", "conditioning", "result", "source"):
+        assert end[key] == begun[key]
+    assert end["convention"]["method"] == "mean"
+    steps = end["conversions"]
+    assert [step["source"]["path"] for step in steps] == [str(first), str(second)]
+    assert [step["source"]["sha256"] for step in steps] == [
+        fingerprint(first)["sha256"], fingerprint(second)["sha256"],
+    ]  # fmt: skip
+    assert [step["to"]["sign"] for step in steps] == ["positive", "keep"]
+
+
+@pytest.mark.parametrize("kind", sorted(set(CARRIERS) - {"mcap", "bag", "tum", "euroc"}
+                                        - {"rosbag2", "rosbag2-mcap"}))  # fmt: skip
+def test_numbers_of_another_convention_need_no_options(tmp_path, kind):
+    """A table says what its numbers mean; who says otherwise is refused."""
+    source = written(place(tmp_path, 1, kind), kind, {})
+    jpl, back = place(tmp_path, 2, kind), place(tmp_path, 3, kind)
+    comment = ["--header-comment"] if kind in COMMENTED else []
+    run("convert", source, jpl, "--convention", "jpl", "--layout", "xyzw", *comment)
+    run("convert", jpl, back, *comment)
+    with open_log(back) as log:
+        (rows,) = choose_attitudes(log, AttitudeSelection()).rows()
+    assert rows[1].tolist() == ATTITUDES.wxyz.tolist()
+    result = run("convert", jpl, back, "--from-convention", "hamilton", code=2)
+    assert "--from-convention says hamilton, but the metadata of the file says jpl" in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
+def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
+    """A ROS quaternion is scalar-last; metadata that say otherwise are settled by the user."""
+    path = written(tmp_path / "log", kind, {"convention": {"layout": "scalar-first"}})
+    sentence = (
+        "the metadata of topic '/attitude' say scalar-first, but 'quaternion' of "
+        "'geometry_msgs/msg/QuaternionStamped' is scalar-last by definition; settle it with "
+        "--from-layout scalar-last"
+    )
+    with open_log(path) as log:
+        with pytest.raises(UsageError, match=sentence):
+            choose_attitudes(log, AttitudeSelection())
+        choose_attitudes(log, AttitudeSelection(layout="scalar-last"))
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
+def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
+    """What the metadata of a topic say about the meaning is believed, and not overruled."""
+    path = written(tmp_path / "log", kind, {"convention": {"convention": "jpl"}})
+    with open_log(path) as log:
+        source = choose_attitudes(log, AttitudeSelection())
+        ((_, wxyz),) = source.rows()
+        with pytest.raises(UsageError, match="--from-convention says hamilton, but the metadata"):
+            choose_attitudes(log, AttitudeSelection(convention="hamilton"))
+    assert source.meaning.convention == "jpl"
+    assert wxyz.tolist() == [[1, 0, 0, 0], [0.6, -0.8, 0, 0]]
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
+def test_metadata_of_messages_that_are_damaged_are_refused(tmp_path, monkeypatch, kind):
+    """What stands under this package's key and is no JSON is damage."""
+    for room in ("mcap", "rosbag1", "rosbag2"):
+        monkeypatch.setattr(f"quatprop.writers.{room}.words_of", lambda _provenance: "{")
+    path = written(tmp_path / "log", kind, {})
+    with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON it should"):
+        told(path)
+
+
+def test_metadata_of_another_topic_are_not_taken(tmp_path):
+    """One file may hold several topics of ours and others; each has its own provenance."""
+    path = tmp_path / "log.mcap"
+    definition = "geometry_msgs/Quaternion quaternion\n"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("geometry_msgs/msg/QuaternionStamped", "ros2msg",
+                                        definition.encode())  # fmt: skip
+        for topic in ("/a", "/b", "/c"):
+            writer.register_channel(topic, "cdr", schema)
+        for topic in ("/a", "/b"):
+            said = {"provenance": json.dumps({"of": topic}), "topic": topic}
+            writer.add_metadata("quatprop", said)
+        writer.add_metadata("quatprop", {"something": "else"})
+        writer.add_metadata("other", {"provenance": "{}"})
+        writer.finish()
+    with open_log(path) as log:
+        assert [log.provenance(topic) for topic in ("/a", "/b", "/c")] == [
+            {"of": "/a"}, {"of": "/b"}, {},
+        ]  # fmt: skip
+
+
+def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
+    """The index of metadata stands at the end; without it the definitions still say enough."""
+    path = written(tmp_path / "log.mcap", "mcap", {"quatprop": "1"})
+    path.write_bytes(path.read_bytes()[:-30])
+    assert told(path) == {}
+
+
+# By what a source can be told again.
+
+
+def test_a_propagation_tells_its_source(tmp_path, rates):
+    """Bytes and SHA-256 stand in the metadata of the output, and in the report."""
+    out, report = tmp_path / "out.parquet", tmp_path / "report.json"
+    run("propagate", rates, "-o", out, "--report", report)
+    kept = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"quatprop"])
+    for said in (kept, json.loads(report.read_text())):
+        assert said["source"]["bytes"] == len(RATES)
+        assert said["source"]["sha256"] == hashlib.sha256(RATES.encode()).hexdigest()
+
+
+def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
+    """A CSV keeps no provenance, so none is found out: unless a comment or a report asks for it."""
+    began = []
+    original = Fingerprint.__init__
+    monkeypatch.setattr(
+        Fingerprint, "__init__",
+        lambda self, path, *, wanted=True: (began.append(wanted), original(self, path, wanted=wanted))[0],
+    )  # fmt: skip
+    out = tmp_path / "out.csv"
+    for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
+        run("propagate", rates, "-o", out, *options)
+        run("convert", out, tmp_path / "converted.csv", *options)
+    assert began == [False, False, True, True, True, True]
+    assert Fingerprint(rates, wanted=False).result() == {"bytes": len(RATES), "sha256": None}
+    assert [has_room("a.csv"), has_room("a.csv", comment=True), has_room("a.npz")] == [
+        False, True, True,
+    ]  # fmt: skip
+
+
+def test_stdin_cannot_be_told_again():
+    """The report says that there is nothing to say."""
+    result = CliRunner().invoke(
+        cli, ["propagate", "-", "-o", os.devnull, "--to", "csv", "-q", "--report", "-"], input=RATES
+    )
+    assert result.exit_code == 0, result.output
+    source = json.loads(result.stdout)["source"]
+    assert (source["bytes"], source["sha256"]) == (None, None)
+
+
+def test_every_part_of_a_folder_is_told(tmp_path):
+    """Each file has its own sum; that of all is what `sha256sum * | sha256sum` prints."""
+    (tmp_path / "b_0.db3").write_bytes(b"one")
+    (tmp_path / "a.yaml").write_bytes(b"two")
+    (tmp_path / "inner").mkdir()
+    sums = {
+        "a.yaml": hashlib.sha256(b"two").hexdigest(),
+        "b_0.db3": hashlib.sha256(b"one").hexdigest(),
+    }
+    lines = "".join(f"{sums[name]}  {name}\n" for name in sorted(sums))
+    assert fingerprint(tmp_path) == {
+        "bytes": 6,
+        "sha256": hashlib.sha256(lines.encode()).hexdigest(),
+        "files": {name: {"bytes": 3, "sha256": found} for name, found in sums.items()},
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    """Neither by itself nor in a folder; nothing is not there either."""
+    os.mkfifo(tmp_path / "pipe")
+    nothing = {"bytes": None, "sha256": None}
+    assert fingerprint(tmp_path / "pipe") == nothing
+    assert fingerprint(tmp_path) == nothing
+    assert fingerprint(tmp_path / "none") == nothing
+
+
+def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):
+    """A large source is not read to its end for a result that there will not be."""
+    threads = threading.active_count()
+    with Fingerprint(rates):
+        pass
+    assert threading.active_count() == threads
+    (tmp_path / "bad.csv").write_text("t_ns,wx,wy,wz\n5,0,0,1\n1,0,0,1\n")
+    run("propagate", tmp_path / "bad.csv", "-o", tmp_path / "out.parquet", code=2)
+    assert threading.active_count() == threads
