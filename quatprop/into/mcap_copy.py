@@ -127,8 +127,13 @@ class McapCopy:
         head = self._read(region.start, RECORD.size + CHUNK_HEAD.size)
         first, last, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
         left = region.length - len(head) - name_length - 8
-        if RECORD.unpack_from(head) != (Opcode.CHUNK, region.length - RECORD.size) or left < 0:
-            return  # the summary says that it is here; what reads its messages tells of it
+        is_torn = region.start + region.length > self._source.size
+        if (
+            is_torn
+            or RECORD.unpack_from(head) != (Opcode.CHUNK, region.length - RECORD.size)
+            or left < 0
+        ):
+            return  # what reads its messages tells of it
         name = self._read(region.start + len(head), name_length + 8)
         self._through(region.start, region.length, file)
         index_at = file.place
@@ -156,7 +161,7 @@ class McapCopy:
     def _index(self, region: Region, file: McapFile) -> dict[int, int]:
         """Write the message index that a chunk lacks; return where that of each channel is."""
         try:
-            data, _ = load(self._source, region)
+            data, *_ = load(self._source, region)
         except RegionError:
             return {}  # kept as it is; what reads its messages tells of it
         messages = at_offsets(data, walk(data).offsets)

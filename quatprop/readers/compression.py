@@ -11,6 +11,7 @@ import tempfile
 import threading
 import weakref
 import zlib
+from contextlib import suppress
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -107,6 +108,46 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
     except _damage(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
     return unpacked
+
+
+def front(data: Buffer, compression: str, size: int) -> Buffer:
+    """Return what can be unpacked of data whose end is missing.
+
+    Parameters
+    ----------
+    data
+        The beginning of a chunk.
+    compression
+        As for :func:`decompress`.
+    size
+        Bytes that the whole chunk unpacks to, as the log declares it.
+
+    Returns
+    -------
+    bytes or memoryview
+        At most `size` bytes, and at most :data:`MAX_SIZE`; empty where nothing can be unpacked.
+    """
+    if compression in {"", "none"}:
+        return data
+    unpacked = bytearray()
+    most = min(size, MAX_SIZE)
+    if compression in _UNPACK:
+        with suppress(*_damage(compression)):
+            for piece in _pieces(_Trickle(data), compression):
+                unpacked += piece
+                if len(unpacked) >= most:
+                    break
+    return bytes(unpacked[:most])
+
+
+class _Trickle(BytesIO):
+    """Gives few bytes at a time: a library keeps to itself all that it made of a bad piece."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return the next bytes, fewer than asked for."""
+        return super().read(min(size, _ZSTD_FEED) if size is not None and size > 0 else _ZSTD_FEED)
+
+    read1 = read
 
 
 class _Contexts(threading.local):

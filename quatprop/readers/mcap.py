@@ -15,7 +15,7 @@ from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_metadata import recorded
 from quatprop.readers.mcap_picked import picked
-from quatprop.readers.mcap_regions import RegionError, Source, is_plain, load
+from quatprop.readers.mcap_regions import Loaded, RegionError, Source, is_plain, load
 from quatprop.readers.mcap_summary import MAGIC
 from quatprop.readers.mcap_survey import survey
 from quatprop.readers.prefetch import ahead
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.readers.mcap_regions import Region
     from quatprop.readers.mcap_summary import Survey
 
-    Loaded = tuple[Buffer, Buffer, Messages | None] | RegionError
+    Content = Loaded | tuple[Buffer, Messages] | RegionError
 
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
@@ -124,15 +124,18 @@ class McapLog(Closing):
         with source, closing(_each(load_one, regions, source)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
-                    self._lose(Loss(region.place, content.reason, _total([region], ids)))
+                    lost = _total([region], ids)
+                    self._lose(Loss(region.place, content.reason, lost))
+                    found += lost or 0
                     continue
-                data, raw, messages = content
-                if messages is None:
-                    messages = self._messages(data, raw, region, ids)
+                if isinstance(content, Loaded):
+                    data, messages = content.data, self._messages(content, region, ids)
+                else:
+                    data, messages = content
                 if messages:
                     found += len(messages)
                     yield _block(data, messages, bound)
-        self._check_count(ids, regions, found)
+        self._check_count(ids, found)
 
     def provenance(self, topic: str) -> dict[str, Any]:
         """Return how a topic came about, as a metadata record may say; empty where none does.
@@ -147,12 +150,11 @@ class McapLog(Closing):
         except OSError as error:
             raise self._unreadable(error) from error
 
-    def _check_count(self, ids: Sequence[int], regions: Sequence[Region], found: int) -> None:
-        """Note when the file states more messages than its whole regions gave."""
-        places = {loss.place for loss in self.losses}
-        if self._stated is None or any(region.place in places for region in regions):
+    def _check_count(self, ids: Sequence[int], told: int) -> None:
+        """Note when the file states more messages than were read or told as lost."""
+        if self._stated is None:
             return
-        missing = sum(self._stated.get(one, 0) for one in ids) - found
+        missing = sum(self._stated.get(one, 0) for one in ids) - told
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
             self._lose(Loss("summary", reason, missing))
@@ -160,17 +162,18 @@ class McapLog(Closing):
     def _unreadable(self, error: OSError) -> UnreadableLogError:
         return UnreadableLogError(self.path, f"{error.strerror}; check the path")
 
-    def _messages(
-        self, data: Buffer, raw: Buffer, region: Region, ids: Sequence[int]
-    ) -> Messages | None:
+    def _messages(self, loaded: Loaded, region: Region, ids: Sequence[int]) -> Messages | None:
         """Locate the messages of a region: by its index, or where that fails by its records."""
+        data, raw, damage = loaded
         offsets = indexed(raw, region.start, region, ids)
         if offsets is not None:
             messages = at_offsets(data, offsets)
             if messages is not None and messages.are_all_of(ids):
                 return messages
         walked = walk(data)
-        if walked.end < len(data):
+        if damage:
+            self._lose(Loss(region.place, damage))
+        elif walked.end < len(data):
             reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
             self._lose(Loss(region.place, reason))
         if walked.malformed:
@@ -209,8 +212,8 @@ def _type_name(name: str, encoding: str) -> str:
 
 
 def _each(
-    load_one: Callable[[Region], Loaded], regions: Sequence[Region], source: Source
-) -> Generator[Loaded, None, None]:
+    load_one: Callable[[Region], Content], regions: Sequence[Region], source: Source
+) -> Generator[Content, None, None]:
     """Load regions one after another, ahead where that is worth threads: where they are packed."""
     if regions and not is_plain(source, regions[0]):
         yield from ahead(load_one, regions)
@@ -218,14 +221,10 @@ def _each(
         yield from map(load_one, regions)
 
 
-def _load(source: Source, ids: Sequence[int], region: Region) -> Loaded:
-    """Return a region unpacked and as it is in the file, and its messages if they were picked."""
+def _load(source: Source, ids: Sequence[int], region: Region) -> Content:
+    """Return the picked messages of a region with the bytes around them, or all of it."""
     try:
-        found = picked(source, region, ids)
-        if found is not None:
-            data, messages = found
-            return data, data, messages
-        return *load(source, region), None
+        return picked(source, region, ids) or load(source, region)
     except RegionError as error:
         return error
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import struct
 import threading
+import zlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.readers.compression import CompressionError, decompress
+from quatprop.readers.compression import CompressionError, decompress, front
+from quatprop.readers.limits import CHECKSUMS, checksums_matter
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.readers.compression import Buffer
 
-SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 3, 4, 5, 6, 7
+SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 5, 6, 7, 15
 """Opcodes."""
 RECORD = struct.Struct("<BQ")
 """Opcode and length of the content: how every record begins."""
@@ -30,6 +32,9 @@ CHUNK_HEAD = struct.Struct("<QQQII")
 """Start time, end time, unpacked size, CRC, length of the compression's name."""
 PLAIN_HEAD = RECORD.size + CHUNK_HEAD.size + 8
 """Bytes of a chunk record before its records, where it is not compressed."""
+
+PEEK = 128
+"""Bytes that are enough for the head of any record that is looked into."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and size of the entries of a message index."""
@@ -154,15 +159,39 @@ def is_plain(source: Source, region: Region) -> bool:
     return bool(name_length == 0 and size == region.length - PLAIN_HEAD)
 
 
-def load(source: Source, region: Region) -> tuple[Buffer, Buffer]:
-    """Read a region, its message index with it, and unpack it.
+class Loaded(NamedTuple):
+    """A region that was read.
 
-    Returns
-    -------
+    Parameters
+    ----------
     data
         The unpacked records.
     raw
         The region and its message index as they are in the file.
+    damage
+        Why `data` end early, or ``""``.
+    """
+
+    data: Buffer
+    raw: Buffer
+    damage: str = ""
+
+
+TORN = "the file ends inside it"
+"""The damage of what a recorder was writing when it died."""
+
+
+def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
+    """Read a region, its message index with it, and unpack it.
+
+    Parameters
+    ----------
+    source
+        The file.
+    region
+        Where in it.
+    check
+        Whether to refuse a chunk whose checksum is wrong.
 
     Raises
     ------
@@ -173,27 +202,77 @@ def load(source: Source, region: Region) -> tuple[Buffer, Buffer]:
         raw = source.read(region.start, region.length + region.index_length)
     except OSError as error:
         raise RegionError(f"it cannot be read: {error.strerror}") from error
-    if len(raw) < region.length:
-        raise RegionError("the file ends inside it")
+    is_torn = len(raw) < region.length
+    damage = TORN if is_torn else ""
     if not region.is_chunk:
-        return raw, raw
+        return Loaded(raw, raw, damage)
+    chunk = chunk_head(raw, region.length)
+    if chunk is None:
+        raise RegionError("no chunk of the indexed length begins there")
+    packed = memoryview(raw)[chunk.begin : chunk.end]
+    if is_torn:
+        return Loaded(front(packed, chunk.compression, chunk.size), raw, damage)
     try:
-        return _unpack(memoryview(raw)[: region.length]), raw
+        data = decompress(packed, chunk.compression, chunk.size)
     except CompressionError as error:
         raise RegionError(error.reason) from error
+    if check and chunk.crc and zlib.crc32(data) != chunk.crc and checksums_matter():
+        raise RegionError(
+            f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
+            "it is read all the same"
+        )
+    return Loaded(data, raw)
 
 
-def _unpack(record: memoryview) -> Buffer:
-    """Return the unpacked records of a chunk record."""
+class ChunkHead(NamedTuple):
+    """What a chunk says before its data.
+
+    Parameters
+    ----------
+    first_ns
+        Earliest log time, ns, without sign.
+    size
+        Bytes unpacked.
+    crc
+        Checksum of the unpacked data; 0 where there is none.
+    compression
+        How it is packed.
+    begin, end
+        Where the packed data are, from the begin of the record.
+    """
+
+    first_ns: int
+    size: int
+    crc: int
+    compression: str
+    begin: int
+    end: int
+
+
+def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
+    """Return the head of a chunk record.
+
+    Parameters
+    ----------
+    record
+        The beginning of the record.
+    length
+        Bytes of the whole record.
+
+    Returns
+    -------
+    ChunkHead or None
+        None where `record` is too short, no chunk, or its lengths contradict each other.
+    """
     fixed = RECORD.size + CHUNK_HEAD.size
-    if len(record) < fixed + 8 or RECORD.unpack_from(record) != (CHUNK, len(record) - RECORD.size):
-        raise RegionError("no chunk of the indexed length begins there")
-    _, _, size, _, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
+    if len(record) < fixed + 8 or RECORD.unpack_from(record) != (CHUNK, length - RECORD.size):
+        return None
+    first, _, size, crc, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
     begin = fixed + name_length + 8
     if begin > len(record):
-        raise RegionError("its header is damaged")
+        return None
     (packed,) = struct.unpack_from("<Q", record, begin - 8)
-    if begin + packed > len(record):
-        raise RegionError("its header is damaged")
+    if begin + packed > length:
+        return None
     compression = bytes(record[fixed : fixed + name_length]).decode(errors="replace")
-    return decompress(record[begin : begin + packed], compression, size)
+    return ChunkHead(first, size, crc, compression, begin, begin + packed)

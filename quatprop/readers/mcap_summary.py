@@ -132,6 +132,9 @@ class Summary:
     chunks: dict[int, Region] = field(default_factory=dict)
     is_complete: bool = False
 
+    def __bool__(self) -> bool:
+        return bool(self.found.channels or self.chunks)
+
 
 def read_summary(source: Source, footer: Footer) -> Summary:
     """Return the summary, or an empty one where there is none or it is damaged."""

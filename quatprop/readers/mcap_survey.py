@@ -2,43 +2,52 @@
 
 The summary at the end of the file is taken where it is whole and agrees with the file. What it
 does not cover, or the whole file where it is missing, is scanned: record by record, over the
-content of chunks and attachments without reading it.
+content of chunks and attachments without reading it. Where the records cannot be followed, it goes
+on at the next that is one beyond doubt.
 """
 
 from __future__ import annotations
 
+import zlib
 from bisect import bisect_right
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import MAX_SIZE
+from quatprop.readers.limits import checksums_matter
 from quatprop.readers.mcap_messages import LATEST, at_offsets, walk
 from quatprop.readers.mcap_regions import (
     CHANNEL,
     CHUNK,
     CHUNK_HEAD,
+    DATA_END,
     INDEX_HEAD,
     MESSAGE,
     MESSAGE_INDEX,
+    PEEK,
     RECORD,
     SCHEMA,
+    TORN,
     Region,
     RegionError,
+    chunk_head,
     load,
 )
+from quatprop.readers.mcap_resync import CHUNKS, RECORDS, next_record
 from quatprop.readers.mcap_summary import MAGIC, Summary, read_footer, read_summary
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from quatprop.readers.compression import Buffer
     from quatprop.readers.mcap_regions import Source
-    from quatprop.readers.mcap_summary import Survey
+    from quatprop.readers.mcap_summary import Footer, Survey
 
-_DATA_END = 15
 _STRETCH = 1 << 22
 """Bytes of messages outside chunks that are one region."""
-_PEEK = 64
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
-_LAST_OPCODE, _FIRST_PRIVATE_OPCODE = _DATA_END, 0x80
+_FIRST_PRIVATE_OPCODE = 0x80
 
 
 def survey(source: Source) -> Survey:
@@ -56,9 +65,12 @@ def survey(source: Source) -> Survey:
     """
     footer = read_footer(source)
     summary = Summary() if footer is None else read_summary(source, footer)
-    end = source.size if footer is None else footer.data_end
-    scan = _Scan(source, end, summary.chunks)
+    end = _end_of_data(source, footer, summary)
+    scan = _Scan(source, end, _where_it_says(source, summary))
     scan.run(is_closed=footer is not None)
+    if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
+        # Bytes are missing, or too many, before the summary: it is not where the footer says.
+        summary = read_summary(source, replace(footer, summary_start=scan.summary_start))
     if scan.known:  # chunks that the scan passed over: the summary does not fit the file
         summary = Summary()
         scan = _Scan(source, end, {})
@@ -74,6 +86,28 @@ def survey(source: Source) -> Survey:
     return found
 
 
+def _end_of_data(source: Source, footer: Footer | None, summary: Summary) -> int:
+    """Return where the scan ends at the latest."""
+    if footer is None:
+        return source.size
+    return footer.data_end if summary else footer.footer_start
+
+
+def _where_it_says(source: Source, summary: Summary) -> dict[int, Region]:
+    """Return the chunks of the summary; none where bytes are missing or too many before the last.
+
+    What else it says stands then all the same.
+    """
+    if not summary.chunks:
+        return {}
+    last = summary.chunks[max(summary.chunks)]
+    return summary.chunks if chunk_head(_beginning(source, last.start), last.length) else {}
+
+
+def _beginning(source: Source, position: int) -> bytes:
+    return source.read(position, PEEK)
+
+
 class _Scan:
     """Goes through the data section from record to record.
 
@@ -86,6 +120,11 @@ class _Scan:
     known
         Chunks that need not be looked at, by where they are. Those that the scan comes by are
         taken out.
+
+    Attributes
+    ----------
+    summary_start
+        Where the record ends that ends the data; 0 while there is none.
     """
 
     def __init__(self, source: Source, end: int, known: dict[int, Region]) -> None:
@@ -96,24 +135,26 @@ class _Scan:
         self.regions: list[Region] = []
         self.definitions: list[tuple[int, Buffer, str]] = []
         self.losses: list[Loss] = []
+        self.summary_start = 0
 
     def run(self, *, is_closed: bool) -> None:
         """Scan everything; `is_closed` tells whether the file has its footer."""
         position = len(MAGIC)
-        ended = False
         while position < self.end:
             region = self.known.pop(position, None)
             if region is not None:
                 self.regions.append(region)
                 position = region.end
                 continue
+            begin = position
             opcode, position = self._step(position)
-            if opcode == _DATA_END:
-                ended = True
+            if opcode == DATA_END:
+                self.summary_start = position
+                self._check_data(begin)
                 position = self._next_known(position)
-        if is_closed or ended:
+        if is_closed or self.summary_start:
             return
-        if not self.losses:
+        if not self.losses or self.losses[-1].reason != TORN:
             self.losses.append(
                 Loss(f"byte {self.end}", "the file ends without a footer; it was not closed")
             )
@@ -124,15 +165,21 @@ class _Scan:
 
     def _step(self, position: int) -> tuple[int, int]:
         """Take the record at `position`; return its opcode and where the next one begins."""
-        head = self.source.read(position, min(_PEEK, self.end - position))
+        head = self.source.read(position, min(PEEK, self.end - position))
         opcode, length = RECORD.unpack_from(head.ljust(RECORD.size, b"\0"))
         end = position + RECORD.size + length
-        if end > self.end or len(head) < RECORD.size or opcode == 0:
-            return opcode, self._damaged(position, opcode)
+        is_whole = len(head) >= RECORD.size and end <= self.end and opcode != 0
+        if opcode == CHUNK and chunk_head(head, RECORD.size + length) is not None:
+            if is_whole or self._is_torn(position):
+                self._chunk(position, length, head)
+                return opcode, min(end, self.end)
+            is_whole = False
+        elif opcode == CHUNK:
+            is_whole = False
+        if not is_whole:
+            return 0, self._damaged(position, opcode)
         if opcode == MESSAGE:
             end = self._messages(position, end)
-        elif opcode == CHUNK:
-            self._chunk(position, length, head)
         elif opcode == MESSAGE_INDEX:
             self._message_index(position, length, head)
         elif opcode in {SCHEMA, CHANNEL}:
@@ -140,26 +187,64 @@ class _Scan:
             self.definitions.append((opcode, content, f"at byte {position}"))
         return opcode, end
 
+    def _is_torn(self, position: int) -> bool:
+        """Note that a chunk is the last of a file that ends inside it; False where others follow.
+
+        Bytes that are missing in the middle of a chunk may let it seem to end beyond the file.
+        """
+        if self.end < self.source.size or self._found(position + 1, self.end, CHUNKS) is not None:
+            return False
+        self.losses.append(Loss(f"chunk at byte {position}", TORN))
+        return True
+
+    def _found(self, start: int, stop: int, kinds: Container[int]) -> int | None:
+        return next_record(self.source, start, stop, self.end, kinds)
+
     def _damaged(self, position: int, opcode: int) -> int:
         """Note that the record at `position` cannot be taken; return where to go on."""
-        going_on = self._next_known(position)
-        is_opcode = 0 < opcode <= _LAST_OPCODE or opcode >= _FIRST_PRIVATE_OPCODE
-        if is_opcode and going_on == self.end == self.source.size:
+        limit = self._next_known(position)
+        last = self.regions[-1] if self.regions else None
+        going_on = None
+        if last is not None and last.is_chunk and last.end == position:
+            # It may be the chunk before whose length leads astray.
+            going_on = self._found(last.start + 1, position, CHUNKS)
+        if going_on is None:
+            going_on = self._found(position + 1, limit, RECORDS)
+        skipped_to = limit if going_on is None else going_on
+        is_opcode = 0 < opcode <= DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
+        if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
-            self.losses.append(Loss(place, "the file ends inside it"))
+            self.losses.append(Loss(place, TORN))
         else:
-            reason = f"no record begins there; {going_on - position} bytes are skipped"
+            size = max(0, skipped_to - position)
+            reason = f"no record begins there; {size} bytes are skipped"
             self.losses.append(Loss(f"byte {position}", reason))
-        return going_on
+        return skipped_to
 
     def _next_known(self, position: int) -> int:
         after = bisect_right(self.starts, position)
         return self.starts[after] if after < len(self.starts) else self.end
 
-    def _chunk(self, position: int, length: int, head: bytes) -> None:
-        if length < CHUNK_HEAD.size:
-            self.losses.append(Loss(f"chunk at byte {position}", "its header is damaged"))
+    def _check_data(self, end: int) -> None:
+        """Compare the checksum that the data end holds, where nothing else is checked.
+
+        Chunks have checksums of their own, and may be many gigabytes of which little is read.
+        """
+        record = self.source.read(end, RECORD.size + 4)
+        crc = int.from_bytes(record[RECORD.size :], "little")
+        if not crc or any(region.is_chunk for region in self.regions) or not checksums_matter():
             return
+        found = 0
+        for start in range(0, end, _STRETCH):
+            found = zlib.crc32(self.source.read(start, min(_STRETCH, end - start)), found)
+        if found != crc:
+            reason = (
+                "its checksum is wrong: something in it is not what was recorded, and nothing "
+                "tells what"
+            )
+            self.losses.append(Loss("data section", reason))
+
+    def _chunk(self, position: int, length: int, head: bytes) -> None:
         first, *_ = CHUNK_HEAD.unpack_from(head, RECORD.size)
         self.regions.append(Region(position, RECORD.size + length, True, min(first, LATEST)))
 
@@ -200,21 +285,32 @@ class _Scan:
 
 def _look_inside(source: Source, found: Survey, *, is_complete: bool) -> None:
     """Read the chunks that may hold channels and schemas not seen yet."""
+    suspect = []
     for region in found.regions:
         if region.holds is None:
             wanted = not is_complete or not all(map(found.is_defined, found.channels))
         else:
             wanted = not all(map(found.is_defined, region.holds))
-        if not wanted:
-            continue
-        try:
-            data, _ = load(source, region)
-        except RegionError:
-            continue  # told when its messages are wanted
-        walked = walk(data)
-        for opcode, begin, stop in walked.definitions:
-            found.define(opcode, memoryview(data)[begin:stop], f"in the {region.place}")
-        if region.holds is None and walked.end == len(data):
-            messages = at_offsets(data, walked.offsets)
-            region.counts = messages.counts() if messages else {}
-            region.holds = dict.fromkeys(region.counts, 0)
+        if wanted and not _take_definitions(source, found, region, check=True):
+            suspect.append(region)  # told when its messages are wanted
+    # What a chunk with a wrong checksum says of channels is better than nothing.
+    for region in suspect:
+        if not (is_complete and all(map(found.is_defined, found.channels))):
+            _take_definitions(source, found, region, check=False)
+
+
+def _take_definitions(source: Source, found: Survey, region: Region, *, check: bool) -> bool:
+    """Take what a region defines; return whether it can be read."""
+    try:
+        loaded = load(source, region, check=check)
+    except RegionError:
+        return False
+    data = loaded.data
+    walked = walk(data)
+    for opcode, begin, stop in walked.definitions:
+        found.define(opcode, memoryview(data)[begin:stop], f"in the {region.place}")
+    if region.holds is None and walked.end == len(data) and not loaded.damage:
+        messages = at_offsets(data, walked.offsets)
+        region.counts = messages.counts() if messages else {}
+        region.holds = dict.fromkeys(region.counts, 0)
+    return True
