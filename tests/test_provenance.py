@@ -193,10 +193,12 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
     """A CSV keeps no provenance, so none is found out: unless a comment or a report asks for it."""
     began = []
     original = Fingerprint.__init__
-    monkeypatch.setattr(
-        Fingerprint, "__init__",
-        lambda self, path, *, wanted=True: (began.append(wanted), original(self, path, wanted=wanted))[0],
-    )  # fmt: skip
+
+    def begin(self, path, *, wanted=True):
+        began.append(wanted)
+        original(self, path, wanted=wanted)
+
+    monkeypatch.setattr(Fingerprint, "__init__", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
         run("propagate", rates, "-o", out, *options)
