@@ -6,13 +6,13 @@ are updated by the command, ``quatprop check SUITE.toml --update``.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from pathlib import Path
 
     from quatprop.check.case import BrokenCase, Case
     from quatprop.check.lock import Pin
@@ -37,13 +37,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let pytest look at the suites, beside what it was told to look at."""
-    config.args += [path for path in config.getoption(OPTION) if path not in config.args]
+    told = {(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args}
+    config.args += [str(path) for path in _named(config) if path.resolve() not in told]
+
+
+def _named(config: pytest.Config) -> list[Path]:
+    """Return the suites: relative to where pytest was called, else to its configuration."""
+    called, root = config.invocation_params.dir, config.rootpath
+    paths: list[str] = config.getoption(OPTION)
+    return [called / path if (called / path).exists() else root / path for path in paths]
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile | None:
     """Collect a suite that was named."""
-    named = {Path(path).absolute() for path in parent.config.getoption(OPTION)}
-    if file_path not in named:
+    if file_path.resolve() not in {path.resolve() for path in _named(parent.config)}:
         return None
     suite: SuiteFile = SuiteFile.from_parent(parent, path=file_path)
     return suite

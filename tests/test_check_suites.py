@@ -486,6 +486,21 @@ def test_pytest_chooses_cases_beside_other_tests(mixed):
     assert "2 passed, 2 deselected" in result.stdout
 
 
+def test_pytest_runs_one_case_by_its_name(mixed):
+    """A case that is named is run alone, also where the configuration names the suite."""
+    (mixed.parent / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=suite.toml\n")
+    (mixed.parent / "elsewhere").mkdir()
+    for place, name in (
+        (mixed.parent, "suite.toml"),
+        (mixed.parent / "elsewhere", "../suite.toml"),
+    ):
+        result = pytest_run(place, f"{name}::spin")
+        assert result.returncode == 0, result.stdout
+        assert "1 passed" in result.stdout
+        assert "deselected" not in result.stdout
+    assert "3 tests collected" in pytest_run(place, "--collect-only", "--rootdir=..").stdout
+
+
 def test_pytest_tells_of_a_broken_suite(folder):
     """It is an error of the collection, in one sentence."""
     write(folder, "[case.a\n")
