@@ -52,6 +52,9 @@ def test_the_command_writes_to_stdout():
             ["--samples", "5", "--duration", "1s"],
             "--samples and --duration say the same thing; give one of them",
         ),
+        (["--motion", "coning", "--axis", "1,0,0"], "--axis goes with --motion spin"),
+        (["--angle", "5"], "--angle goes with --motion coning or tumbling"),
+        (["--motion", "rest", "--walk", "1"], "--walk goes with --motion random-walk"),
     ],
 )
 def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence):

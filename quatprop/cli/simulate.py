@@ -12,6 +12,15 @@ from quatprop.cli.types import Duration, Numbers
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
 
+SHAPED_BY = {
+    "frequency": ("spin", "coning", "tumbling"),
+    "axis": ("spin",),
+    "angle": ("coning", "tumbling"),
+    "spin_frequency": ("tumbling",),
+    "walk": ("random-walk",),
+}
+"""Which motions an option shapes."""
+
 KINDS = ("csv", "parquet", "mcap", "bag", "rosbag2", "rosbag2-mcap")
 """The keys of :data:`quatprop.simulate.logs.LOGS`."""
 
@@ -182,6 +191,7 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside
 
+    _refuse_idle(options["motion"])
     if options["samples"] is not None and options["duration"] is not None:
         raise click.UsageError("--samples and --duration say the same thing; give one of them")
     samples = options["samples"] or samples_in(
@@ -214,3 +224,12 @@ def command(out: str, **options: Any) -> None:
     if not options["quiet"]:
         beside = f"; the truth is in {truth}" if truth else ""
         click.echo(f"{out}: {samples:,} samples of {options['motion']}{beside}", err=True)
+
+
+def _refuse_idle(motion: str) -> None:
+    """Refuse options that shape another motion than the one that is asked for."""
+    source = click.get_current_context().get_parameter_source
+    for name, motions in SHAPED_BY.items():
+        if motion not in motions and source(name) is not click.core.ParameterSource.DEFAULT:
+            option = f"--{name.replace('_', '-')}"
+            raise click.UsageError(f"{option} goes with --motion {' or '.join(motions)}")

@@ -13,7 +13,8 @@ from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
 from quatprop.errors import SchemaError, quoted
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Struct, find, numbers, ros_name, structs
+from quatprop.messages.known_types import KnownTypes
+from quatprop.messages.schema import Struct, find, numbers
 from quatprop.messages.stamps import Stamp, stamp_around
 
 if TYPE_CHECKING:
@@ -107,6 +108,8 @@ ORIENTATIONS: Mapping[str, OrientationField] = {
 }
 """Where the quaternion is, by message type, relative to the message."""
 
+KNOWN = KnownTypes(ORIENTATIONS)
+
 
 def orientation_fields(channel: Channel, path: Path | str) -> list[FoundOrientation]:
     """Return the attitudes that messages of known types carry, or carry inside them.
@@ -128,15 +131,8 @@ def orientation_fields(channel: Channel, path: Path | str) -> list[FoundOrientat
     SchemaError
         The definition of a known type cannot be read.
     """
-    if channel.encoding not in DECODERS or not _may_carry(channel):
-        return []
-    try:
-        root = message_type(channel, path)
-    except SchemaError:
-        if _row_of(channel.type_name) is not None:
-            raise
-        return []
-    return list(_found(root))
+    root = KNOWN.root(channel, path)
+    return [] if root is None else list(_found(root))
 
 
 def orientation_field_at(
@@ -185,39 +181,29 @@ def orientation_field_at(
     return FoundOrientation(quat_field, fields, layout, stamp_around(root, fields[0]))
 
 
-def _row_of(type_name: str) -> OrientationField | None:
-    return ORIENTATIONS.get(type_name) or ORIENTATIONS.get(ros_name(type_name))
-
-
-def _may_carry(channel: Channel) -> bool:
-    """Tell from the text of the definition whether a known type can be in it."""
-    if _row_of(channel.type_name) is not None:
-        return True
-    return any(name.rpartition("/")[2].encode() in channel.schema for name in ORIENTATIONS)
-
-
 def _found(root: Struct) -> Iterator[FoundOrientation]:
-    """Yield the rows of known types in a message; what is inside a known one is its own affair."""
-    passed: list[str] = []
-    for prefix, kind in structs(root):
-        row = _row_of(kind.name)
-        if row is None or any(prefix.startswith(outer) for outer in passed):
-            continue
-        fields, layout = _fields(root, prefix + row.quaternion)
-        if not fields:
-            continue
-        passed.append(prefix)
-        stamps = (stamp.under(prefix) for stamp in row.stamps)
-        there = (s for s in stamps if all(find(root, name) is not None for name in s.fields))
-        absent = None if row.absent is None else prefix + row.absent
-        yield FoundOrientation(
-            prefix + row.quaternion,
-            fields,
-            layout or row.layout,
-            next(there, None) or stamp_around(root, fields[0]),
-            absent if absent and find(root, absent) is not None else None,
-            row.frames,
-        )
+    """Yield the rows of known types in a message."""
+
+    def fits(row: OrientationField, _kind: Struct, prefix: str) -> bool:
+        return bool(_fields(root, prefix + row.quaternion)[0])
+
+    return (_placed(row, root, prefix) for prefix, row in KNOWN.inside(root, fits))
+
+
+def _placed(row: OrientationField, root: Struct, prefix: str) -> FoundOrientation:
+    """Return a row with its paths from the root; what this version of its type lacks is None."""
+    fields, layout = _fields(root, prefix + row.quaternion)
+    stamps = (stamp.under(prefix) for stamp in row.stamps)
+    there = (s for s in stamps if all(find(root, name) is not None for name in s.fields))
+    absent = None if row.absent is None else prefix + row.absent
+    return FoundOrientation(
+        prefix + row.quaternion,
+        fields,
+        layout or row.layout,
+        next(there, None) or stamp_around(root, fields[0]),
+        absent if absent and find(root, absent) is not None else None,
+        row.frames,
+    )
 
 
 def _fields(root: Struct, name: str) -> tuple[tuple[str, ...], Layout | None]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.messages.schema import ros_name
 from quatprop.messages.stamps import Stamp
 
 if TYPE_CHECKING:
@@ -159,8 +158,3 @@ RATES: Mapping[str, RateField] = {
     ),
 }
 """Where the rate is, by message type, relative to the message."""
-
-
-def row_of(type_name: str) -> RateField | None:
-    """Return the row of a type, or None where the table does not know it."""
-    return RATES.get(type_name) or RATES.get(ros_name(type_name))

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from quatprop.errors import SchemaError, quoted
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
-from quatprop.messages.rate_types import RATES, RateField, row_of
-from quatprop.messages.schema import at, find, numbers, structs
+from quatprop.messages.known_types import KnownTypes
+from quatprop.messages.rate_types import RATES, RateField
+from quatprop.messages.schema import at, find, numbers
 from quatprop.messages.stamps import Stamp, stamp_around, stamp_of
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 AXES = 3
 """Numbers in a rate."""
+
+KNOWN = KnownTypes(RATES)
 
 
 def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
@@ -43,15 +46,8 @@ def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
     SchemaError
         The definition of a known type cannot be read.
     """
-    if channel.encoding not in DECODERS or not _may_carry(channel):
-        return []
-    try:
-        root = message_type(channel, path)
-    except SchemaError:
-        if row_of(channel.type_name) is not None:
-            raise
-        return []
-    return list(_found(root))
+    root = KNOWN.root(channel, path)
+    return [] if root is None else list(_found(root))
 
 
 def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateField | None:
@@ -137,27 +133,12 @@ def time_field_at(
     return None if unit is None else Stamp((time_field,), unit)
 
 
-def _may_carry(channel: Channel) -> bool:
-    """Tell from the text of the definition whether a known type can be in it."""
-    if row_of(channel.type_name) is not None:
-        return True
-    # No standard type that is not in the table has one inside.
-    return any(name.rpartition("/")[2].encode() in channel.schema for name in RATES)
-
-
 def _found(root: Struct) -> Iterator[RateField]:
-    """Yield the rows of known types in a message; what is inside a known one is its own affair."""
-    passed: list[str] = []
-    for prefix, kind in structs(root):
-        row = row_of(kind.name)
-        if row is None or any(prefix.startswith(outer) for outer in passed):
-            continue
-        if _fits(row, kind):
-            passed.append(prefix)
-            yield _placed(row, root, prefix)
+    """Yield the rows of known types in a message."""
+    return (_placed(row, root, prefix) for prefix, row in KNOWN.inside(root, _fits))
 
 
-def _fits(row: RateField, kind: Struct) -> bool:
+def _fits(row: RateField, kind: Struct, _prefix: str) -> bool:
     """Tell whether this version of a type has the fields of its row."""
     counts = [_count(find(kind, name)) for name in row.rate]
     if row.burst is None:
