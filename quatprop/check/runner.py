@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from fnmatch import fnmatchcase
 from functools import partial
@@ -14,7 +15,7 @@ from quatprop.check.lock import write_lock
 from quatprop.check.update import update
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.check.lock import Pin
@@ -68,9 +69,14 @@ def outcomes(
         return
     # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(processes, len(cases)), context)
+    pool = ProcessPoolExecutor(
+        min(processes, len(cases)), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    )
     try:
-        futures = [pool.submit(work, case, pin=pin) for case, pin in zip(cases, known, strict=True)]
+        futures = [
+            pool.submit(_interruptible, work, case, pin)
+            for case, pin in zip(cases, known, strict=True)
+        ]
         for case, future in zip(cases, futures, strict=True):
             try:
                 yield future.result()
@@ -84,6 +90,20 @@ def outcomes(
                 )
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _interruptible(
+    work: Callable[..., Outcome], case: Case | BrokenCase, pin: Pin | None
+) -> Outcome:
+    """Do something with a case in a process that hears Ctrl-C only meanwhile.
+
+    So a case ends tidily, and a process that waits for the next one does not end in a traceback.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return work(case, pin=pin)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def pinned(found: Iterable[Outcome], lock: Path, pins: dict[str, Pin]) -> Iterator[Outcome]:
