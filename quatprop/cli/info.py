@@ -11,7 +11,7 @@ from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.words import lost
 from quatprop.errors import plain
 
-COLUMNS = {
+TIMED = {
     "source": "source",
     "type": "type",
     "samples": "samples",
@@ -20,9 +20,14 @@ COLUMNS = {
     "gaps": "gaps",
     "duplicates": "dup",
     "backwards": "back",
-    "max_rate_rad_s": "max rad/s",
 }
-"""Key of a source's facts -> heading in the table."""
+"""Key of a source's facts -> heading in a table."""
+
+COLUMNS = {
+    "sources": {**TIMED, "max_rate_rad_s": "max rad/s"},
+    "attitudes": {**TIMED, "source": "attitudes", "no_rotation": "bad", "layout": "layout"},
+}
+"""What is shown of rates and of attitudes."""
 
 NUMBERS_FROM = 2
 """Columns from here on are numbers and aligned to the right."""
@@ -33,10 +38,12 @@ NUMBERS_FROM = 2
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
 @with_options(SELECTION_OPTIONS)
 def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
-    """Show every source of body rates in each LOG.
+    """Show every source of body rates and of attitudes in each LOG.
 
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
-    median intervals), repeated stamps, stamps that step back, and the largest rate.
+    median intervals), repeated stamps, stamps that step back; of rates the largest, of attitudes
+    how many rows are no rotation, and the layout. What is missing to read a source is said with
+    the option that says it.
     """
     from quatprop.errors import QuatpropError
     from quatprop.survey import survey
@@ -62,21 +69,32 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
 
 
 def _described(facts: dict[str, Any]) -> str:
-    """Return the table of one log, and what is to be remarked on."""
-    rows = [list(COLUMNS.values())]
-    rows += [[_cell(source[key]) for key in COLUMNS] for source in facts["sources"]]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(COLUMNS))]
+    """Return the tables of one log, and what is to be remarked on."""
     lines = [f"{plain(facts['path'])} ({facts['kind']})"]
-    for row in rows:
-        cells = [
-            cell.rjust(width) if column >= NUMBERS_FROM else cell.ljust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  " + "  ".join(cells).rstrip())
-    for source in facts["sources"]:
-        lines += [f"  {plain(source['source'])}: {plain(text)}" for text in source["remarks"]]
+    for kind, columns in COLUMNS.items():
+        if facts[kind]:
+            lines += _table(facts[kind], columns)
+    for source in (*facts["sources"], *facts["attitudes"]):
+        name = _cell(source["source"])
+        if source["missing"]:
+            lines.append(f"  {name}: {plain(source['missing'])}")
+        lines += [f"  {name}: {plain(text)}" for text in source["remarks"]]
     lines += [f"  {line}" for line in lost(facts["losses"])]
     return "\n".join(lines)
+
+
+def _table(sources: list[dict[str, Any]], columns: dict[str, str]) -> list[str]:
+    rows = [list(columns.values())]
+    rows += [[_cell(source[key]) for key in columns] for source in sources]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(columns))]
+    return [
+        "  "
+        + "  ".join(
+            cell.rjust(width) if column >= NUMBERS_FROM else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def _cell(value: Any) -> str:

@@ -44,7 +44,15 @@ if TYPE_CHECKING:
 
 
 class Candidate(NamedTuple):
-    """An attitude of a channel, not yet looked at closely."""
+    """An attitude of a log, not yet looked at closely.
+
+    Parameters
+    ----------
+    topic, field
+        Where it is in messages; ``""`` in a table.
+    source
+        Gives it, or refuses what is not said about it.
+    """
 
     topic: str
     field: str

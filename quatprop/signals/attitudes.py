@@ -7,11 +7,12 @@ layout is taken from names, definitions or metadata; where none of them says it,
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import AmbiguousTopicError, UsageError, listed, plain, quoted
 from quatprop.readers.base import is_table
-from quatprop.signals.attitude_messages import of_messages
+from quatprop.signals.attitude_messages import Candidate, of_messages
 from quatprop.signals.attitude_source import AttitudeSelection, AttitudeSource
 from quatprop.signals.attitude_tables import of_table
 
@@ -23,7 +24,13 @@ if TYPE_CHECKING:
 
     from quatprop.readers.base import MessageLog, TableLog
 
-__all__ = ["AttitudeSelection", "AttitudeSource", "attitude_stamps", "choose_attitudes"]
+__all__ = [
+    "AttitudeSelection",
+    "AttitudeSource",
+    "attitude_candidates",
+    "attitude_stamps",
+    "choose_attitudes",
+]
 
 
 def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSource:
@@ -42,9 +49,7 @@ def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -
     UsageError
         Options contradict each other or the log.
     """
-    if is_table(log):
-        return of_table(log, selection)
-    found = of_messages(cast("MessageLog", log), selection)
+    found = attitude_candidates(log, selection)
     if len(found) == 1:
         return found[0].source()
     topics = [candidate.topic for candidate in found]
@@ -54,6 +59,22 @@ def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -
         f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several attitudes: "
         f"{listed(candidate.field for candidate in found)}; choose one with --quat-field"
     )
+
+
+def attitude_candidates(
+    log: MessageLog | TableLog, selection: AttitudeSelection
+) -> list[Candidate]:
+    """Return every attitude that the options leave, at least one, not yet looked at closely.
+
+    Raises
+    ------
+    LogError
+        As for :func:`choose_attitudes`, but for the ambiguity; what is said of a single source
+        comes when it is asked for.
+    """
+    if is_table(log):
+        return [Candidate("", "", partial(of_table, log, selection))]
+    return of_messages(cast("MessageLog", log), selection)
 
 
 def attitude_stamps(

@@ -69,6 +69,20 @@ class RowCounts:
         """Rows that are no rotation."""
         return self.zero + self.not_unit + self.not_finite
 
+    @property
+    def words(self) -> str:
+        """What is no rotation, why, and where the first of it is; for counts of some."""
+        kinds = (
+            (self.zero, "all zero"),
+            (self.not_unit, f"off unit length by up to {self.worst:.3g}"),
+            (self.not_finite, "absent or not finite"),
+        )
+        found = ", ".join(f"{count} {what}" for count, what in kinds if count)
+        return (
+            f"{self.bad} of {self.read} rows are no rotation ({found}), the first is row "
+            f"{self.first} at {self.first_ns} ns"
+        )
+
 
 class RotationCheck:
     """Lets rotations pass, and refuses or drops what is none.
@@ -153,15 +167,6 @@ class RotationCheck:
 
     def _reason(self) -> str:
         counts = self.counts
-        kinds = (
-            (counts.zero, "all zero"),
-            (counts.not_unit, f"off unit length by up to {counts.worst:.3g}"),
-            (counts.not_finite, "absent or not finite"),
-        )
-        found = ", ".join(f"{count} {what}" for count, what in kinds if count)
         ways = ["--normalize scales those of another length"] if counts.not_unit else []
         ways.append("--on-invalid drop leaves them out")
-        return (
-            f"{counts.bad} of {counts.read} rows are no rotation ({found}), the first is row "
-            f"{counts.first} at {counts.first_ns} ns; {', '.join(ways)}"
-        )
+        return f"{counts.words}; {', '.join(ways)}"

@@ -1,0 +1,173 @@
+"""`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.series import AttitudeSeries
+from quatprop.writers import WRITERS, open_writer
+
+HEADS = {
+    "unit of the rates": "t_ns,gyro_x,gyro_y,gyro_z",
+    "unit of the time": "t,wx_rad_s,wy_rad_s,wz_rad_s",
+    "both": "t,wx,wy,wz",
+}
+MISSING = {
+    "unit of the rates": "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' is not declared; "
+    "say it with --rate-unit rad/s|deg/s",
+    "unit of the time": "the unit of the time 't' is not declared; "
+    "say it with --time-unit s|ms|us|ns",
+    "both": "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' is not declared; "
+    "say it with --rate-unit rad/s|deg/s and --time-unit s|ms|us|ns",
+}
+
+
+def info(*arguments, code=0):
+    """Run `quatprop info --json` and return what it says, and its errors."""
+    result = CliRunner().invoke(cli, ["info", "--json", *map(str, arguments)])
+    assert result.exit_code == code, result.output
+    return json.loads(result.stdout), result.stderr
+
+
+def text(*arguments, code=0):
+    """Run `quatprop info` and return its lines."""
+    result = CliRunner().invoke(cli, ["info", *map(str, arguments)])
+    assert result.exit_code == code, result.output
+    return result.stdout.splitlines()
+
+
+def table(tmp_path, head, name="log.csv"):
+    """Write five rows, 10 ms apart."""
+    path = tmp_path / name
+    columns = head.count(",")
+    rows = [",".join([str(10_000_000 * k), *["0.5"] * columns]) for k in range(5)]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("unknown", HEADS)
+def test_a_table_whose_units_are_unknown_is_shown(tmp_path, unknown):
+    """What can be counted is, what cannot is left open, and the option that is missing is named."""
+    path, sentence = table(tmp_path, HEADS[unknown]), MISSING[unknown]
+    ((log,), errors) = info(path)
+    (source,) = log["sources"]
+    assert errors == ""
+    assert source["missing"] == sentence
+    assert source["samples"] == 5
+    timed = unknown == "unit of the rates"
+    assert (source["rate_hz"], source["span_s"]) == ((100.0, 0.04) if timed else (None, None))
+    rated = unknown == "unit of the time"
+    assert (source["max_rate_rad_s"] is not None) == rated
+    assert (source["rate_unit"] is not None) == rated
+    assert text(path)[-1] == f"  {source['source']}: {sentence}"
+
+
+def test_a_column_that_is_not_told_is_asked_for(tmp_path):
+    """Where even the time is ambiguous, the sentence stands alone."""
+    path = table(tmp_path, "a,b,wx,wy,wz")
+    ((log,), _) = info(path)
+    (source,) = log["sources"]
+    assert source["samples"] is None
+    assert source["missing"] == (
+        "which column is the time (of 'a', 'b', 'wx', 'wy', 'wz') is not declared; say it with "
+        "--time-col C, or --sample-rate HZ for rows at a steady rate"
+    )
+
+
+def test_attitudes_of_a_table_are_listed(tmp_path):
+    """Type, layout, count and rate; rows that are no rotation are counted and located."""
+    path = tmp_path / "log.csv"
+    path.write_text("t_ns,qx,qy,qz,qw\n0,0,0,0,1\n10000000,0,0,0,0\n20000000,nan,0,0,0\n")
+    ((log,), _) = info(path)
+    assert log["sources"] == []
+    (source,) = log["attitudes"]
+    assert {key: source[key] for key in ("source", "type", "layout", "convention", "direction",
+                                         "samples", "rate_hz", "no_rotation", "missing")} == {
+        "source": "qx,qy,qz,qw", "type": "quatprop", "layout": "scalar-last",
+        "convention": "hamilton", "direction": "body-to-ref", "samples": 3, "rate_hz": 100.0,
+        "no_rotation": 2, "missing": None,
+    }  # fmt: skip
+    (remark,) = source["remarks"]
+    assert remark == (
+        "2 of 3 rows are no rotation (1 all zero, 1 absent or not finite), the first is row 1 at "
+        "10000000 ns"
+    )
+    assert text(path)[1].split() == ["attitudes", "type", "samples", "Hz", "span", "s", "gaps",
+                                     "dup", "back", "bad", "layout"]  # fmt: skip
+
+
+def test_the_time_of_attitudes_may_be_unknown_too(tmp_path):
+    """They are counted, and the option is named."""
+    ((log,), _) = info(table(tmp_path, "time,qw,qx,qy,qz"))
+    (source,) = log["attitudes"]
+    assert (source["samples"], source["rate_hz"]) == (5, None)
+    assert (
+        "the unit of the time 'time' is not declared; say it with --time-unit" in source["missing"]
+    )
+
+
+def test_several_quaternions_are_not_guessed_between(tmp_path):
+    """The sentence says which there are, and the option that chooses."""
+    ((log,), _) = info(table(tmp_path, "t_ns,a_qw,a_qx,a_qy,a_qz,b_qw,b_qx,b_qy,b_qz"))
+    (source,) = log["attitudes"]
+    assert source["missing"] == (
+        "which quaternion to use (their scalar columns are 'a_qw', 'b_qw') is not declared; say "
+        "it with --quat-cols A,B,C,D"
+    )
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_every_kind_that_is_written_is_described(tmp_path, kind):
+    """The layout is that of the file, the rate that of its stamps."""
+    path = tmp_path / "attitude"
+    wxyz = np.tile([1.0, 0, 0, 0], (11, 1))
+    with open_writer(path, kind) as writer:
+        writer.write(AttitudeSeries(np.arange(11) * 5_000_000, wxyz))
+        writer.commit({})
+    ((log,), _) = info(path)
+    (source,) = log["attitudes"]
+    layout = "scalar-last" if WRITERS[kind].layout == "scalar-last" else "scalar-first"
+    assert (source["layout"], source["samples"], source["rate_hz"]) == (layout, 11, 200.0)
+
+
+def test_one_log_that_cannot_be_read_hides_no_other(tmp_path):
+    """Neither what is damaged nor what holds nothing of use; each has its sentence."""
+    good, other = table(tmp_path, "t_ns,wx,wy,wz"), table(tmp_path, "t_ns,qw,qx,qy,qz", "q.csv")
+    bad, empty = tmp_path / "bad.mcap", table(tmp_path, "t_ns,a,b", "nothing.csv")
+    bad.write_bytes(b"\x89MCAP0\r\n" + bytes(20))
+    logs, errors = info(good, bad, empty, other, tmp_path / "none.bag", code=2)
+    assert [log["path"] for log in logs] == [str(good), str(other)]
+    assert [line.split(":")[1].strip() for line in errors.splitlines()] == [
+        str(bad), str(empty), str(tmp_path / "none.bag"),
+    ]  # fmt: skip
+
+
+def test_options_about_rates_hide_attitudes(tmp_path):
+    """Who names columns of rates wants to see those, and is told when they are not there."""
+    path = table(tmp_path, "t_ns,wx,wy,wz,qw,qx,qy,qz")
+    assert [len(info(path)[0][0][key]) for key in ("sources", "attitudes")] == [1, 1]
+    ((log,), _) = info(path, "--rate-cols", "wx,wy,wz", "--rate-unit", "deg/s")
+    assert (len(log["sources"]), log["attitudes"]) == (1, [])
+    _, errors = info(path, "--rate-cols", "a,b,c", code=2)
+    assert "--rate-cols asks for column 'a'" in errors
+
+
+def test_stdin_is_read_once():
+    """Rates are looked at; attitudes where there are no rates."""
+    for head, key in (("t_ns,wx,wy,wz", "sources"), ("t_ns,qw,qx,qy,qz", "attitudes")):
+        rows = "".join(f"{k}{',0.5' * head.count(',')}\n" for k in range(3))
+        result = CliRunner().invoke(cli, ["info", "--json", "-"], input=f"{head}\n{rows}")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)[0][key][0]["samples"] == 3
+
+
+def test_attitude_topics_of_a_recording_are_listed(shared_logs):
+    """A real bag: an Imu without orientation, and the poses of a motion capture."""
+    ((log,), _) = info(shared_logs / "auk" / "auk.bag")
+    found = {one["source"]: one for one in log["attitudes"]}
+    assert found["/vicon/auk/auk"]["samples"] == 11161
+    assert found["/vicon/auk/auk"]["layout"] == "scalar-last"
+    assert {one["source"] for one in log["sources"]} <= {*found}
