@@ -26,7 +26,7 @@ from quatprop.readers.rosbag1_records import (
     MessageColumns,
     RecordFile,
     indexed_messages,
-    walked_records,
+    surviving_records,
 )
 
 if TYPE_CHECKING:
@@ -225,15 +225,12 @@ def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns
 
 def _walked(content: Content, wanted: set[int]) -> tuple[MessageColumns, str]:
     """Find messages record by record; say why there may be more, or ``""``."""
-    rows: list[tuple[int, int, int]] = []
-    damage = content.damage
-    try:
-        rows.extend(
-            (record.data, record.end, record.time(b"time"))
-            for record in walked_records(content.data)
-            if record.op == OP_MESSAGE and record.number(b"conn") in wanted
-        )
-    except MalformedRecordError as error:
-        damage = damage or str(error)
+    records, damage = surviving_records(content.data, content.marks)
+    rows = [
+        (record.data, record.end, record.time(b"time"))
+        for record in records
+        if record.op == OP_MESSAGE and record.number(b"conn") in wanted
+    ]
     columns = np.array(rows, np.int64).reshape(-1, 3).T
+    damage = content.damage or damage
     return MessageColumns(*(np.ascontiguousarray(column) for column in columns)), damage

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.readers.base import Loss
-from quatprop.readers.compression import CompressionError, decompress
+from quatprop.readers.compression import CompressionError, decompress, front
 from quatprop.readers.rosbag1_records import (
     OP_CHUNK,
     OP_CHUNK_INFO,
@@ -26,8 +26,9 @@ from quatprop.readers.rosbag1_records import (
     RecordFile,
     data_fields,
     index_offsets,
-    walked_records,
+    surviving_records,
 )
+from quatprop.readers.rosbag1_resync import CHUNKS, RECORDS, is_chunk, next_record
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -86,6 +87,12 @@ class Content:
     entries: dict[int, NDArray[np.void]]
     damage: str = ""
 
+    @property
+    def marks(self) -> NDArray[np.int64]:
+        """Where records begin by what the index data say, shape ``(N,)``, int64, ascending."""
+        parts = [found["offset"].astype(np.int64) for found in self.entries.values()]
+        return np.unique(np.concatenate([*parts, np.empty(0, np.int64)]))
+
 
 @dataclass(slots=True)
 class Index:
@@ -143,7 +150,7 @@ def content(file: RecordFile, chunk: Chunk) -> Content:
         data: bytes | bytearray | memoryview = packed
         damage = "its end is cut off" if len(packed) < length else ""
     elif len(packed) < length:
-        raise CompressionError(f"its {compression} data is cut off")
+        data, damage = front(packed, compression, size), f"its {compression} data is cut off"
     else:
         data, damage = decompress(packed, compression, size), ""
     return Content(np.frombuffer(data, np.uint8), index_offsets(bytes(raw[length:])), damage)
@@ -208,17 +215,16 @@ def _described(record: Record, data: bytes) -> Chunk:
 
 
 def walked(file: RecordFile, at: int) -> Index:
-    """Walk the records of a bag from `at` to its end."""
+    """Walk the records of a bag from `at` to its end; behind damage go on at the next record."""
     index = Index()
     while at < file.size:
         try:
             record = file.record(at)
             _take(file, index, record)
         except MalformedRecordError as error:
-            reason = f"{error}; what follows is not read"
-            index.losses.append(Loss(f"byte {at}", reason))
-            break
-        at = record.end
+            at = _behind(file, index, at, str(error))
+        else:
+            at = record.end
     chunks = index.chunks
     for chunk in chunks:
         # The last chunk's index data may not all have been written.
@@ -231,10 +237,37 @@ def walked(file: RecordFile, at: int) -> Index:
     return index
 
 
+def _behind(file: RecordFile, index: Index, at: int, reason: str) -> int:
+    """Note that no record can be taken at a place; return where to go on."""
+    last = index.chunks[-1] if index.chunks else None
+    found = None
+    if last is not None and not last.loose and last.end == at and not last.counts:
+        # It may be the chunk before whose length leads astray.
+        found = next_record(file, last.start + 1, at, CHUNKS)
+    if found is None:
+        found = next_record(file, at + 1, file.size, RECORDS)
+    if found is None:
+        index.losses.append(Loss(f"byte {at}", f"{reason}; what follows is not read"))
+        return file.size
+    size = max(0, found - at)
+    index.losses.append(Loss(f"byte {at}", f"{reason}; {size} bytes are skipped"))
+    return found
+
+
+def _is_damaged_chunk(file: RecordFile, record: Record) -> bool:
+    """Tell a chunk that must not be followed to its end: its fields or what comes contradict."""
+    if not is_chunk(record):
+        return True
+    beyond = record.end > file.size
+    return beyond and next_record(file, record.start + 1, file.size, CHUNKS) is not None
+
+
 def _take(file: RecordFile, index: Index, record: Record) -> None:
     """Enter one record into the index."""
     whole = record.end <= file.size
     if record.op == OP_CHUNK:
+        if _is_damaged_chunk(file, record):
+            raise MalformedRecordError("its chunk is damaged")
         index.chunks.append(Chunk(record.start, min(record.end, file.size)))
     elif record.op == OP_MESSAGE:
         last = index.chunks[-1] if index.chunks else None
@@ -268,21 +301,24 @@ def _enter_times(chunk: Chunk, record: bytes) -> None:
 
 def _survey(file: RecordFile, index: Index, chunk: Chunk) -> None:
     """Walk the records of a chunk to learn its connections, counts and earliest time."""
-    times: list[int] = []
-    counts: Counter[int] = Counter()
-    damage = ""
     try:
         loaded = content(file, chunk)
-        damage = loaded.damage
-        for record in walked_records(loaded.data):
+    except (MalformedRecordError, CompressionError) as error:
+        index.losses.append(Loss(chunk.place, str(error)))
+        return
+    times: list[int] = []
+    counts: Counter[int] = Counter()
+    records, damage = surviving_records(loaded.data, loaded.marks)
+    try:
+        for record in records:
             if record.op == OP_CONNECTION:
                 index.add_connection(record, loaded.data[record.data : record.end].tobytes())
             elif record.op == OP_MESSAGE:
                 counts[record.number(b"conn")] += 1
                 times.append(record.time(b"time"))
-    except (MalformedRecordError, CompressionError) as error:
+    except MalformedRecordError as error:
         damage = damage or str(error)
-    if damage:
-        index.losses.append(Loss(chunk.place, damage))
+    if loaded.damage or damage:
+        index.losses.append(Loss(chunk.place, loaded.damage or damage))
     if times:
         chunk.counts, chunk.start_ns = counts, min(times)

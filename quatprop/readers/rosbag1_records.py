@@ -279,11 +279,55 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
     MalformedRecordError
         The chunk is damaged there, or ends within a record.
     """
-    view = data.data
     at = 0
     while at < len(data):
-        record = record_at(view, at)
-        if record.end > len(data):
-            raise MalformedRecordError("its last record is cut off")
+        record = _whole_record(data.data, at, len(data))
         yield record
         at = record.end
+
+
+def surviving_records(
+    data: NDArray[np.uint8], marks: NDArray[np.int64]
+) -> tuple[list[Record], str]:
+    """Return the records of an unpacked chunk that may be damaged, and what is, or ``""``.
+
+    Parameters
+    ----------
+    data
+        The chunk, shape ``(B,)``.
+    marks
+        Where records begin by what the index data say, shape ``(N,)``, ascending. They are not
+        believed before the records themselves; behind damage they tell where to go on.
+    """
+    found: list[Record] = []
+    try:
+        found.extend(walked_records(data))
+    except MalformedRecordError as error:
+        others = _marked(data, marks)
+        return max(found, others, key=len), str(error)
+    return found, ""
+
+
+def _marked(data: NDArray[np.uint8], marks: NDArray[np.int64]) -> list[Record]:
+    """Follow records by their lengths, none of which leads beyond a mark."""
+    records: list[Record] = []
+    at = 0
+    while at < len(data):
+        after = int(marks.searchsorted(at, "right"))
+        limit = min(int(marks[after]), len(data)) if after < len(marks) else len(data)
+        try:
+            records.append(_whole_record(data.data, at, limit))
+            at = records[-1].end
+        except MalformedRecordError:
+            at = limit
+    return records
+
+
+def _whole_record(data: memoryview, at: int, limit: int) -> Record:
+    record = record_at(data, at)
+    if record.end > limit:
+        raise MalformedRecordError("a record in it is damaged or cut off")
+    if record.op == OP_MESSAGE:
+        record.number(b"conn")
+        record.time(b"time")
+    return record

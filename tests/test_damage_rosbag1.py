@@ -1,0 +1,138 @@
+"""ROS 1 bags damaged in the middle: what comes behind the damage, and the front of torn chunks."""
+
+import random
+import struct
+
+import pytest
+from rosbags.rosbag1 import Reader, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.readers.base import Loss
+from quatprop.readers.rosbag1 import Rosbag1Log
+
+STORE = get_typestore(Stores.ROS1_NOETIC)
+NOISE = random.Random(1).randbytes(5000)
+MESSAGES = 400
+COMPRESSIONS = (None, "BZ2", "LZ4")
+
+
+def written(path, compression=None, threshold=3000):
+    """Write a bag of one topic in chunks of some dozen messages; return its bytes."""
+    writer = Writer(path)
+    if compression:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    writer.chunk_threshold = threshold
+    with writer:
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        for number in range(MESSAGES):
+            content = f"{number:08d}{hash((number, 1)):032d}".encode()
+            writer.write(connection, 1000 * number, struct.pack("<I", len(content)) + content)
+    return path.read_bytes()
+
+
+def chunk_places(path):
+    """Return where the chunks begin and how many messages each has, by rosbags' own reader."""
+    with Reader(path) as reader:
+        infos = sorted(reader.chunk_infos, key=lambda info: info.pos)
+        return [(info.pos, sum(info.connection_counts.values())) for info in infos]
+
+
+def index_place(content):
+    """Return where the index of the whole bag begins, from the bag header."""
+    at = content.index(b"index_pos=") + 10
+    return int.from_bytes(content[at : at + 8], "little")
+
+
+def read(path, content):
+    """Return the numbers in the messages of a bag, and what is told as lost."""
+    path.write_bytes(content)
+    with Rosbag1Log(path) as log:
+        numbers = [
+            int(block.data[start:end][4:12].tobytes())
+            for channel in log.channels()
+            for block in log.blocks(channel)
+            for start, end in zip(block.starts, block.ends, strict=True)
+        ]
+    return numbers, log.losses
+
+
+def numbers_of(places, chunk):
+    """Return the numbers of the messages in a chunk."""
+    before = sum(count for _, count in places[:chunk])
+    return set(range(before, before + places[chunk][1]))
+
+
+HARMS = {
+    "a hole in the data": lambda b, place: b[: place + 200] + b[place + 277 :],
+    "zeros over the head": lambda b, place: b[:place] + bytes(40) + b[place + 40 :],
+    "a length beyond the file": lambda b, place: b[:place] + b"\xff" * 4 + b[place + 4 :],
+    "bytes too many": lambda b, place: b[: place + 300] + b"op=\x05" * 30 + b[place + 300 :],
+}
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("harm", HARMS)
+@pytest.mark.parametrize("indexed", [True, False])
+def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
+    """Damage in one chunk costs no other, whether the bag was closed or not."""
+    path = tmp_path / "log.bag"
+    intact = written(path, compression)
+    places = chunk_places(path)
+    content = HARMS[harm](intact, places[4][0])
+    if not indexed:
+        content = content[: index_place(intact) + len(content) - len(intact)]
+    numbers, losses = read(path, content)
+    assert numbers == sorted(set(numbers))
+    assert set(range(MESSAGES)) - numbers_of(places, 4) <= set(numbers)
+    assert losses
+
+
+def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
+    """The records inside a chunk that is not packed can be followed by themselves."""
+    path = tmp_path / "log.bag"
+    intact = written(path)
+    begin = chunk_places(path)[4][0]
+    content = intact[: index_place(intact)]
+    content = content[:begin] + bytes(8) + content[begin + 8 :]
+    numbers, losses = read(path, content)
+    assert numbers == list(range(MESSAGES))
+    assert losses[0].place == f"byte {begin}"
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed):
+    """The index data behind a chunk tell where its messages go on."""
+    path = tmp_path / "log.bag"
+    intact = written(path)
+    begin, _ = chunk_places(path)[4]
+    damaged = min(numbers_of(chunk_places(path), 4)) + 7
+    at = intact.index(f"{damaged:08d}".encode()) - 8  # the length of its data
+    assert begin < at
+    content = bytearray(intact if indexed else intact[: index_place(intact)])
+    content[at : at + 4] = b"\xff\xff\xff\x7f"
+    numbers, losses = read(path, bytes(content))
+    assert numbers == [number for number in range(MESSAGES) if number != damaged]
+    assert Loss(f"chunk at byte {begin}", "a record in it is damaged or cut off", 1) in losses
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
+    """Of the chunk that a dying recorder was writing, the front is read."""
+    path = tmp_path / "log.bag"
+    writer = Writer(path)
+    if compression:
+        writer.set_compression(Writer.CompressionFormat[compression])
+    with writer:
+        writer.chunk_threshold = 1 << 30
+        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        for number in range(4000):
+            content = f"{number:08d}".encode() + NOISE[number : number + 500]
+            writer.write(connection, 1000 * number, struct.pack("<I", len(content)) + content)
+    begin, _ = chunk_places(path)[0]
+    intact = path.read_bytes()
+    data = begin + 8 + int.from_bytes(intact[begin : begin + 4], "little")
+    size = int.from_bytes(intact[data - 4 : data], "little")
+    numbers, losses = read(path, intact[: data + 9 * size // 10])
+    assert numbers == list(range(len(numbers)))
+    assert 1500 < len(numbers) < 4000
+    assert [loss.place for loss in losses] == [f"chunk at byte {begin}"]
