@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -32,11 +32,12 @@ from quatprop.writers import has_room, kind_of, layout_of, open_writer
 from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
     from fractions import Fraction
 
     from quatprop.readers.base import MessageLog, TableLog
     from quatprop.resample import Times
+    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.writers.base import AttitudeWriter
     from quatprop.writers.messages import Message
 
@@ -104,7 +105,19 @@ class Job:
     report: str | None = None
 
 
-def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[str, Any]:
+class Eye(Protocol):
+    """Looks at what goes by, such as a picture in the making."""
+
+    def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the rates as they are, bias and mounting applied."""
+
+    def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the attitudes as they are, at all samples or at the times that were asked for."""
+
+
+def run(
+    job: Job, tick: Callable[[int], None] = lambda _samples: None, eye: Eye | None = None
+) -> dict[str, Any]:
     """Propagate one log and write its attitude series.
 
     Parameters
@@ -113,6 +126,8 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
         What to do.
     tick
         Called with the number of samples written so far.
+    eye
+        Looks at what goes by.
 
     Returns
     -------
@@ -155,7 +170,9 @@ def run(job: Job, tick: Callable[[int], None] = lambda _samples: None) -> dict[s
             Fingerprint(job.log, wanted=kept) as fingerprint,
         ):
             rows = 0
-            attitudes = stretches.attitudes(watch.passing(batches))
+            used = watch.passing(batches)
+            attitudes = stretches.attitudes(used if eye is None else eye.rates(used))
+            attitudes = attitudes if eye is None else eye.attitudes(attitudes)
             for series in every(attitudes, job.every or 1):
                 writer.write(series)
                 rows += len(series)

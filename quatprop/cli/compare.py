@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli.attitude_options import UNSOUND_OPTIONS, attitude_options, attitude_selection
-from quatprop.cli.options import with_options
+from quatprop.cli.options import plot_option, with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from quatprop.compare import Settings
+    from quatprop.plot.errors import ErrorPicture
     from quatprop.signals.operands import Reading
 
 
@@ -78,11 +82,12 @@ MATCHES = ("exact", "nearest", "interpolate")
     help="Compare also the rotations over windows of this length.  [default: none]",
 )
 @with_options(UNSOUND_OPTIONS)
+@plot_option
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @click.option("-q", "--quiet", is_flag=True, help="No figures; the exit code only.")
 @with_options(attitude_options("A", "-a"))
 @with_options(attitude_options("B", "-b"))
-def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
+def command(a: str, b: str, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> None:
     """Measure the geodesic error between two attitude series, A and B.
 
     Each is a table of attitudes, or a log with a topic of them: the same log twice, too. q and -q
@@ -95,10 +100,12 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
     from quatprop.signals.operands import read_operand
 
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
-    first, second = (
-        read_operand(reading_of(path, side, chosen, unsound)) for path, side in ((a, "a"), (b, "b"))
-    )
-    found = compare(first.series, second.series, settings_of(chosen))
+    sides = [reading_of(path, side, chosen, unsound) for path, side in ((a, "a"), (b, "b"))]
+    with _drawing(plot, a, b) as picture:
+        first, second = (read_operand(side) for side in sides)
+        found = compare(first.series, second.series, settings_of(chosen))
+        if picture is not None:
+            picture.draw(first, second, found)
     report = {
         "quatprop": __version__,
         "a": first.report(),
@@ -111,6 +118,15 @@ def command(a: str, b: str, as_json: bool, quiet: bool, **chosen: Any) -> None:
         raise click.exceptions.Exit(1)
     if first.data_lost or second.data_lost:
         raise click.exceptions.Exit(3)
+
+
+def _drawing(plot: str | None, a: str, b: str) -> AbstractContextManager[ErrorPicture | None]:
+    """Return the picture of the error in the making; None in it where no picture is wanted."""
+    if plot is None:
+        return nullcontext()
+    from quatprop.plot.errors import ErrorPicture
+
+    return ErrorPicture(plot, [a, b])
 
 
 def settings_of(chosen: dict[str, Any]) -> Settings:

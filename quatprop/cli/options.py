@@ -96,6 +96,12 @@ report_option = click.option(
     metavar="PATH|-",
     help="Write a JSON report: source, conventions, counts, policies, version.  [default: none]",
 )
+plot_option = click.option(
+    "--plot",
+    metavar="PIC",
+    help="Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.  "
+    "[default: none]",
+)
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,6 +11,7 @@ import click
 from quatprop.cli.options import (
     LAYOUTS,
     SELECTION_OPTIONS,
+    plot_option,
     quiet_option,
     report_option,
     selection,
@@ -19,7 +21,10 @@ from quatprop.cli.output_options import OUTPUT_OPTIONS, destination, into_option
 from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from quatprop.job import Job
+    from quatprop.plot.propagation import PropagationPicture
 
 
 @click.command(no_args_is_help=True)
@@ -143,6 +148,7 @@ if TYPE_CHECKING:
     "method; times outside the log are left out.  [default: at the samples]",
 )
 @report_option
+@plot_option
 @quiet_option
 @click.option(
     "-v", "--verbose", is_flag=True, help="A longer summary: conventions, policies, timings."
@@ -158,14 +164,27 @@ def command(**chosen: Any) -> None:
     from quatprop.cli import words
     from quatprop.job import run
 
-    quiet, verbose = chosen.pop("quiet"), chosen.pop("verbose")
+    quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
-    with words.progress(quiet=quiet) as tick:
-        report = run(job, tick)
+    with words.progress(quiet=quiet) as tick, _drawing(job, plot) as picture:
+        report = run(job, tick, picture)
+        if picture is not None:
+            picture.commit(report)
     if not quiet:
         click.echo(words.summary(report, verbose=verbose), err=True)
     if report["data_lost"]:
         raise click.exceptions.Exit(3)
+
+
+def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPicture | None]:
+    """Return the picture of a job in the making; None in it where no picture is wanted."""
+    if plot is None:
+        return nullcontext()
+    from quatprop.plot.propagation import PropagationPicture
+
+    resampled = job.rate is not None or job.at is not None
+    inputs = [job.log, job.q0.words, job.at]
+    return PropagationPicture(plot, inputs, [job.output, job.report], resampled=resampled)
 
 
 def job_of(chosen: dict[str, Any]) -> Job:
@@ -176,6 +195,8 @@ def job_of(chosen: dict[str, Any]) -> Job:
     from quatprop.start import Start
     from quatprop.timeline import Policy
 
+    # What is drawn of a job is no part of it.
+    chosen.pop("plot", None)
     _refuse_idle(chosen["q0"])
     start = {
         "heading": math.radians(chosen.pop("heading")),

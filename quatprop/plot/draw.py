@@ -13,21 +13,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import UsageError
-from quatprop.plot.lines import TURN, lone_points
-from quatprop.plot.palette import ALARM, GRID, INK, PAPER, SHADE, colour_of, stroke_of
+from quatprop.errors import UsageError, plain
+from quatprop.plot.axes import draw_row
+from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from quatprop.plot.picture import Picture, Row
+    from quatprop.plot.picture import Picture
 
 WIDTH = 7.5
 """Inches: a page between its margins."""
 
 HEAD, ROW, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
 """Inches: title and facts; one of several rows; an only row; the time axis."""
+
+BARE_HEAD = 0.1
+"""Inches: what is above rows without a title."""
 
 LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
 """Inches: a line of notes, of facts, and of the legend."""
@@ -45,21 +48,6 @@ LONGEST_TITLE = 88
 """Characters that fit the width in the title's size; facts, which are smaller, may have more."""
 
 LONGEST_FACT = 125
-
-THIN, THICKER = 0.8, 0.6
-"""Points: a line, and what each line below another has more."""
-
-FLAT = 1e-9
-"""Share of its size below which a series counts as constant: its rounding is not drawn large."""
-
-SMALLEST, LARGEST = 1e-2, 1e5
-"""Values between are written out on an axis, others with an exponent each."""
-
-WIDE_ANGLE = 150.0
-"""deg: angles that reach further have the full circle as their axis."""
-
-LEVEL_SHARE = 100.0
-"""An error this many times above or below its tolerance has a logarithmic axis."""
 
 SETTINGS: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],
@@ -81,9 +69,6 @@ SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "quatprop",
     "pdf.fonttype": 42,
 }
-
-_GROUND: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
-"""Under words that lie over lines."""
 
 METADATA: dict[str, dict[str, Any]] = {
     "png": {"Software": None},
@@ -127,6 +112,8 @@ def inline_svg(picture: Picture) -> str:
     content = _saved(picture, "svg", {**SETTINGS, "svg.fonttype": "none"}, transparent=True)
     text = content.decode()
     text = text[text.index("<svg") :]
+    # A page needs no names of namespaces, and they look like addresses.
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
 
 
@@ -147,7 +134,7 @@ def figure(picture: Picture) -> Figure:
 
     rows = picture.rows
     body = SINGLE if len(rows) == 1 else ROW * len(rows)
-    head = HEAD + FILE_LINE * -(-len(picture.legend) // 2)
+    head = (HEAD if picture.title else BARE_HEAD) + FILE_LINE * -(-len(picture.legend) // 2)
     foot = FOOT + LINE * len(picture.notes)
     height = head + body + foot
     result = Figure(figsize=(WIDTH, height))
@@ -159,7 +146,7 @@ def figure(picture: Picture) -> Figure:
     for number, row in enumerate(rows):
         axes = result.add_subplot(grid[number], sharex=shared)
         shared = shared or axes
-        _draw_row(axes, row, picture)
+        draw_row(axes, row, picture)
         axes.tick_params(labelbottom=number == len(rows) - 1)
         axes.yaxis.set_label_coords(-0.083, 0.5)
     result.axes[-1].set_xlabel(picture.time)
@@ -168,118 +155,6 @@ def figure(picture: Picture) -> Figure:
     if picture.legend:
         _write_legend(result, picture, 1 - head / height)
     return result
-
-
-def _draw_row(axes: Axes, row: Row, picture: Picture) -> None:
-    quantity = row.quantity
-    for file, spans in enumerate(picture.gaps):
-        if len(spans):
-            several = len(picture.gaps) > 1
-            axes.broken_barh(
-                [(start, stop - start) for start, stop in spans.tolist()],
-                (0, 1),
-                transform=axes.get_xaxis_transform(),
-                color=colour_of(file) if several else SHADE,
-                alpha=0.25 if several else 0.6,
-                linewidth=0.4,
-                zorder=0.5,
-            )
-    for number, curve in enumerate(row.curves):
-        colour, points = colour_of(curve.colour), lone_points(curve.drawn)
-        axes.plot(
-            *curve.drawn,
-            color=colour,
-            linestyle=stroke_of(curve.colour),
-            # Of lines that coincide, those below show on both sides.
-            linewidth=THIN + THICKER * (len(row.curves) - 1 - number),
-        )
-        if len(points.seconds):
-            axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
-    axes.grid(visible=True)
-    axes.set_axisbelow(True)
-    unit = f"\n{quantity.unit}" if quantity.unit else ""
-    axes.set_ylabel(quantity.name.replace(" error ", " error\n") + unit)
-    _set_values(axes, row)
-    if row.level is not None:
-        axes.axhline(row.level[0], color=ALARM, linestyle="dashed", linewidth=1.0)
-        axes.annotate(
-            row.level[1],
-            (0.995, row.level[0]),
-            xycoords=axes.get_yaxis_transform(),
-            xytext=(0, 2),
-            textcoords="offset points",
-            horizontalalignment="right",
-            color=ALARM,
-            bbox=_GROUND,
-        )
-    for mark in row.marks:
-        _draw_mark(axes, mark.seconds, mark.value, mark.words, first=mark.sign == "first")
-
-
-def _draw_mark(axes: Axes, seconds: float, value: float, words: str, *, first: bool) -> None:
-    """Point at a place; the words go to the side where there is room."""
-    axes.plot(
-        [seconds],
-        [value],
-        linestyle="none",
-        marker="o" if first else "v",
-        markersize=6,
-        markerfacecolor="none" if first else ALARM,
-        markeredgecolor=ALARM,
-        markeredgewidth=1.2,
-        zorder=4,
-        clip_on=False,
-    )
-    low, high = axes.dataLim.intervalx
-    right = seconds > (low + high) / 2
-    axes.annotate(
-        words,
-        (seconds, value),
-        xytext=(-7 if right else 7, 5),
-        textcoords="offset points",
-        horizontalalignment="right" if right else "left",
-        bbox=_GROUND,
-        zorder=5,
-    )
-
-
-def _set_values(axes: Axes, row: Row) -> None:
-    """Choose the range, the scale and the ticks of a row."""
-    values = np.concatenate([curve.drawn.values for curve in row.curves])
-    values = values[np.isfinite(values)]
-    axes.margins(y=0.08)
-    axes.ticklabel_format(axis="y", useOffset=False, style="plain")
-    if not len(values):
-        axes.set_yticks([])
-        axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
-        return
-    low, high = float(values.min()), float(values.max())
-    if not SMALLEST <= max(-low, high) < LARGEST:
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    if row.level is not None or row.marks:
-        _set_error_scale(axes, row, high)
-    elif row.quantity.turns and max(-low, high) > WIDE_ANGLE:
-        axes.set_ylim(-TURN / 2 - 10, TURN / 2 + 10)
-        axes.set_yticks(np.linspace(-TURN / 2, TURN / 2, 5))
-    else:
-        size = max(-low, high)
-        if high - low <= max(FLAT * size, row.quantity.least):
-            middle, half = (low + high) / 2, 0.05 * size
-            if half <= row.quantity.least:
-                half = row.quantity.scale
-            axes.set_ylim(middle - half, middle + half)
-
-
-def _set_error_scale(axes: Axes, row: Row, high: float) -> None:
-    """Show an error from zero; where it is far from its tolerance, on a logarithmic axis."""
-    level = row.level[0] if row.level else high
-    top = max(high, level)
-    if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
-        axes.set_yscale("log", nonpositive="mask")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
-    else:
-        axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)
 
 
 def _set_time(axes: Axes, picture: Picture) -> None:
@@ -336,6 +211,7 @@ def shortened(text: str, longest: int) -> str:
     >>> shortened("a very long name", 9)
     'a ve…name'
     """
+    text = plain(text)
     if len(text) <= longest:
         return text
     half = (longest - 1) // 2

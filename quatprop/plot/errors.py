@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from quatprop.errors import plain
+from quatprop.plot.names import names_of
 from quatprop.plot.page import Page, Table
-from quatprop.plot.picture import Mark, Part, instant_text, picture
+from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
 from quatprop.plot.sketch import ERROR, Sketch
-from quatprop.plot.target import MADE_BY
+from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.timeline import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -58,6 +60,18 @@ class Compared(NamedTuple):
     found: Comparison
 
 
+class ErrorPicture(PictureFile):
+    """The error between two series on its way to a file; see :class:`PictureFile`."""
+
+    def draw(self, a: Operand, b: Operand, found: Comparison) -> None:
+        """Draw what a comparison of A with B has found, and put it in its place."""
+        name, against = names_of([a.reading.path, b.reading.path])
+        if name == against:
+            # Two topics of one log.
+            name, against = (f"{name} {plain(side.source.name)}" for side in (a, b))
+        self.commit(error_page([Compared(name, a, found)], against, b))
+
+
 def error_page(every: Sequence[Compared], against: str, reference: Operand) -> Page:
     """Return the report on the errors of series against one reference.
 
@@ -79,7 +93,7 @@ def error_page(every: Sequence[Compared], against: str, reference: Operand) -> P
         "" if several else _figures_text(first),
     )
     warnings = tuple(_warnings(every, reference))
-    parts = [_part(one, several=several) for one in every]
+    parts = [_part(one) for one in every]
     drawn = picture(parts, title=title, facts=facts, notes=warnings[:2])
     return Page(
         heading=title,
@@ -91,12 +105,12 @@ def error_page(every: Sequence[Compared], against: str, reference: Operand) -> P
     )
 
 
-def _part(one: Compared, *, several: bool) -> Part:
+def _part(one: Compared) -> Part:
     t_ns, sketch = one.found.pairs.t_ns, Sketch(ERROR)
     sketch.add(t_ns, np.degrees(one.found.error)[None])
     median = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
-    label = f"{one.name}: {_figures_text(one.found)}" if several else one.name
-    return Part(label, ((ERROR, sketch.reduced()),), GAP_FACTOR * median or None)
+    group = Group(ERROR, sketch.reduced(), GAP_FACTOR * median or None)
+    return Part(one.name, (group,), _figures_text(one.found))
 
 
 def _marked(drawn: Picture, every: Sequence[Compared]) -> Picture:
@@ -109,10 +123,13 @@ def _marked(drawn: Picture, every: Sequence[Compared]) -> Picture:
     marks: tuple[Mark, ...] = ()
     if len(every) == 1:
         found, start_ns = every[0].found, drawn.starts[0]
-        worst = _mark(found.worst, start_ns, "worst", f"worst: {_degrees(found.worst.error_rad)}")
-        marks = (worst,)
-        if found.exceeded is not None and found.exceeded != found.worst:
-            marks = (_mark(found.exceeded, start_ns, "first", "first above the tolerance"), worst)
+        first = "first above the tolerance"
+        words = f"worst: {_degrees(found.worst.error_rad)}"
+        if found.exceeded == found.worst:
+            words = f"{first}, and {words}"
+        marks = (_mark(found.worst, start_ns, "worst", words),)
+        if found.exceeded not in (None, found.worst):
+            marks = (_mark(found.exceeded, start_ns, "first", first), *marks)
     return replace(drawn, rows=(replace(row, level=level, marks=marks),))
 
 

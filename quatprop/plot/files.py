@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.conditioning import Conditioning, condition
+from quatprop.conventions import HAMILTON
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -19,7 +19,9 @@ from quatprop.errors import (
     UsageError,
     plain,
 )
-from quatprop.plot.picture import Part, instant_text
+from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_from
+from quatprop.plot.names import names_of
+from quatprop.plot.picture import Group, Part
 from quatprop.plot.sketch import AttitudeSketch, RateSketch
 from quatprop.readers import open_log
 from quatprop.sanity import Watch
@@ -28,7 +30,6 @@ from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rates import UNITS, choose
 from quatprop.timeline import OBSERVE, Timeline
-from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -44,6 +45,12 @@ if TYPE_CHECKING:
     Tick = Callable[[int], None]
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
+
+DRAWN_AS = {
+    False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
+    True: "components, of q and -q those nearer to the row before",
+}
+"""Whether components are drawn -> what of an attitude is."""
 
 SHOWS = ("rates", "attitude")
 """What can be drawn of a file."""
@@ -91,10 +98,10 @@ class Seen:
         The file.
     part
         What is drawn of it.
-    name
-        File, topic and type.
     meaning
         What the numbers are: unit and clock, or convention and method.
+    samples
+        How many, over which time.
     facts
         Name and text of what is in its table.
     remarks
@@ -105,11 +112,16 @@ class Seen:
 
     path: str
     part: Part
-    name: str
     meaning: str
+    samples: str
     facts: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...]
     losses: tuple[Loss, ...]
+
+    @property
+    def name(self) -> str:
+        """What was read: file, topic and type."""
+        return self.part.name
 
 
 def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
@@ -169,24 +181,29 @@ def _see_rates(
     path: str, log: MessageLog | TableLog, source: Source, view: View, tick: Tick
 ) -> Seen:
     part = Conditioning(start=view.start, end=view.end)
-    batches, _ = condition(source.batches, part, UNITS[source.unit])
+    batches, done = condition(source.batches, part, UNITS[source.unit])
     sketch, watch = RateSketch(source.unit, UNITS[source.unit]), Watch()
     counts = _counted(sketch.passing(watch.passing(batches)), path, tick)
     if not counts.used:
-        raise NoSamplesError(path, source.name)
+        raise NoSamplesError(path, source.name, done["outside"])
     highest = f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"
     return Seen(
         path=path,
-        part=Part(_file(path), ((sketch.rows, sketch.reduced()),), counts.gap_limit_ns),
-        name=_named(path, source),
+        part=Part(
+            names_of([path])[0],
+            (Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns),),
+            named(source),
+        ),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
+        samples=samples_text(counts),
         facts=(
-            *_where_from(path, log, source),
+            *where_from(path, log, source),
+            ("convention", "rates as recorded, in the axes of the sensor; nothing subtracted"),
             ("rate", f"{source.rate} in {source.unit}"),
-            *_counts(counts),
+            *facts_of(counts),
             ("largest rate", highest),
         ),
-        remarks=(*source.remarks, *_events(counts), *watch.remarks(counts.median_dt_ns)),
+        remarks=(*source.remarks, *events_in(counts), *watch.remarks(counts.median_dt_ns)),
         losses=tuple(log.losses),
     )
 
@@ -195,28 +212,35 @@ def _see_attitudes(
     path: str, log: MessageLog | TableLog, source: AttitudeSource, view: View, tick: Tick
 ) -> Seen:
     sketch = AttitudeSketch(components=view.components)
-    counts = _counted(_stamps(_within(source, view), sketch), path, tick)
+    outside = [0, 0]
+    counts = _counted(_stamps(_within(source, view, outside), sketch), path, tick)
     if not counts.used:
-        raise NoSamplesError(path, source.name)
-    remarks = [*source.remarks, *_events(counts)]
+        raise NoSamplesError(path, source.name, outside)
+    remarks = [*source.remarks, *events_in(counts)]
     if sketch.absent:
         remarks.append(
             f"{sketch.absent} rows are no attitude (zero, absent or not finite): not drawn"
         )
     made = source.provenance.get("convention")
-    method = made.get("method") if isinstance(made, dict) else None
+    method = plain(made.get("method") or "") if isinstance(made, dict) else ""
     how = f", propagated with method {method}" if method else ""
     stored = f"{source.meaning.convention} {source.meaning.direction}"
     return Seen(
         path=path,
-        part=Part(_file(path), ((sketch.rows, sketch.reduced()),), counts.gap_limit_ns),
-        name=_named(path, source),
+        part=Part(
+            names_of([path])[0],
+            (Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns),),
+            named(source),
+        ),
         meaning=f"{attitude_words(components=view.components)}{how}, {source.clock} clock",
+        samples=samples_text(counts),
         facts=(
-            *_where_from(path, log, source),
+            *where_from(path, log, source),
+            ("convention", HAMILTON.words),
+            ("drawn as", DRAWN_AS[view.components]),
             ("attitude", f"{source.quaternion}, stored {source.layout}, {stored}"),
-            *((("method", str(method)),) if method else ()),
-            *_counts(counts),
+            *((("method", method),) if method else ()),
+            *facts_of(counts),
             ("off unit length", f"at most {sketch.worst:.3g}"),
         ),
         remarks=tuple(remarks),
@@ -245,8 +269,10 @@ def _stamps(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> It
         yield GyroSeries(t_ns, np.broadcast_to(0.0, (len(t_ns), 3)))
 
 
-def _within(source: AttitudeSource, view: View) -> Iterator[tuple[Int64, Float64]]:
-    """Yield the rows of the part that is to be drawn."""
+def _within(
+    source: AttitudeSource, view: View, outside: list[int]
+) -> Iterator[tuple[Int64, Float64]]:
+    """Yield the rows of the part that is to be drawn; count those before and after it."""
     first_ns = last_ns = 0
     if view.looks_ahead:
         stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
@@ -257,56 +283,8 @@ def _within(source: AttitudeSource, view: View) -> Iterator[tuple[Int64, Float64
     low = bounds.min if view.start is None else view.start.ns + origin[view.start.origin]
     high = bounds.max if view.end is None else view.end.ns + origin[view.end.origin]
     for t_ns, wxyz in source.rows():
-        inside = (t_ns >= low) & (t_ns <= high)
+        before, after = t_ns < low, t_ns > high
+        outside[0] += int(np.count_nonzero(before))
+        outside[1] += int(np.count_nonzero(after))
+        inside = ~(before | after)
         yield t_ns[inside], wxyz[inside]
-
-
-def _file(path: str) -> str:
-    return "stdin" if path == "-" else plain(Path(path).name)
-
-
-def _named(path: str, source: Source | AttitudeSource) -> str:
-    said = " ".join(plain(text) for text in (source.name, source.type_name) if text)
-    return f"{_file(path)}: {said}"
-
-
-def _where_from(
-    path: str, log: MessageLog | TableLog, source: Source | AttitudeSource
-) -> Iterator[tuple[str, str]]:
-    yield "file", f"{path} ({log.kind})"
-    yield "source", " ".join(text for text in (source.name, source.type_name) if text)
-    yield "clock", source.clock
-
-
-def _counts(counts: Counts) -> Iterator[tuple[str, str]]:
-    yield "samples", samples_text(counts)
-    for word, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
-        yield word, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
-    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
-        said = f"median {duration_text(counts.median_dt_ns)}"
-        yield "interval", f"{said}, longest {duration_text(counts.max_dt_ns)}"
-
-
-def samples_text(counts: Counts) -> str:
-    """Return how many samples there were, over which time and how often."""
-    said = f"{counts.used:,} sample{'s' if counts.used > 1 else ''}"
-    if counts.span_ns <= 0:
-        return said
-    often = (counts.used - 1) / (counts.span_ns * 1e-9)
-    return f"{said} over {duration_text(counts.span_ns)}, {often:.6g} Hz"
-
-
-def _events(counts: Counts) -> Iterator[str]:
-    """Return what is to be said about the stamps, in the words of somebody who only looks."""
-    limit = duration_text(counts.gap_limit_ns or 0)
-    longest = duration_text(counts.max_dt_ns or 0)
-    for event, one, many, what in (
-        (counts.gaps, "gap", "gaps", f"longer than {limit}, the longest {longest}: shaded"),
-        (counts.duplicates, "repeated stamp", "repeated stamps", ""),
-        (counts.backwards, "stamp that steps back", "stamps that step back", ""),
-        (counts.nonfinite, "rate that is not finite", "rates that are not finite", "not drawn"),
-    ):
-        if event.count:
-            words = f"{event.count:,} {many if event.count > 1 else one}"
-            after = f" {what}" if event is counts.gaps else f" ({what})" if what else ""
-            yield f"{words}{after}, first at {event.first_ns} ns"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.errors import plain
 from quatprop.plot.draw import inline_svg
 from quatprop.plot.palette import BLACK, DARK
 
@@ -68,7 +70,7 @@ h2 { font-size: 1.1rem; margin: 2rem 0 .4rem; overflow-wrap: anywhere; }
 p { margin: 0 0 .25rem; overflow-wrap: anywhere; }
 footer { color: var(--faint); font-size: .85rem; margin-top: 2.5rem; }
 figure { margin: 1.25rem 0 0; overflow-x: auto; }
-figure svg { display: block; width: 100%; min-width: 40rem; height: auto; }
+figure svg { display: block; width: 100%; min-width: 34rem; height: auto; }
 table { border-collapse: collapse; width: 100%; font-size: .92rem; }
 th, td { text-align: left; vertical-align: top; padding: .3rem .6rem .3rem 0;
   border-bottom: 1px solid var(--edge); overflow-wrap: anywhere; }
@@ -100,39 +102,45 @@ def html(page: Page) -> str:
         "<head>",
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(page.heading)}</title>",
+        f"<title>{_text(page.heading)}</title>",
         f"<style>{style}</style>",
         "</head>",
         "<body>",
         "<main>",
-        f"<h1>{escape(page.heading)}</h1>",
-        *(f"<p>{escape(line)}</p>" for line in page.lead),
+        f"<h1>{_text(page.heading)}</h1>",
+        *(f"<p>{_text(line)}</p>" for line in page.lead),
         *_warnings(page.warnings),
-        f'<figure role="img" aria-label="{escape(_spoken(page.picture))}">',
-        _with_variables(inline_svg(page.picture)),
+        f'<figure role="img" tabindex="0" aria-label="{_text(_spoken(page.picture))}">',
+        # What the page says around it, the picture need not say again.
+        _with_variables(inline_svg(replace(page.picture, title="", facts=(), notes=()))),
         "</figure>",
         *(line for table in page.tables for line in _table(table)),
         "</main>",
-        f"<footer>{escape(page.made_by)}</footer>",
+        f"<footer>{_text(page.made_by)}</footer>",
         "</body>",
         "</html>",
     ]
     return "\n".join(parts) + "\n"
 
 
+def _text(text: str) -> str:
+    """Return text as it may stand in a page: nothing in it is markup or unprintable."""
+    return escape(plain(text))
+
+
 def _warnings(warnings: tuple[str, ...]) -> list[str]:
     if not warnings:
         return []
-    said = [f"<li>{escape(warning)}</li>" for warning in warnings]
+    said = [f"<li>{_text(warning)}</li>" for warning in warnings]
     return ['<ul class="warnings" aria-label="Warnings">', *said, "</ul>"]
 
 
 def _table(table: Table) -> list[str]:
     rows = [
-        f'<tr><th scope="row">{escape(name)}</th><td>{escape(text)}</td></tr>'
+        f'<tr><th scope="row">{_text(name)}</th><td>{_text(text)}</td></tr>'
         for name, text in table.rows
     ]
-    return [f"<h2>{escape(table.heading)}</h2>", "<table>", *rows, "</table>"]
+    return [f"<h2>{_text(table.heading)}</h2>", "<table>", *rows, "</table>"]
 
 
 def _spoken(picture: Picture) -> str:
@@ -157,6 +165,8 @@ def _with_variables(svg: str) -> str:
     for colour in DARK:
         used = f"var({_variable(colour)})"
         svg = re.sub(rf"(?<=: ){colour}\b", used, svg, flags=re.IGNORECASE)
+    # A rule for all elements would be one for all of the page.
+    svg = svg.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
     # Text without a colour is black by default.
     black = f"var({_variable(BLACK)})"
     return svg.replace("<svg ", f'<svg style="fill: {black}" ', 1)

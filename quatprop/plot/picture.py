@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -84,6 +84,24 @@ class Row:
     marks: tuple[Mark, ...] = ()
 
 
+class Group(NamedTuple):
+    """Rows that share their stamps.
+
+    Parameters
+    ----------
+    rows
+        What there is to draw.
+    reduced
+        What is left of the samples.
+    gap_limit_ns
+        The longest interval that is no gap, ns; None: there are none.
+    """
+
+    rows: tuple[Quantity, ...]
+    reduced: Reduced
+    gap_limit_ns: int | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Part:
     """What one file puts into a picture.
@@ -91,31 +109,36 @@ class Part:
     Parameters
     ----------
     label
-        Its name in the legend.
+        What the file is called.
     groups
-        For each group of rows that share their stamps: the rows of the group, and its samples.
-    gap_limit_ns
-        The longest interval that is no gap, ns.
+        What there is to draw of it; the gaps are those of the first.
+    detail
+        What else is said of it in the legend.
     """
 
     label: str
-    groups: tuple[tuple[tuple[Quantity, ...], Reduced], ...]
-    gap_limit_ns: int | None
+    groups: tuple[Group, ...]
+    detail: str = ""
+
+    @property
+    def name(self) -> str:
+        """What it is called in a legend and in a title."""
+        return f"{self.label}: {self.detail}" if self.detail else self.label
 
     @property
     def rows(self) -> tuple[Quantity, ...]:
         """What there is to draw of it."""
-        return tuple(row for rows, _ in self.groups for row in rows)
+        return tuple(row for group in self.groups for row in group.rows)
 
     @property
     def first_ns(self) -> int:
         """Its first stamp, ns."""
-        return min(int(reduced.first_ns.min()) for _, reduced in self.groups)
+        return min(int(group.reduced.first_ns.min()) for group in self.groups)
 
     @property
     def last_ns(self) -> int:
         """Its last stamp, ns."""
-        return max(int(reduced.last_ns.max()) for _, reduced in self.groups)
+        return max(int(group.reduced.last_ns.max()) for group in self.groups)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +211,7 @@ def picture(parts: Sequence[Part], **said: Any) -> Picture:
         rows=tuple(rows),
         gaps=tuple(_gaps(part, start) for part, start in zip(parts, starts, strict=True)),
         starts=tuple(starts),
-        legend=tuple(part.label for part in parts) if several else (),
+        legend=tuple(part.name for part in parts) if several else (),
         **said,
     )
 
@@ -200,16 +223,17 @@ def _told(part: Part) -> str:
 
 def _drawn(part: Part, number: int, start_ns: int) -> Line:
     """Return the line of the row with this number."""
-    for rows, reduced in part.groups:
+    for rows, reduced, gap_limit_ns in part.groups:
         if number < len(rows):
-            drawn = line(reduced, number, start_ns, part.gap_limit_ns)
+            drawn = line(reduced, number, start_ns, gap_limit_ns)
             return folded(drawn) if rows[number].turns else drawn
         number -= len(rows)
     raise IndexError(number)
 
 
 def _gaps(part: Part, start_ns: int) -> Float64:
-    return np.asarray((gaps_in(part.groups[0][1], part.gap_limit_ns) - start_ns) * 1e-9)
+    _, reduced, gap_limit_ns = part.groups[0]
+    return np.asarray((gaps_in(reduced, gap_limit_ns) - start_ns) * 1e-9)
 
 
 def _time_axis(parts: Sequence[Part]) -> tuple[list[int], str]:

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quatprop.compare import Settings, compare
-from quatprop.errors import plain
 from quatprop.plot.errors import Compared, error_page
 from quatprop.plot.files import View, see
+from quatprop.plot.names import names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.signals.operands import Reading, read_operand
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from quatprop.plot.files import Seen
     from quatprop.signals.operands import Operand
 
     Tick = Callable[[int], None]
-
-NOTES = 3
-"""Warnings that stand below a picture; a report has all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,51 +77,48 @@ def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
     inputs = [*job.files, None if job.reference is None else job.reference.path]
     with PictureFile(job.output, inputs) as target:
         if job.reference is None:
-            page, losses = _of_files([see(path, job.view, tick) for path in job.files])
+            seen = [see(path, job.view, tick) for path in job.files]
+            page = _page(seen)
+            lines = [f"{one.name}: {one.samples}" for one in seen]
+            losses = [asdict(loss) for one in seen for loss in one.losses]
             lost = bool(losses)
         else:
             page, operands = _against(job, job.reference)
+            lines = list(page.lead)
             losses = [asdict(loss) for operand in operands for loss in operand.losses]
             lost = any(operand.data_lost for operand in operands)
         target.commit(page)
     return {
-        "lines": list(page.lead),
+        "lines": lines,
         "warnings": list(page.warnings),
         "losses": losses,
         "data_lost": lost,
     }
 
 
-def _of_files(seen: list[Seen]) -> tuple[Page, list[dict[str, Any]]]:
-    """Return the report on files, each as it is, and what was lost of them."""
+def _page(seen: list[Seen]) -> Page:
+    """Return the report on files, each as it is."""
     several = len(seen) > 1
     warnings = tuple(
         f"{one.part.label}: {remark}" if several else remark
         for one in seen
         for remark in one.remarks
     )
-    losses = [asdict(loss) for one in seen for loss in one.losses]
     meanings = list(dict.fromkeys(one.meaning for one in seen))
-    counts = "; ".join(dict(one.facts)["samples"] for one in seen)
+    names = names_of(one.path for one in seen)
+    facts = ("; ".join(meanings), "; ".join(one.samples for one in seen))
     title = seen[0].name
     if several:
-        title = f"{len(seen)} files: " + ", ".join(names_of([one.path for one in seen]))
-    drawn = picture(
-        [replace(one.part, label=f"{name}, {one.name.partition(': ')[2]}")
-         for one, name in zip(seen, names_of([one.path for one in seen]), strict=True)],
-        title=title,
-        facts=("; ".join(meanings), counts),
-        notes=noted(warnings),
-    )  # fmt: skip
-    page = Page(
+        title = f"{len(seen)} files: {', '.join(names)}"
+    parts = [replace(one.part, label=name) for one, name in zip(seen, names, strict=True)]
+    return Page(
         heading=title,
-        lead=tuple(f"{one.name}: {dict(one.facts)['samples']}" for one in seen),
-        picture=drawn,
+        lead=facts,
+        picture=picture(parts, title=title, facts=facts, notes=noted(warnings)),
         warnings=warnings,
         tables=tuple(Table(one.name, one.facts) for one in seen),
         made_by=MADE_BY,
     )
-    return page, losses
 
 
 def _against(job: Plot, reference: Reading) -> tuple[Page, list[Operand]]:
@@ -139,32 +132,3 @@ def _against(job: Plot, reference: Reading) -> tuple[Page, list[Operand]]:
         every.append(Compared(name, operand, compare(operand.series, known.series, job.settings)))
     page = error_page(every, names[-1], known)
     return page, [*(one.operand for one in every), known]
-
-
-def names_of(paths: Iterable[str]) -> list[str]:
-    """Return what files are called: their own names, or their paths where those are the same.
-
-    Examples
-    --------
-    >>> names_of(["runs/a.csv", "b.csv"]), names_of(["1/a.csv", "2/a.csv"])
-    (['a.csv', 'b.csv'], ['1/a.csv', '2/a.csv'])
-    """
-    paths = list(paths)
-    own = ["stdin" if path == "-" else Path(path).name for path in paths]
-    return [
-        plain(path if own.count(name) > 1 else name) for path, name in zip(paths, own, strict=True)
-    ]
-
-
-def noted(warnings: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what stands below a picture.
-
-    Examples
-    --------
-    >>> noted(("one", "two", "three", "four"))
-    ('one', 'two', 'and 2 more warnings')
-    """
-    if len(warnings) <= NOTES:
-        return warnings
-    kept = warnings[: NOTES - 1]
-    return (*kept, f"and {len(warnings) - len(kept)} more warnings")

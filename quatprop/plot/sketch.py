@@ -55,7 +55,9 @@ class Quantity:
 
 ROUNDING_DEG = 1e-6
 
-NORM_ERROR = Quantity("norm error |q| \N{MINUS SIGN} 1", "", least=1e-15, scale=1e-15)
+MINUS = "\N{MINUS SIGN}"
+
+NORM_ERROR = Quantity(f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15)
 
 ANGLES = (
     Quantity("yaw", "deg", "z", turns=True, least=ROUNDING_DEG),

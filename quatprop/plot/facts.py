@@ -1,0 +1,66 @@
+"""What is said of a file beside its picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.errors import plain
+from quatprop.plot.picture import instant_text
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.signals.attitudes import AttitudeSource
+    from quatprop.signals.rates import Source
+    from quatprop.timeline.counts import Counts
+
+
+def named(source: Source | AttitudeSource) -> str:
+    """Return the topic and its type, or the columns and their dialect."""
+    return " ".join(plain(text) for text in (source.name, source.type_name) if text)
+
+
+def where_from(
+    path: str, log: MessageLog | TableLog, source: Source | AttitudeSource
+) -> Iterator[tuple[str, str]]:
+    """Yield where samples come from."""
+    yield "file", f"{path} ({log.kind})"
+    yield "source", named(source)
+    yield "clock", source.clock
+
+
+def facts_of(counts: Counts) -> Iterator[tuple[str, str]]:
+    """Yield how many samples there were, and when."""
+    yield "samples", samples_text(counts)
+    for word, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
+        yield word, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
+    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
+        said = f"median {duration_text(counts.median_dt_ns)}"
+        yield "interval", f"{said}, longest {duration_text(counts.max_dt_ns)}"
+
+
+def samples_text(counts: Counts) -> str:
+    """Return how many samples there were, over which time and how often."""
+    said = f"{counts.used:,} sample{'s' if counts.used > 1 else ''}"
+    if counts.span_ns <= 0:
+        return said
+    often = (counts.used - 1) / (counts.span_ns * 1e-9)
+    return f"{said} over {duration_text(counts.span_ns)}, {often:.6g} Hz"
+
+
+def events_in(counts: Counts) -> Iterator[str]:
+    """Return what is to be said about the stamps, in the words of somebody who only looks."""
+    limit = duration_text(counts.gap_limit_ns or 0)
+    longest = duration_text(counts.max_dt_ns or 0)
+    for event, one, many, what in (
+        (counts.gaps, "gap", "gaps", f"longer than {limit}, the longest {longest}: shaded"),
+        (counts.duplicates, "repeated stamp", "repeated stamps", ""),
+        (counts.backwards, "stamp that steps back", "stamps that step back", ""),
+        (counts.nonfinite, "rate that is not finite", "rates that are not finite", "not drawn"),
+    ):
+        if event.count:
+            words = f"{event.count:,} {many if event.count > 1 else one}"
+            after = f" {what}" if event is counts.gaps else f" ({what})" if what else ""
+            yield f"{words}{after}, first at {event.first_ns} ns"

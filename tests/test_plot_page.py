@@ -1,0 +1,209 @@
+"""The report as one HTML file: loads nothing, lets nothing of a file be markup, opens anywhere."""
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+from quatprop.cli import cli
+from quatprop.quaternion import exp
+
+HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'
+
+LOADS = {
+    "script", "link", "img", "image", "iframe", "object", "embed", "audio", "video", "source",
+    "base", "form", "input", "button", "foreignobject", "feimage", "animate", "set",
+}  # fmt: skip
+"""Elements that fetch, run or send something."""
+
+EMPTY = {"meta", "path", "use", "rect", "line", "circle", "br"}
+
+
+class Page(HTMLParser):
+    """What a page is made of: elements with attributes, style sheets, words."""
+
+    def __init__(self, text):
+        super().__init__(convert_charrefs=True)
+        self.elements, self.styles, self.words, self.open = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        """Keep an element."""
+        self.elements.append((tag, dict(attrs)))
+        if tag not in EMPTY:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        """Keep an element without content."""
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        """Check that elements are nested as they should be."""
+        if tag not in EMPTY:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        """Keep words and style sheets apart."""
+        (self.styles if self.open and self.open[-1] == "style" else self.words).append(data)
+
+
+def page_of(*arguments):
+    """Run a command and return its page as text and parsed."""
+    *_, target = arguments
+    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
+    assert result.exit_code in {0, 1}, result.output
+    text = target.read_text()
+    return text, Page(text)
+
+
+def assert_loads_nothing(text, page):
+    """Check that no element and no address of a page reaches out of it."""
+    assert not page.open
+    tags = {tag for tag, _ in page.elements}
+    assert not tags & LOADS
+    for tag, attributes in page.elements:
+        assert not [name for name in attributes if name.startswith("on")], tag
+        for name, value in attributes.items():
+            if name in {"href", "xlink:href", "src", "srcset", "data", "action", "poster"}:
+                assert value.startswith("#"), (tag, name, value)
+            if name == "style":
+                assert not re.search(r"url\((?!#)", value), value
+    for style in page.styles:
+        assert "@import" not in style
+        assert not re.search(r"url\((?!#)", style)
+    # Whatever there is of addresses is what a file says.
+    assert "://" not in text.replace("http://example.com/x", "")
+
+
+@pytest.fixture
+def series(tmp_path):
+    """Write a series of attitudes, and one that is 3 degrees off."""
+    angle = np.linspace(0, 20, 400)
+    for name, off in (("new.csv", np.radians(3)), ("truth.csv", 0.0)):
+        wxyz = exp(np.stack([0 * angle, 0 * angle, angle + off], axis=1))
+        rows = (
+            f"{1_700_000_000_000_000_000 + k * 50_000_000},{','.join(map(repr, q))}"
+            for k, q in enumerate(wxyz.tolist())
+        )
+        (tmp_path / name).write_text("t_ns,qw,qx,qy,qz\n" + "\n".join(rows) + "\n")
+    return tmp_path / "new.csv", tmp_path / "truth.csv"
+
+
+@pytest.mark.parametrize("command", ["plot", "reference", "compare"])
+def test_a_page_loads_nothing(series, tmp_path, command):
+    """Every page holds its picture, its styles and its words itself, and no script."""
+    new, truth = series
+    target = tmp_path / "page.html"
+    arguments = {
+        "plot": ("plot", new, "-o", target),
+        "reference": ("plot", new, "--reference", truth, "--tol", "1deg", "-o", target),
+        "compare": ("compare", new, truth, "--tol", "1deg", "--plot", target),
+    }[command]
+    text, page = page_of(*arguments)
+    assert_loads_nothing(text, page)
+    assert [tag for tag, _ in page.elements].count("svg") == 1
+
+
+def test_names_from_a_file_are_text(tmp_path):
+    """A topic that is markup shows as it is written, and does nothing."""
+    log, target = tmp_path / "<b>log&.bag", tmp_path / "page.html"
+    store = get_typestore(Stores.ROS1_NOETIC)
+    imu_type = "sensor_msgs/msg/Imu"
+    with Writer(log) as writer:
+        connection = writer.add_connection(HOSTILE, imu_type, typestore=store)
+        types = store.types
+        vector = types["geometry_msgs/msg/Vector3"]
+        for k in range(20):
+            stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + k, 0)
+            message = types[imu_type](
+                header=types["std_msgs/msg/Header"](k, stamp, "imu"),
+                orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+                orientation_covariance=np.zeros(9),
+                angular_velocity=vector(0.1, 0.2, 0.3 + 0.01 * k),
+                angular_velocity_covariance=np.zeros(9),
+                linear_acceleration=vector(0.0, 0.0, 9.81),
+                linear_acceleration_covariance=np.zeros(9),
+            )
+            data = store.serialize_ros1(message, imu_type)
+            writer.write(connection, (1_700_000_000 + k) * 10**9, data)
+    for arguments in (
+        ("plot", log, "-o", target),
+        ("propagate", log, "-q", "-o", tmp_path / "a.csv", "--plot", target),
+    ):
+        text, page = page_of(*arguments)
+        assert_loads_nothing(text, page)
+        assert "<script" not in text
+        assert "<img" not in text
+        assert HOSTILE in "".join(page.words)
+
+
+def test_a_page_says_what_its_picture_means(series, tmp_path):
+    """Figures, conventions and warnings are words, for people and for those who search."""
+    new, truth = series
+    _, page = page_of(
+        "plot", new, "--reference", truth, "--tol", "1deg", "-o", tmp_path / "page.html"
+    )
+    words = " ".join(page.words)
+    assert "new.csv: max 3 deg, RMS 3 deg; above the tolerance of 1 deg" in words
+    assert "hamilton body-to-ref, scalar-first" in words
+    assert "likely cause" in words
+    figure = next(attributes for tag, attributes in page.elements if tag == "figure")
+    assert figure["aria-label"] == (
+        "error of new.csv against truth.csv: geodesic error against time"
+    )
+    _, page = page_of("plot", new, "-o", tmp_path / "page.html")
+    words = " ".join(page.words)
+    assert "Hamilton, ij = k: v_ref = q v_body q*" in words
+    assert "400 samples over 19.95 s, 20 Hz" in words
+
+
+def test_a_page_is_light_and_dark_and_fit_for_paper(series, tmp_path):
+    """Colours of the picture are those of the page, which has two sets of them."""
+    text, page = page_of("plot", series[0], "-o", tmp_path / "page.html")
+    style, of_picture = page.styles
+    assert of_picture.startswith("figure svg *{")
+    assert "prefers-color-scheme: dark" in style
+    assert "@media print" in style
+    used = set(re.findall(r"var\((--[a-z0-9]+)", text))
+    assert used <= set(re.findall(r"(--[a-z0-9]+(?:-[a-z]+)?):", style)) | {"--alarm"}
+    drawn = text[text.index("<svg") : text.index("</svg>")]
+    assert not re.search(r"#(000000|222222|dddddd|0072b2)", drawn, re.IGNORECASE)
+
+
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome", "chrome")
+     if (found := shutil.which(name))), None
+)  # fmt: skip
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here to open the page in")
+@pytest.mark.parametrize("width", [390, 1200])
+def test_a_browser_shows_the_page(series, tmp_path, width):
+    """Chromium lays the page out at the width of a telephone and of a desk, wider than neither."""
+    new, truth = series
+    target = tmp_path / "page.html"
+    page_of("plot", new, "--reference", truth, "--tol", "1deg", "-o", target)
+    probe = tmp_path / "probe.html"
+    # The measure is taken by a script that is put in for the test only.
+    measure = (
+        "<script>addEventListener('load', () => { const svg = document.querySelector('svg');"
+        "document.title = [document.documentElement.scrollWidth <= innerWidth,"
+        " svg.getBoundingClientRect().height > 150,"
+        " document.querySelectorAll('svg text').length > 8].join(' ') })</script>"
+    )
+    probe.write_text(target.read_text().replace("</head>", measure + "</head>"))
+    arguments = [
+        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+        "--no-first-run", "--disable-background-networking", "--disable-component-update",
+        "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
+        f"--window-size={width},900", "--dump-dom", probe.as_uri(),
+    ]  # fmt: skip
+    shown = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=True)
+    assert "<title>true true true</title>" in shown.stdout
