@@ -2,6 +2,7 @@
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.writers.ros_types import ros2_types
@@ -68,4 +69,27 @@ def write_mcap(path, count=300, profile="ros2", **options):
                 writer.add_attachment(logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
         writer.add_metadata("end", {"why": "stopped"})
         writer.finish()
+    return path
+
+
+def write_bag(path, count=300, compression=None, chunk_size=4000):
+    """Write a ROS 1 bag of rates and of a camera's shutter."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = Rosbag1Writer(path)
+    writer.chunk_threshold = chunk_size
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        imu = writer.add_connection("/imu", IMU, typestore=store)
+        shutter = writer.add_connection(
+            "/shutter", "std_msgs/msg/Header", typestore=store, callerid="/camera", latching=1
+        )
+        for k, (stamp, logged) in enumerate(moments(count)):
+            writer.write(imu, logged, imu_message(store, stamp, ros1=True))
+            if k % 10 == 0:
+                header = store.types["std_msgs/msg/Header"]
+                time = store.types["builtin_interfaces/msg/Time"](0, k)
+                message = header(seq=k, stamp=time, frame_id="x" * 50)
+                data = store.serialize_ros1(message, "std_msgs/msg/Header")
+                writer.write(shutter, logged, data)
     return path

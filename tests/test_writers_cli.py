@@ -104,3 +104,25 @@ def test_a_header_comment_begins_the_text(tmp_path, log):
     assert report["result"]["samples"] == 3
     assert names == "t_ns,qw,qx,qy,qz"
     assert len(rows) == 3
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_a_run_that_fails_says_nothing_on_stdout(tmp_path, kind):
+    """The names of columns go out with the first rows, not ahead of an error."""
+    log = tmp_path / "log.csv"
+    log.write_text("t_ns,wx,wy,wz\n0,0,0,nan\n1000000,0,0,1\n")
+    result = run(log, "-o", "-", "--to", kind)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "not finite" in result.stderr
+
+
+@pytest.mark.parametrize("kind", ["csv", "tum"])
+def test_a_series_without_rows_still_has_its_names(tmp_path, kind):
+    """A file that was committed begins as every other."""
+    from quatprop.writers import open_writer
+
+    with open_writer(tmp_path / "a", kind) as writer:
+        writer.commit({})
+    first = {"csv": "t_ns,qw,qx,qy,qz\n", "tum": "# timestamp tx ty tz qx qy qz qw\n"}
+    assert (tmp_path / "a").read_text() == first[kind]

@@ -52,7 +52,7 @@ into_option = click.option(
     "--into",
     metavar="PATH",
     help="Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
-    "else kept. For MCAP; see --message, --out-topic and --frames.  "
+    "else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
     "[default: a file of its own]",
 )
 MESSAGE_OPTIONS = (

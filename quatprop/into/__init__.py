@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _COPIERS: Mapping[str, tuple[str, str]] = {
     "mcap": ("mcap", "quatprop.into.mcap:McapInto"),
+    "bag": ("bag", "quatprop.into.rosbag1:Rosbag1Into"),
 }
 """By the kind of a log: the key of :data:`WRITERS` that it is, and what copies it."""
 

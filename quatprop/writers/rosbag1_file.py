@@ -202,7 +202,7 @@ class BagFile:
 def _packed(compression: str, ahead: bytes, rows: NDArray[np.void]) -> _Chunk:
     """Return a chunk of message records after what goes ahead of them."""
     index = np.empty(len(rows), records.ENTRY)
-    index["sec"], index["nanosec"] = rows["sec"], rows["nanosec"]
+    index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(ahead) + np.arange(len(rows)) * rows.itemsize
     times = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
     data = ahead + rows.tobytes()

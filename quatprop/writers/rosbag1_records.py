@@ -22,7 +22,7 @@ NS_PER_S = 1_000_000_000
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
 """Kinds of records."""
 
-ENTRY = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("offset", "<u4")])
+ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 """One message in the index data of a chunk."""
 
 _HEAD_BYTES = 4096
@@ -59,7 +59,7 @@ def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
 def chunk_info(place: int, indexes: Mapping[int, NDArray[np.void]]) -> bytes:
     """Return what the index tells of a chunk: where it is, its times, its messages."""
     times = [
-        each["sec"].astype(np.int64) * NS_PER_S + each["nanosec"]
+        each["sec"].astype(np.int64) * NS_PER_S + each["nsec"]
         for each in indexes.values()
         if len(each)
     ]

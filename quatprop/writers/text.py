@@ -38,7 +38,8 @@ class TextTable(Table):
     target
         A path, or ``"-"`` for stdout.
     head
-        What stands before the rows, such as a line of names.
+        What stands before the rows, such as a line of names. It is written with the first of them,
+        so that a run that fails before has said nothing to a pipe.
     form
         Gives the lines of a piece: of its stamps and columns.
     comment
@@ -49,9 +50,8 @@ class TextTable(Table):
     def __init__(self, target: Path | str, head: str, form: Form, *, comment: bool = False) -> None:
         self._output = Output(target)
         self._body = scratch(target) if comment else self._output.stream
+        self._head = head.encode()
         self._works = InOrder(form, self._put)
-        with reported(target):
-            self._body.write(head.encode())
 
     def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         """Append a batch of rows."""
@@ -64,6 +64,7 @@ class TextTable(Table):
         """Finish the file and put it in its place."""
         self._works.finish()
         self._works.stop()
+        self._put(b"")
         if self._body is not self._output.stream:
             words = words_of(provenance)
             with reported(self._output.target), self._body as body:
@@ -79,8 +80,10 @@ class TextTable(Table):
             self._body.close()
         self._output.discard()
 
-    def _put(self, text: pa.Buffer) -> None:
+    def _put(self, text: pa.Buffer | bytes) -> None:
+        head, self._head = self._head, b""
         with reported(self._output.target):
+            self._body.write(head)
             self._body.write(text)
 
 
