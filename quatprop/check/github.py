@@ -59,8 +59,7 @@ def _cell(text: str) -> str:
     text = plain(text)
     for mark in "\\`*_[]<>|":
         text = text.replace(mark, "\\" + mark)
-    # A colon between words may be an emoji's; the verdict's are ours.
-    return text.replace("\\:", ":")
+    return text
 
 
 def _data(text: str) -> str:

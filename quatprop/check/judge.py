@@ -21,7 +21,7 @@ from quatprop.check.measure import (
     measured,
 )
 from quatprop.check.reference import differing_provenance, read_reference
-from quatprop.errors import LogError, QuatpropError, quoted
+from quatprop.errors import LogError, QuatpropError, plain, quoted
 from quatprop.quaternion import geodesic_angle
 from quatprop.signals.operands import read_operand
 
@@ -93,6 +93,8 @@ def judge(case: Case, pin: Pin | None) -> Outcome:
             raise
         reason = f"{error}; the same bytes could be used by quatprop {pin.quatprop}"
         return Outcome(case.name, "error", reason)
+    if now.report["data_lost"]:
+        notes.append(f"of {plain(case.job.log)} something was lost or left out, see propagate")
     reasons = []
     if now.samples != pin.samples and (case.strict or case.pins_log):
         reasons.append(

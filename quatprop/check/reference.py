@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.check.lock import sha256_of
 from quatprop.errors import OutputError, QuatpropError, plain, quoted
 from quatprop.report import CONVENTION
 from quatprop.signals.operands import Reading, read_operand
@@ -65,7 +64,6 @@ def write_reference(case: Case, now: Measured, hashes: dict[str, str], every: in
     report = {key: value for key, value in now.report.items() if key != "timings"}
     # What is kept must not depend on where it was made.
     report["source"] = {**report["source"], "path": Path(case.job.log).name}
-    report["source"]["sha256"] = sha256_of(case.job.log)
     if "q0" in hashes:
         report["convention"] = {**report["convention"], "q0_from": case.options["q0"]}
     report[MARK] = {

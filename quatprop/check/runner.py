@@ -15,7 +15,8 @@ from quatprop.check.lock import write_lock
 from quatprop.check.update import update
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Generator, Sequence
+    from concurrent.futures import Future
     from pathlib import Path
 
     from quatprop.check.lock import Pin
@@ -47,7 +48,8 @@ def outcomes(
     *,
     updating: bool = False,
     processes: int = 1,
-) -> Iterator[Outcome]:
+    record: Callable[[Outcome], None] = lambda _outcome: None,
+) -> Generator[Outcome]:
     """Yield what comes of each case, in their order, as soon as those before are done.
 
     Parameters
@@ -60,12 +62,16 @@ def outcomes(
         Make references anew instead of judging.
     processes
         How many cases at a time; the outcomes are the same for any number.
+    record
+        Called with each outcome as soon as it is there, which may be long before its turn.
     """
     work = partial(settled, work=update if updating else judge)
     known = [pins.get(case.name) for case in cases]
     if processes == 1 or len(cases) == 1:
         for case, pin in zip(cases, known, strict=True):
-            yield work(case, pin=pin)
+            outcome = work(case, pin=pin)
+            record(outcome)
+            yield outcome
         return
     # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
     context = multiprocessing.get_context("spawn")
@@ -77,6 +83,8 @@ def outcomes(
             pool.submit(_interruptible, work, case, pin)
             for case, pin in zip(cases, known, strict=True)
         ]
+        for future in futures:
+            future.add_done_callback(partial(_recorded, record))
         for case, future in zip(cases, futures, strict=True):
             try:
                 yield future.result()
@@ -106,24 +114,34 @@ def _interruptible(
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def pinned(found: Iterable[Outcome], lock: Path, pins: dict[str, Pin]) -> Iterator[Outcome]:
-    """Pass outcomes of an update on, and write what they pin into the lock at the end.
+def _recorded(record: Callable[[Outcome], None], future: Future[Outcome]) -> None:
+    """Record the outcome of a case that came to its end."""
+    if not future.cancelled() and future.exception() is None:
+        record(future.result())
+
+
+def updates(
+    cases: Sequence[Case | BrokenCase], pins: dict[str, Pin], lock: Path, *, processes: int = 1
+) -> Generator[Outcome]:
+    """Yield what comes of updating each case, and write what they pin into the lock at the end.
 
     Parameters
     ----------
-    found
-        The outcomes.
+    cases, processes
+        As for :func:`outcomes`.
+    pins
+        What is pinned; of cases that are not updated it stays.
     lock
         The lock of the suite.
-    pins
-        What stays pinned of cases that are not among them.
     """
     made = dict(pins)
+
+    def record(outcome: Outcome) -> None:
+        if outcome.pin is not None:
+            made[outcome.name] = outcome.pin
+
     try:
-        for outcome in found:
-            if outcome.pin is not None:
-                made[outcome.name] = outcome.pin
-            yield outcome
+        yield from outcomes(cases, pins, updating=True, processes=processes, record=record)
     finally:
         # Interrupted or not: the references that were written have to be known.
         write_lock(lock, made)

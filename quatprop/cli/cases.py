@@ -101,12 +101,12 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
 def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
     if key in KEYS:
         return
+    place = key if case is not None else f"defaults.{key}"
     if key in OUTPUT_ONLY:
-        raise SuiteError(suite.path, "a case writes no such output; leave it out", case, key)
+        raise SuiteError(suite.path, "a case writes no such output; leave it out", case, place)
     near = get_close_matches(key, sorted(KEYS), 1)
     way_out = f"did you mean {quoted(near[0])}?" if near else "see quatprop propagate --help"
-    where = None if case is not None else "defaults"
-    raise SuiteError(suite.path, f"no such key; {way_out}", case or where, key)
+    raise SuiteError(suite.path, f"no such key; {way_out}", case, place)
 
 
 class _Parser:

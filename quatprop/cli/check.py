@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -76,22 +77,25 @@ def command(suite: str, **asked: Any) -> None:
     """
     from quatprop.check.case import exit_code
     from quatprop.check.lock import read_lock
-    from quatprop.check.runner import chosen, outcomes, pinned
+    from quatprop.check.runner import chosen, outcomes, updates
     from quatprop.cli.cases import load_cases
 
     written, every = load_cases(suite)
-    patterns, updating = asked["patterns"], asked["update"]
+    patterns = asked["patterns"]
     cases = chosen(every, patterns)
     if not cases:
         raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
-    pins = read_lock(written.lock)
+    names = {case.name for case in every}
+    pins = {name: pin for name, pin in read_lock(written.lock).items() if name in names}
     _refuse_overlap(written, every, asked["junit"])
-    found = outcomes(cases, pins, updating=updating, processes=asked["processes"])
-    if updating:
-        names = {case.name for case in every}
-        kept = {name: pin for name, pin in pins.items() if name in names}
-        found = pinned(found, written.lock, kept)
-    done = _said(found, cases, speaks=not (asked["as_json"] or asked["quiet"]))
+    processes = asked["processes"]
+    found = (
+        updates(cases, pins, written.lock, processes=processes)
+        if asked["update"]
+        else outcomes(cases, pins, processes=processes)
+    )
+    with closing(found):
+        done = _said(found, cases, speaks=not (asked["as_json"] or asked["quiet"]))
     if asked["as_json"]:
         click.echo(json.dumps(_report(written, done), indent=2))
     _report_elsewhere(written, done, asked["junit"])
