@@ -448,7 +448,7 @@ def test_a_killed_process_is_an_error_of_its_case(folder, monkeypatch):
     """Where memory runs out, the system kills a process; that is said, and is no pass."""
     from concurrent.futures.process import BrokenProcessPool
 
-    from quatprop.check import runner
+    from quatprop import parallel
 
     class Pool:
         def __init__(self, *_):
@@ -464,7 +464,7 @@ def test_a_killed_process_is_an_error_of_its_case(folder, monkeypatch):
         def shutdown(self, **_):
             pass
 
-    monkeypatch.setattr(runner, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(parallel, "ProcessPoolExecutor", Pool)
     result = check(write(folder, stored() + TRUTH), "-j", "2")
     assert result.exit_code == 2
     assert result.stdout.count("was killed; is there enough memory?") == 2

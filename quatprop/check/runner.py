@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
@@ -13,10 +10,10 @@ from quatprop.check.case import BrokenCase, Case, Outcome
 from quatprop.check.judge import judge, settled
 from quatprop.check.lock import write_lock
 from quatprop.check.update import update
+from quatprop.parallel import KILLED, each
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
-    from concurrent.futures import Future
     from pathlib import Path
 
     from quatprop.check.lock import Pin
@@ -65,59 +62,19 @@ def outcomes(
     record
         Called with each outcome as soon as it is there, which may be long before its turn.
     """
-    work = partial(settled, work=update if updating else judge)
-    known = [pins.get(case.name) for case in cases]
-    if processes == 1 or len(cases) == 1:
-        for case, pin in zip(cases, known, strict=True):
-            outcome = work(case, pin=pin)
-            record(outcome)
-            yield outcome
-        return
-    # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(
-        min(processes, len(cases)), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
-    try:
-        futures = [
-            pool.submit(_interruptible, work, case, pin)
-            for case, pin in zip(cases, known, strict=True)
-        ]
-        for future in futures:
-            future.add_done_callback(partial(_recorded, record))
-        for case, future in zip(cases, futures, strict=True):
-            try:
-                yield future.result()
-            except BrokenExecutor:
-                yield Outcome(
-                    case.name,
-                    "error",
-                    "the process that ran it, or one beside it, was killed; is there enough "
-                    "memory? Run fewer at a time with -j",
-                    line=case.line,
-                )
-    finally:
-        pool.shutdown(cancel_futures=True)
+    pairs = [(case, pins.get(case.name)) for case in cases]
+    work = partial(_outcome, updating=updating)
+    yield from each(work, pairs, processes, _killed, record)
 
 
-def _interruptible(
-    work: Callable[..., Outcome], case: Case | BrokenCase, pin: Pin | None
-) -> Outcome:
-    """Do something with a case in a process that hears Ctrl-C only meanwhile.
-
-    So a case ends tidily, and a process that waits for the next one does not end in a traceback.
-    """
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return work(case, pin=pin)
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _outcome(pair: tuple[Case | BrokenCase, Pin | None], *, updating: bool) -> Outcome:
+    case, pin = pair
+    return settled(case, pin=pin, work=update if updating else judge)
 
 
-def _recorded(record: Callable[[Outcome], None], future: Future[Outcome]) -> None:
-    """Record the outcome of a case that came to its end."""
-    if not future.cancelled() and future.exception() is None:
-        record(future.result())
+def _killed(pair: tuple[Case | BrokenCase, Pin | None]) -> Outcome:
+    case, _ = pair
+    return Outcome(case.name, "error", KILLED, line=case.line)
 
 
 def updates(

@@ -16,6 +16,7 @@ import click
 COMMANDS = {
     "info": "Show what a log holds: every source of body rates.",
     "propagate": "Turn the body rates of one log into its attitude series.",
+    "batch": "Turn the body rates of many logs into attitude series.",
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
     "plot": "Draw rates, attitudes, or the error against a reference.",

@@ -153,9 +153,11 @@ def _is_data(row: list[str]) -> bool:
 def _delimiter(texts: list[str]) -> str:
     """Return the separator with which most lines are rows of numbers; the first one of equals."""
 
-    def fit(mark: str) -> tuple[int, bool]:
+    def fit(mark: str) -> tuple[int, bool, bool]:
         rows = [cells(text, mark) for text in texts]
-        return sum(map(_is_data, rows)), any(len(row) >= _RATES for row in rows)
+        widths = set(map(len, rows))
+        # The last tells for a table that is too narrow for rates: its columns are listed then.
+        return sum(map(_is_data, rows)), max(widths) >= _RATES, len(widths) == 1 < min(widths)
 
     return max(_DELIMITERS, key=fit)
 

@@ -1,0 +1,208 @@
+"""Many logs at a time: on this machine, on a cluster, and what goes wrong with some of them."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from click.testing import CliRunner
+
+from quatprop.batch import on_a_cluster, outputs
+from quatprop.cli import cli
+from quatprop.errors import UsageError
+from quatprop.job import Job
+
+INSTALLED = Path(sys.executable).with_name("quatprop")
+HEADER = "t_ns,wx,wy,wz\n"
+
+
+def run(*arguments):
+    """Run `quatprop batch` in this process."""
+    return CliRunner().invoke(cli, ["batch", *map(str, arguments)])
+
+
+def log(path, rate=1.0, samples=5):
+    """Write a log that turns about z."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = [f"{100_000_000 * k},0,0,{rate}\n" for k in range(samples)]
+    path.write_text(HEADER + "".join(rows))
+    return path
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_each_log_gives_what_propagate_gives(tmp_path, processes):
+    """The files are the same to the byte, however many are made at a time."""
+    logs = [log(tmp_path / f"{name}.csv", rate) for name, rate in (("a", 1), ("b", 2), ("c", 3))]
+    out = tmp_path / "out"
+    done = run(*logs, "-o", out, "--to", "csv", "--method", "mean", "-j", processes)
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in out.iterdir()) == ["a.csv", "b.csv", "c.csv"]
+    for path in logs:
+        alone = tmp_path / "alone.csv"
+        CliRunner().invoke(cli, ["propagate", str(path), "-o", str(alone), "--method", "mean"])
+        assert (out / path.name).read_bytes() == alone.read_bytes()
+    assert done.stderr.splitlines()[-1] == "3 of 3 logs done, 15 samples"
+    assert done.stdout == ""
+
+
+def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
+    """Its sentence is said, the others are done, and the exit code is 2."""
+    good, bad = log(tmp_path / "good.csv"), tmp_path / "bad.csv"
+    bad.write_text("0,20\n1,21\n2,22\n")
+    done = run(bad, good, "-o", tmp_path / "out", "-q")
+    assert done.exit_code == 2
+    assert done.stderr == (
+        f"Error: {bad}: no body rates found; its columns are '0', '1'; "
+        "name the columns with --rate-cols and --time-col\n"
+    )
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.parquet"]
+
+
+def test_lost_data_of_any_log_is_code_3(tmp_path):
+    """As for one log: all that can be saved is there, and the code tells."""
+    torn = log(tmp_path / "torn.csv")
+    torn.write_text(torn.read_text() + "500000000,0\n")
+    done = run(torn, log(tmp_path / "whole.csv"), "-o", tmp_path / "out")
+    assert done.exit_code == 3
+    assert "lost: line 7: it has 2 columns instead of 4" in done.stderr
+
+
+def test_logs_of_the_same_name_keep_their_folders(tmp_path):
+    """A folder for each run is how recordings are kept."""
+    logs = [log(tmp_path / run_ / "imu.csv") for run_ in ("monday", "tuesday")]
+    assert run(*logs, "-o", tmp_path / "out", "-q").exit_code == 0
+    found = sorted((tmp_path / "out").rglob("*.parquet"))
+    assert found == [tmp_path / "out" / day / "imu.parquet" for day in ("monday", "tuesday")]
+
+
+def test_packed_logs_lose_both_suffixes(tmp_path):
+    """A log is named without its packing; a folder by its whole name."""
+    (tmp_path / "bag.v2").mkdir()
+    logs = [str(tmp_path / "a.mcap.zst"), str(tmp_path / "bag.v2"), str(tmp_path / "b.bag")]
+    names = [path.name for path in outputs(logs, Path("out"), ".npy")]
+    assert names == ["a.npy", "bag.v2.npy", "b.npy"]
+
+
+def test_two_logs_never_share_an_output(tmp_path):
+    """Neither one log twice nor two that differ in their suffix alone."""
+    one, other = log(tmp_path / "a.csv"), log(tmp_path / "a.txt")
+    twice = run(one, one, "-o", tmp_path / "out")
+    assert (twice.exit_code, twice.stderr) == (
+        2,
+        f"Error: '{one}' is named 2 times; name each log once\n",
+    )
+    clash = run(one, other, "-o", tmp_path / "out")
+    assert clash.stderr == (
+        f"Error: 2 logs would go to '{tmp_path / 'out' / 'a.parquet'}'; propagate them apart, or "
+        "rename one\n"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_outputs_do_not_replace_logs(tmp_path):
+    """DIR may be where the logs are, but not if an output would have the name of one."""
+    path = log(tmp_path / "a.csv")
+    done = run(path, "-o", tmp_path, "--to", "csv")
+    assert done.exit_code == 2
+    assert "this is an input of the run; choose another output" in done.stderr
+
+
+def test_what_is_there_can_be_skipped(tmp_path):
+    """After an interruption only the rest is done."""
+    logs = [log(tmp_path / f"{name}.csv") for name in "ab"]
+    run(logs[0], "-o", tmp_path / "out", "-q")
+    before = (tmp_path / "out" / "a.parquet").stat().st_mtime_ns
+    done = run(*logs, "-o", tmp_path / "out", "--skip-existing")
+    assert done.stderr.splitlines()[-1] == (
+        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are there"
+    )
+    assert (tmp_path / "out" / "a.parquet").stat().st_mtime_ns == before
+
+
+def test_the_reports_are_json(tmp_path):
+    """One object for each log, in their order."""
+    good, bad = log(tmp_path / "good.csv"), tmp_path / "bad.csv"
+    bad.write_text("")
+    found = json.loads(run(bad, good, "-o", tmp_path / "out", "--json", "-q").stdout)
+    assert [one["log"] for one in found] == [str(bad), str(good)]
+    assert found[0]["error"].endswith("the file is empty; was the recording closed?")
+    assert found[1]["report"]["result"]["samples"] == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-"], "stdin is one log; give it to quatprop propagate"),
+        (["a.csv", "-j", "2", "--dask", "tcp://x:1"], "-j is for this machine; leave it out with"),
+        (["a.csv", "--heading", "5"], "--heading goes with --q0 level"),
+    ],
+)
+def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence):
+    """Options that cannot be are refused before any log is read."""
+    done = run(*arguments, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert sentence in done.stderr
+
+
+def test_the_options_are_those_of_propagate(tmp_path):
+    """What holds for one log holds for many, and help shows it."""
+    shown = run("--help").stdout
+    for option in ("--method", "--q0", "--bias", "--on-gap", "--rate-unit", "--every", "--layout"):
+        assert option in shown
+    assert "--into" not in shown
+    done = run(log(tmp_path / "a.csv"), "-o", tmp_path / "out", "--every", "2", "-q")
+    assert done.exit_code == 0
+    assert pyarrow.parquet.read_table(tmp_path / "out" / "a.parquet").num_rows == 3
+
+
+def test_the_installed_command_runs_processes(tmp_path):
+    """Two processes, started afresh by the command itself."""
+    logs = [log(tmp_path / f"{name}.csv") for name in "abc"]
+    command = [INSTALLED, "batch", *logs, "-o", tmp_path / "out", "-j", "2"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "out").iterdir())) == 3
+
+
+def test_a_cluster_that_is_not_there(tmp_path):
+    """The address is named."""
+    pytest.importorskip("distributed")
+    job = Job(str(log(tmp_path / "a.csv")), str(tmp_path / "a.npy"))
+    with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
+        list(on_a_cluster([job], "nonsense"))
+
+
+CLUSTER = """
+import subprocess, sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+        command = [*sys.argv[1:], "--dask", cluster.scheduler_address]
+        sys.exit(subprocess.run(command).returncode)
+"""
+
+
+def test_a_cluster_gives_the_same_files(tmp_path):
+    """The workers of a Dask cluster write what this machine writes, to the byte."""
+    pytest.importorskip("distributed")
+    logs = [log(tmp_path / f"{name}.csv", k) for k, name in enumerate("abcd")]
+    bad = tmp_path / "bad.csv"
+    bad.write_text("")
+    script = tmp_path / "cluster.py"
+    script.write_text(CLUSTER)
+    command = [INSTALLED, "batch", *logs, bad, "--to", "csv", "-o"]
+    done = subprocess.run(
+        [sys.executable, script, *command, tmp_path / "far"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 2, done.stderr
+    assert "4 of 5 logs done, 20 samples" in done.stderr
+    assert run(*logs, "--to", "csv", "-o", tmp_path / "near", "-q").exit_code == 0
+    for path in logs:
+        far, near = (tmp_path / where / path.name for where in ("far", "near"))
+        assert far.read_bytes() == near.read_bytes()
