@@ -70,7 +70,7 @@ def command(suite: str, **asked: Any) -> None:
     max-dt...; of its B as reference-topic, reference-log, reference-from-layout...); paths are
     relative to the suite. --update writes the references, and SUITE.lock.json, which pins what
     every case rests on: the SHA-256 of its inputs and its options. Keep all of them with the
-    suite.
+    suite. Say pin-log = false where what is tested makes the log anew.
 
     Exit code 0: all pass; 2: a case could not be judged (its log is missing, or something that it
     rests on changed), whatever the others do; 1: a case failed.
