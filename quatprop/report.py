@@ -144,6 +144,7 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
             *source.remarks_on(job.method),
             *remarks(counts, job.policy),
             *done.remarks,
+            *log.remarks,
         ],
         "conditioning": done.conditioned,
         "result": {

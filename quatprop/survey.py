@@ -116,6 +116,7 @@ def _rates(log: Log, selection: Selection, path: str) -> Iterator[Facts]:
         facts = _measured(source, path)
         if path != "-":
             facts["remarks"] += orientation_remarks(log, source)
+        facts["remarks"] += log.remarks
         yield facts
 
 
@@ -256,7 +257,7 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
         "source": source.name,
         "type": source.type_name,
         "attitude": source.quaternion,
-        "layout": source.layout,
+        "layout": source.layout or source.representation,
         "convention": source.meaning.convention,
         "direction": source.meaning.direction,
         "clock": source.clock,

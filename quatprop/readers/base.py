@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
     from types import TracebackType
     from typing import Self
@@ -115,6 +115,8 @@ class Loss:
 class Closing:
     """Closes when its ``with`` block ends."""
 
+    remarks: Sequence[str] = ()
+
     def close(self) -> None:
         """Release files and temporary copies; nothing, where files are open only while read."""
 
@@ -142,11 +144,14 @@ class Log(Protocol):
         The file or folder.
     losses
         What could not be read; grows while the log is read.
+    remarks
+        What may be wrong with the log and nobody can tell; grows while the log is read.
     """
 
     kind: str
     path: Path
     losses: list[Loss]
+    remarks: Sequence[str]
 
     def close(self) -> None:
         """Release files and temporary copies."""

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
+from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError, quoted
 from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
 from quatprop.readers import columns as choosing
 from quatprop.readers.base import Closing, Loss
 from quatprop.readers.csv_rows import MISFITS, BlockParser, RowParser, Rows
 from quatprop.readers.decimal_time import counted
 from quatprop.readers.headers import HEAD_BYTES, sniff
-from quatprop.readers.text_blocks import LineCounter, TextStream, blocks, pieces
+from quatprop.readers.last_line import TAIL_BYTES, is_cut
+from quatprop.readers.text_blocks import LineCounter, TextStream, blocks, pieces, record_end
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 _PIECE_BYTES = 1 << 16
 _LOSSES_A_BLOCK = 8
+_SHOWN = 12
+"""Bytes of a line that are shown."""
 _STDIN = Path("-")
 
 
@@ -58,6 +61,7 @@ class CsvLog(Closing):
     def __init__(self, source: Path | BinaryIO) -> None:
         self.path = source if isinstance(source, Path) else _STDIN
         self.losses: list[Loss] = []
+        self.remarks: list[str] = []
         self._file = None if isinstance(source, Path) else source
         self._text: TextStream | None = self._open()
         self._head = self._text.read(HEAD_BYTES)
@@ -118,9 +122,11 @@ class CsvLog(Closing):
         again = self._open_rows if self._file is None else None
         lines = LineCounter(self._layout.line, again)
         scan = _Scan(self._layout, columns, lines, self.losses)
+        tail = b""
         try:
             for block in blocks(text):
-                t_ns, numbers = scan.read(block)
+                whole, tail = self._without_cut_line(block, tail, text, columns, lines)
+                t_ns, numbers = scan.read(whole)
                 scan.refuse_mostly_lost(self.path)
                 if len(t_ns):
                     yield t_ns, numbers
@@ -130,6 +136,38 @@ class CsvLog(Closing):
             lines.close()
             if self._file is None:
                 text.close()
+
+    def _without_cut_line(
+        self,
+        block: Block,
+        tail: bytes,
+        text: TextStream,
+        columns: TimedColumns,
+        lines: LineCounter,
+    ) -> tuple[Block, bytes]:
+        """Return a block without a last line that was cut off, and its end for the next."""
+        data = block.data
+        end = bytes(data[-TAIL_BYTES:])
+        if end.endswith(b"\n"):
+            return block, end
+        whole = bytes(data)
+        begin = record_end(whole, len(whole))
+        last = whole[begin:]
+        wanted = {*columns.time, *columns.numbers}
+        before = (tail + whole[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
+        cut = bool(text.damage) or is_cut(before, last, self._layout, wanted)
+        if cut is None:
+            shown = quoted(last[-_SHOWN:].decode(errors="replace"))
+            self.remarks.append(
+                f"the last line has no line end: if the log was cut off there, its end {shown} "
+                "may have lost digits"
+            )
+        if not cut:
+            return block, b""
+        line = lines.at(block.offset) + whole.count(b"\n", 0, begin)
+        reason = "it has no line end, and its last cell was cut off"
+        self.losses.append(Loss(f"line {line}", reason, 1))
+        return block._replace(data=data[:begin]), b""
 
     def close(self) -> None:
         """Release what was read; a stream is left to its owner."""
@@ -151,6 +189,7 @@ class CsvLog(Closing):
         if self._known_losses is None:
             self._known_losses = len(self.losses)
         del self.losses[self._known_losses :]
+        self.remarks.clear()
         if self._file is None:
             return self._open_rows()
         text, self._text = self._text, None

@@ -1,0 +1,107 @@
+"""Texts that end without a line end, and texts of absurd shapes."""
+
+import gzip
+import io
+import json
+import math
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.readers.base import Loss
+from quatprop.readers.csv import CsvLog
+from quatprop.selection import Selection
+
+HEADER = "t_ns,wx,wy,wz\n"
+CUT = "it has no line end, and its last cell was cut off"
+
+
+def read(text, header=HEADER, **options):
+    """Return the numbers of the last row that is read, the rows, the losses and the remarks."""
+    data = text if isinstance(text, bytes) else (header + text).encode()
+    log = CsvLog(io.BytesIO(data))
+    chosen = {"rate_unit": "rad/s", "time_unit": "ns", **options}
+    rows = [row for batch in log.series(log.choose(Selection(**chosen))) for row in batch.rate]
+    return rows[-1].tolist() if rows else None, len(rows), log.losses, log.remarks
+
+
+def rows_of(*cells):
+    """Return rows whose last cells are these, the last without its line end."""
+    return "\n".join(f"{1000 * k},0.125,-0.25,{cell}" for k, cell in enumerate(cells))
+
+
+def test_a_number_shorter_than_all_before_it_was_cut_off():
+    """Where every number has six decimals, one of three is the beginning of another."""
+    text = rows_of(*["0.123456", "-1.000000", "2.500000"] * 3, "0.123")
+    assert read(text) == ([0.125, -0.25, 2.5], 9, [Loss("line 11", CUT, 1)], [])
+
+
+def test_a_last_line_without_its_end_is_whole_where_it_looks_like_the_others():
+    """Texts that people join by line ends have none behind the last line."""
+    text = rows_of(*["0.123456", "-1.000000", "2.500000"] * 3, "0.000000")
+    assert read(text) == ([0.125, -0.25, 0.0], 10, [], [])
+
+
+REMARK = (
+    "the last line has no line end: if the log was cut off there, its end {} may have lost digits"
+)
+
+
+@pytest.mark.parametrize("cells", [("0.5", "0.25", "0.125", "0.75"), ("1", "22", "-333", "12")])
+def test_where_nobody_can_tell_it_is_said(cells):
+    """Numbers of any length may be whole or cut: the last is kept, and the doubt is said."""
+    text = rows_of(*cells)
+    last, count, losses, remarks = read(text)
+    assert (last[2], count, losses) == (float(cells[-1]), 4, [])
+    assert remarks == [REMARK.format(f"'{text[-12:]}'")]
+
+
+def test_a_number_shorter_than_hundreds_before_it_was_cut_off():
+    """Numbers printed in full have nearly always many digits; one of three has lost some."""
+    text = rows_of(*(repr(math.sin(k + 1)) for k in range(300)), "0.85")
+    assert read(text)[1:] == (300, [Loss("line 302", CUT, 1)], [])
+
+
+@pytest.mark.parametrize("cell", ["", "-", "1.25e", "1.25e-", "1.2500e-0"])
+def test_what_is_no_number_any_more_was_cut_off(cell):
+    """The begin of a number that is none, or another one, is no sample."""
+    text = rows_of(*["1.2500e-03", "2.2500e+02"] * 3, cell)
+    last, count, losses, _ = read(text)
+    assert (last, count) == ([0.125, -0.25, 225.0], 6)
+    assert [loss.place for loss in losses] == ["line 8"]
+
+
+def test_a_column_that_is_not_read_may_be_cut():
+    """Nothing is said where no number that is used can have lost a digit."""
+    text = "0,1,2,3,some words\n1,1,2,3,some wo"
+    assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 2, [], [])
+
+
+def test_a_line_between_open_quotes_was_cut_off():
+    """A cell whose quote is not closed is not whole."""
+    text = '0,1,2,"3.5"\n1,1,2,"3.5"\n2,1,2,"3.'
+    assert read(text)[1:] == (2, [Loss("line 4", CUT, 1)], [])
+
+
+def test_a_packed_text_that_is_cut_off_ends_with_its_last_whole_line():
+    """There is no doubt where the packing says that more follows."""
+    text = HEADER + rows_of(*(f"{k}.5" for k in range(20_000)))
+    packed = gzip.compress(text.encode())[:-500]
+    last, count, losses, remarks = read(packed)
+    assert last == [0.125, -0.25, count - 0.5]
+    assert (losses[0], remarks) == (Loss(f"line {count + 2}", CUT, 1), [])
+    assert losses[1].place == "end of the file"
+
+
+def test_the_doubt_is_said_by_the_commands(tmp_path):
+    """The remark is shown, stands in the report, and is no loss: exit code 0."""
+    log, report = tmp_path / "log.csv", tmp_path / "report.json"
+    log.write_text(HEADER + rows_of("0.5", "0.25", "0.75"))
+    command = ["propagate", str(log), "-o", str(tmp_path / "out.csv"), "--report", str(report)]
+    result = CliRunner().invoke(cli, command)
+    assert result.exit_code == 0
+    shown = "warning: " + REMARK.format("'5,-0.25,0.75'")
+    assert shown in result.output
+    assert any("no line end" in remark for remark in json.loads(report.read_text())["remarks"])
+    assert "no line end" in CliRunner().invoke(cli, ["info", str(log)]).output
