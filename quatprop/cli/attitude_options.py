@@ -75,6 +75,14 @@ ATTITUDE_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
             "[default: by metadata, else body-to-ref]",
         },
     ),
+    "from_angle_unit": (
+        "--from-angle-unit",
+        {
+            "type": click.Choice(("rad", "deg")),
+            "help": "Unit of angles in {side}, a table of yaw, pitch, roll or rotation vectors.  "
+            "[default: by names; required where they do not say it]",
+        },
+    ),
     "clock": (
         "--clock",
         {

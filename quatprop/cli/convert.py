@@ -108,7 +108,8 @@ def _summary(output: str, step: dict[str, Any]) -> str:
 
     source, stored, written, counts = step["source"], step["from"], step["to"], step["counts"]
     said = " ".join(plain(source[key]) for key in ("name", "type") if source[key])
-    meant = f"{stored['convention']} {stored['direction']}, {stored['layout']}, {source['clock']}"
+    order = stored["layout"] or stored["representation"]
+    meant = f"{stored['convention']} {stored['direction']}, {order}, {source['clock']}"
     means = f"{written['convention']} {written['direction']}, {','.join(written['columns'])}"
     form = written["representation"]
     lines = [

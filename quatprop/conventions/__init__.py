@@ -1,4 +1,4 @@
-"""What stored numbers mean: convention, direction, sign, and other ways to write a rotation.
+"""What stored numbers mean: convention, direction and sign.
 
 Inside quatprop an attitude is a Hamilton quaternion q that turns body coordinates into reference
 coordinates, v_ref = q v_body q*. Files of others hold the same rotation in other numbers:
@@ -13,7 +13,8 @@ jpl         body-to-ref  q*
 ==========  ===========  =======
 
 because a JPL quaternion with components p turns vectors as the Hamilton quaternion p* does. How
-the four numbers are laid out in storage is a separate matter: :mod:`quatprop.conventions.layout`.
+the four numbers are laid out in storage is a separate matter: :mod:`quatprop.conventions.layout`;
+so are other ways to write a rotation: :mod:`quatprop.conventions.representations`.
 
 References
 ----------
@@ -28,15 +29,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conventions.representations import REPRESENTATIONS, Representation, euler_zyx
 from quatprop.errors import UsageError, listed, quoted
-from quatprop.quaternion import conjugate, log, normalize, rotation_matrix
+from quatprop.quaternion import conjugate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from numpy.typing import NDArray
 
     Float64 = NDArray[np.float64]
+
+__all__ = [
+    "CONVENTIONS",
+    "DIRECTIONS",
+    "HAMILTON",
+    "REPRESENTATIONS",
+    "SIGNS",
+    "Meaning",
+    "Representation",
+    "Signs",
+    "euler_zyx",
+]
 
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
@@ -142,86 +154,3 @@ class Signs:
         signed: Float64 = wxyz * flips[:, None]
         self._last = signed[-1].copy()
         return signed
-
-
-def euler_zyx(wxyz: Float64) -> Float64:
-    """Return yaw, pitch and roll: q = q_z(yaw) q_y(pitch) q_x(roll).
-
-    Yaw turns about z, pitch about the new y, roll about the newest x. From half sums and half
-    differences of yaw and roll, which stay exact where the two cannot be told apart (pitch of 90
-    degrees); there they are shared equally.
-
-    Parameters
-    ----------
-    wxyz
-        Quaternions, shape ``(N, 4)``; their length does not matter.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N, 3)``, rad: yaw and roll from -pi to pi, pitch from -pi/2 to pi/2.
-
-    References
-    ----------
-    Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 17(11), 2022.
-
-    Examples
-    --------
-    >>> euler_zyx(np.array([[np.cos(0.1), 0, 0, np.sin(0.1)]])).round(15).tolist()
-    [[0.2, 0.0, 0.0]]
-    """
-    w, x, y, z = wxyz.T
-    half_sum = np.arctan2(x + z, w - y)
-    half_difference = np.arctan2(z - x, w + y)
-    pitch = 2 * np.arctan2(np.hypot(w + y, z - x), np.hypot(w - y, x + z)) - np.pi / 2
-    yaw, roll = half_sum + half_difference, half_sum - half_difference
-    return np.stack([_within_half_turn(yaw), pitch, _within_half_turn(roll)], axis=1)
-
-
-def _within_half_turn(angle: Float64) -> Float64:
-    turned: Float64 = angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
-    return turned
-
-
-@dataclass(frozen=True, slots=True)
-class Representation:
-    """A way to write a rotation other than a quaternion.
-
-    Parameters
-    ----------
-    columns
-        Names of the columns, which say what is in them and in which unit.
-    values
-        From unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``.
-    signed
-        Whether q and -q are written differently.
-    """
-
-    columns: tuple[str, ...]
-    values: Callable[[Float64], Float64]
-    signed: bool = False
-
-
-def _rotation_vectors(wxyz: Float64) -> Float64:
-    return log(normalize(wxyz))
-
-
-def _matrices(wxyz: Float64) -> Float64:
-    return rotation_matrix(normalize(wxyz)).reshape(-1, 9)
-
-
-def _euler_degrees(wxyz: Float64) -> Float64:
-    return np.degrees(euler_zyx(wxyz))
-
-
-REPRESENTATIONS: Mapping[str, Representation] = {
-    "rotvec": Representation(
-        ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), _rotation_vectors, signed=True
-    ),
-    "euler-zyx": Representation(("yaw_rad", "pitch_rad", "roll_rad"), euler_zyx),
-    "euler-zyx-deg": Representation(("yaw_deg", "pitch_deg", "roll_deg"), _euler_degrees),
-    "matrix": Representation(
-        tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)), _matrices
-    ),
-}
-"""Every representation besides quaternions; rows of a matrix follow one another."""

@@ -43,6 +43,8 @@ class AttitudeSelection:
         Of a list of transforms, ``"child"`` or ``"parent:child"``.
     layout, convention, direction
         What the user says about the stored numbers.
+    angle_unit
+        What the user says about the unit of angles, ``"rad"`` or ``"deg"``.
     """
 
     samples: Selection = field(default_factory=Selection)
@@ -52,6 +54,7 @@ class AttitudeSelection:
     layout: str | None = None
     convention: str | None = None
     direction: str | None = None
+    angle_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,7 @@ class AttitudeSource:
         The field, the columns, or the frames that are the attitude.
     layout
         How it is stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where it is
-        neither.
+        neither; ``""`` where it is no quaternion.
     meaning
         What the stored numbers mean.
     clock
@@ -84,6 +87,9 @@ class AttitudeSource:
     stamps
         Reads the stamps of messages and when they were logged, ns, as `rows` reads the attitudes;
         None for a table.
+    representation
+        ``"quaternion"``, or what else is stored: a key of
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`.
     """
 
     name: str
@@ -96,6 +102,7 @@ class AttitudeSource:
     provenance: dict[str, Any]
     rows: Callable[[], Rows]
     stamps: Callable[[], Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]] | None = None
+    representation: str = "quaternion"
 
 
 def recorded_in(provenance: dict[str, Any]) -> dict[str, str]:
