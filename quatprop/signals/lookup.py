@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError
+from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
 from quatprop.quaternion import conjugate, exp, log, multiply, normalize
 from quatprop.readers import open_log
 from quatprop.readers.base import is_table
@@ -85,7 +85,7 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
     with open_log(path) as opened:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
-        except NoAttitudesError:
+        except (NoAttitudesError, UndeclaredError):
             stamps = [batch.t_ns for batch in choose(opened, Selection()).batches()]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 

@@ -1,0 +1,248 @@
+"""Rotation vectors, angles and matrices as tables of attitudes, and back into quaternions."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quatprop.cli import cli
+from quatprop.conventions.representations import REPRESENTATIONS, from_euler_zyx, from_matrices
+from quatprop.quaternion import geodesic_angle
+from quatprop.readers import open_log
+from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.lookup import stamps_in
+from quatprop.writers import WRITERS, open_table
+
+HALF = np.sqrt(0.5)
+TABLES = [kind for kind, known in WRITERS.items() if known.table]
+OPTIONS = {
+    "rotvec": ["--as", "rotvec"],
+    "euler-zyx": ["--as", "euler-zyx"],
+    "euler-zyx-deg": ["--as", "euler-zyx", "--euler-unit", "deg"],
+    "matrix": ["--as", "matrix"],
+}
+
+BY_HAND = {
+    "yaw,pitch,roll": [
+        ((90, 0, 0), (HALF, 0, 0, HALF)),
+        ((0, 90, 0), (HALF, 0, HALF, 0)),
+        ((0, 0, 90), (HALF, HALF, 0, 0)),
+        # First about z, then about the new y: k and j multiply to kj = -i.
+        ((90, 90, 0), (0.5, -0.5, 0.5, 0.5)),
+        ((90, 0, 90), (0.5, 0.5, 0.5, 0.5)),
+        ((450, 0, 0), (-HALF, 0, 0, -HALF)),
+    ],
+    "rotvec_x,rotvec_y,rotvec_z": [
+        ((0, 0, 90), (HALF, 0, 0, HALF)),
+        ((180, 0, 0), (0, 1, 0, 0)),
+        ((0, -90, 0), (HALF, 0, -HALF, 0)),
+        ((0, 0, 0), (1, 0, 0, 0)),
+    ],
+}
+"""Angles in deg -> wxyz, worked out from cos and sin of half the angle."""
+
+MATRICES = [
+    ((1, 0, 0, 0, 1, 0, 0, 0, 1), (1, 0, 0, 0)),
+    ((0, -1, 0, 1, 0, 0, 0, 0, 1), (HALF, 0, 0, HALF)),
+    ((0, 0, 1, 1, 0, 0, 0, 1, 0), (0.5, 0.5, 0.5, 0.5)),
+    ((1, 0, 0, 0, -1, 0, 0, 0, -1), (0, 1, 0, 0)),
+    ((-1, 0, 0, 0, 1, 0, 0, 0, -1), (0, 0, 1, 0)),
+    ((-1, 0, 0, 0, -1, 0, 0, 0, 1), (0, 0, 0, 1)),
+]
+"""R row by row, v_ref = R v_body -> wxyz: no turn, a quarter about z, x to y to z, half turns."""
+
+
+def run(*arguments, code=0):
+    """Run `quatprop convert` and return the result."""
+    result = CliRunner().invoke(cli, ["convert", *map(str, arguments)])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def written(tmp_path, head, rows, name="in.csv"):
+    """Write a table with stamps from 0."""
+    path = tmp_path / name
+    lines = [",".join(map(repr, (k, *row))) for k, row in enumerate(rows)]
+    path.write_text("\n".join([f"t_ns,{head}", *lines]) + "\n")
+    return path
+
+
+def read(path, **options):
+    """Return wxyz of a table."""
+    with open_log(path) as log:
+        source = choose_attitudes(log, AttitudeSelection(**options))
+        return np.concatenate([wxyz for _, wxyz in source.rows()])
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+@pytest.mark.parametrize("names", BY_HAND)
+def test_angles_are_those_worked_out_by_hand(tmp_path, names, unit):
+    """Suffixes, brackets or the option say the unit; all give the same quaternions."""
+    rows, expected = zip(*BY_HAND[names], strict=True)
+    rows = np.array(rows) * (1.0 if unit == "deg" else np.pi / 180)
+    for head, option in (
+        (",".join(f"{name}_{unit}" for name in names.split(",")), None),
+        (",".join(f"{name} [{unit}]" for name in names.split(",")), None),
+        (",".join(f"imu.{name}" for name in names.split(",")), unit),
+    ):
+        found = read(written(tmp_path, head, rows.tolist()), angle_unit=option)
+        np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("names", ["r{}{}", "m_{}{}", "rotation_{}_{}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_matrices_are_those_worked_out_by_hand(tmp_path, names, first):
+    """Numbered from 1 or from 0, in any order of columns; transposed in the other direction."""
+    rows, expected = zip(*MATRICES, strict=True)
+    head = [names.format(i + first, j + first) for i in range(3) for j in range(3)]
+    path = written(tmp_path, ",".join(head), rows)
+    np.testing.assert_allclose(read(path), expected, atol=1e-15)
+    backwards = written(tmp_path, ",".join(head[::-1]), [row[::-1] for row in rows])
+    np.testing.assert_allclose(read(backwards), expected, atol=1e-15)
+    other = read(path, direction="ref-to-body")
+    np.testing.assert_allclose(other * [1, -1, -1, -1], expected, atol=1e-15)
+
+
+quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
+    lambda q: np.linalg.norm(q) > 0.1
+)
+
+
+@given(st.lists(quaternions, min_size=1, max_size=20))
+def test_each_representation_leads_back_to_its_attitude(rows):
+    """Within rounding, wherever the attitude looks: straight up and half turns too."""
+    wxyz = np.array(rows)
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    for form in REPRESENTATIONS.values():
+        back = form.attitudes(form.values(wxyz))
+        assert geodesic_angle(back, wxyz).max() < 3e-15
+        np.testing.assert_allclose(np.linalg.norm(back, axis=1), 1, rtol=1e-15)
+
+
+@given(st.lists(st.tuples(*[st.floats(-20, 20)] * 3), min_size=1, max_size=20))
+def test_angles_of_any_size_are_those_of_scipy(rows):
+    """Beyond half a turn, and pitch beyond 90 degrees."""
+    expected = Rotation.from_euler("ZYX", rows).as_quat(scalar_first=True)
+    assert geodesic_angle(from_euler_zyx(np.array(rows)), expected).max() < 1e-14
+
+
+@given(st.lists(quaternions, min_size=1, max_size=20))
+def test_matrices_are_read_as_scipy_reads_them(rows):
+    """From scipy's own matrices, with w never below zero."""
+    rotation = Rotation.from_quat(rows, scalar_first=True)
+    found = from_matrices(rotation.as_matrix().reshape(-1, 9))
+    assert geodesic_angle(found, rotation.as_quat(scalar_first=True)).max() < 1e-14
+    assert (found[:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize("kind", TABLES)
+@pytest.mark.parametrize("form", OPTIONS)
+@pytest.mark.parametrize("direction", ["body-to-ref", "ref-to-body"])
+def test_what_is_written_is_read_and_turned_into_any_other(tmp_path, kind, form, direction):
+    """Names say the rest; the direction is in the metadata where there is room, else an option."""
+    random = np.random.default_rng(4)
+    wxyz = random.normal(size=(50, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    source = written(tmp_path, "qw,qx,qy,qz", wxyz.tolist())
+    first = tmp_path / f"first.{kind}"
+    run(source, first, *OPTIONS[form], "--direction", direction)
+    said = [] if WRITERS[kind].room else ["--from-direction", direction]
+    for other, options in OPTIONS.items():
+        second, back = tmp_path / f"{other}.parquet", tmp_path / "back.npz"
+        run(first, second, *options, *said)
+        run(second, back)
+        assert geodesic_angle(read(back), wxyz).max() < 1e-14
+    if WRITERS[kind].room:
+        said = ["--from-direction", {"body-to-ref": "ref-to-body"}.get(direction, "body-to-ref")]
+        assert "but the metadata of the file says" in run(first, back, *said, code=2).stderr
+
+
+def test_angles_without_a_unit_are_refused(tmp_path):
+    """The sentence names the option; what the names say is not overruled by it."""
+    path = written(tmp_path, "yaw,pitch,roll", [(1, 2, 3)])
+    assert (
+        "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; say it with "
+        "--from-angle-unit rad|deg"
+    ) in run(path, "-", code=2).stderr
+    run(path, "-", "--from-angle-unit", "deg")
+    named = written(tmp_path, "yaw_deg,pitch_deg,roll_deg", [(1, 2, 3)])
+    assert (
+        "--from-angle-unit says rad, but by their names 'yaw_deg', 'pitch_deg', 'roll_deg' are in "
+        "deg; leave the option out"
+    ) in run(named, "-", "--from-angle-unit", "rad", code=2).stderr
+    turns = written(tmp_path, "yaw [turn],pitch [turn],roll [turn]", [(1, 2, 3)])
+    assert "are declared in turn; convert them to rad or deg" in run(turns, "-", code=2).stderr
+
+
+@pytest.mark.parametrize(
+    ("head", "options", "sentence"),
+    [
+        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", ["--from-angle-unit", "rad"], "about angles, and"),
+        ("yaw_rad,pitch_rad,roll_rad", ["--from-layout", "wxyz"], "--from-layout is about quatern"),
+        ("yaw_rad,pitch_rad,roll_rad", ["--from-convention", "jpl"], "--from-convention is about"),
+        ("qw,qx,qy,qz", ["--from-angle-unit", "rad"], "this table has a quaternion; leave it out"),
+        ("a.yaw_rad,a.pitch_rad,a.roll_rad,b.yaw_rad,b.pitch_rad,b.roll_rad", [], "which rotation"),
+        ("yaw_rate,pitch_rate,roll_rate", [], "no attitudes found; its columns are 't_ns', 'yaw_r"),
+        ("yaw_rad,pitch_rad", [], "no attitudes found"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(tmp_path, head, options, sentence):
+    """Options that are about something else, two rotations, half of one."""
+    path = written(tmp_path, head, [range(head.count(",") + 1)])
+    assert sentence in run(path, "-", *options, code=2).stderr
+
+
+def test_metadata_that_say_another_representation_are_refused(tmp_path):
+    """Columns renamed behind the metadata's back are no guess to make."""
+    path = tmp_path / "in.parquet"
+    with open_table(path, ("yaw_deg", "pitch_deg", "roll_deg")) as table:
+        table.write(np.array([1]), [np.array([1.0])] * 3)
+        table.commit({"convention": {"representation": "euler-zyx"}})
+    assert (
+        "its columns are euler-zyx-deg, and the metadata of the file say euler-zyx; write the file"
+    ) in run(path, "-", code=2).stderr
+
+
+def test_matrices_that_are_no_rotations_are_found(tmp_path):
+    """Skewed, mirrored, zero and NaN rows are located and counted; rounding of 3 digits is not."""
+    good = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    rows = [good.round(4), good * 1.1, good @ np.diag([1, 1, -1]), good * 0, good * np.nan]
+    head = "r11,r12,r13,r21,r22,r23,r31,r32,r33"
+    path = written(tmp_path, head, [row.ravel().tolist() for row in rows])
+    assert (
+        "4 of 5 rows are no rotation (1 off unit length by up to 0.21, 3 absent or not finite), "
+        "the first is row 1 at 1 ns"
+    ) in run(path, "-", code=2).stderr
+
+
+def test_angles_and_vectors_that_are_not_finite_are_found(tmp_path):
+    """Infinite angles have no sine, and no warning comes of it."""
+    rows = [(0.1, 0.2, 0.3), (np.inf, 0, 0), (0, np.nan, 0), (1e308, 1e308, 1e308)]
+    for head in ("yaw_rad,pitch_rad,roll_rad", "rotvec_x_rad,rotvec_y_rad,rotvec_z_rad"):
+        path = tmp_path / "in.csv"
+        lines = [f"{k},{','.join(map(str, row))}" for k, row in enumerate(rows)]
+        path.write_text("\n".join([f"t_ns,{head}", *lines]) + "\n")
+        assert "rows are no rotation (" in run(path, "-", code=2).stderr
+
+
+def test_stamps_are_those_of_the_rates_where_angles_have_no_unit(tmp_path):
+    """Angles beside rates do not stand in the way of who wants the stamps alone."""
+    path = written(tmp_path, "wx,wy,wz,yaw,pitch,roll", [range(6), range(6)])
+    assert stamps_in(path).tolist() == [0, 1]
+
+
+def test_gimbal_lock_is_told(tmp_path):
+    """Rows at pitch +-90 deg are counted; the attitude survives there all the same."""
+    angles = [(10, 89.98, 0), (10, 89.995, 20), (10, 90, 20), (-50, -90, 3)]
+    path = written(tmp_path, "yaw_deg,pitch_deg,roll_deg", angles)
+    out = tmp_path / "out.csv"
+    result = run(path, out, "--as", "euler-zyx", "--euler-unit", "deg")
+    assert (
+        "note: 3 rows are within 0.01 deg of pitch +-90 deg, where yaw and roll cannot be told "
+        "apart: they share the turn equally and jump from row to row; together they are still the "
+        "attitude"
+    ) in result.stderr
+    assert geodesic_angle(read(out), read(path)).max() < 1e-15 * 4
+    assert "cannot be told apart" not in run(path, out, "--as", "matrix").stderr
