@@ -104,6 +104,24 @@ def test_every_combination_is_read(tmp_path, combination):
     assert [float(cell) for cell in row.split(",")] == [5, *(k / 11 for k in STORED[CANONICAL])]
 
 
+@pytest.mark.parametrize("first", STORED)
+def test_every_combination_becomes_every_other(tmp_path, first):
+    """All 64 pairs, to the bit, and each result turns vectors as its textbook says."""
+    source = written(tmp_path, first)
+    said = ["--from-convention", first[1], "--from-direction", first[2]]
+    for second, expected in STORED.items():
+        layout, convention, direction = second
+        out = run(source, "-", *said, "--layout", layout, "--convention", convention,
+                  "--direction", direction)  # fmt: skip
+        header, row = out.splitlines()
+        numbers = [float(cell) for cell in row.split(",")[1:]]
+        assert header == f"t_ns,{COLUMNS[layout]}"
+        assert numbers == [number / 11 for number in expected]
+        turned = VECTORS @ textbook_matrix(convention, *split(second, numbers)).T
+        matrix = BODY_TO_REF if direction == "body-to-ref" else BODY_TO_REF.T
+        np.testing.assert_allclose(turned, VECTORS @ matrix.T, atol=1e-14)
+
+
 @pytest.mark.parametrize("layout", COLUMNS)
 def test_scipy_reads_both_layouts(tmp_path, layout):
     """Rotation.from_quat with the right scalar_first turns vectors as the written-out matrix."""

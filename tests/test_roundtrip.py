@@ -7,6 +7,7 @@ import pytest
 
 from quatprop.conventions.layout import LAYOUTS
 from quatprop.convert import Conversion, convert
+from quatprop.errors import NotRotationsError
 from quatprop.readers import READERS, open_log
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
@@ -88,6 +89,40 @@ def test_converted_to_any_other_format_it_is_the_same_to_the_bit(tmp_path, first
     assert t_ns.tobytes() == attitudes.t_ns.tobytes()
     assert wxyz.tobytes() == attitudes.wxyz.tobytes()
     assert found == LAYOUTS[other_layout].name
+
+
+class Unsound:
+    """What no series holds: a zero, NaN, and a length that is off; for writers it is one."""
+
+    t_ns = np.arange(5) * 1_000_000_000
+    wxyz = np.array([[1, 0, 0, 0], [0] * 4, [np.nan, 0, 0, 1], [0.6, 0.8, 0, 0], [0, 0, 1.01, 0]])
+
+    def __len__(self):
+        return len(self.t_ns)
+
+
+@pytest.mark.parametrize(("kind", "layout"), PLACES)
+def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
+    """Zero, NaN and a length beyond the tolerance: counted by kind, the first with its stamp."""
+    path = written(tmp_path, kind, layout, Unsound())
+    target = tmp_path / "converted.parquet"
+    sentence = (
+        r"3 of 5 rows are no rotation \(1 all zero, 1 off unit length by up to 0.01, 1 absent or "
+        r"not finite\), the first is row 1 at 1000000000 ns; --normalize scales those of another "
+        "length, --on-invalid drop leaves them out"
+    )
+    with pytest.raises(NotRotationsError, match=sentence):
+        convert(Conversion(str(path), str(target)))
+    assert not target.exists()
+    report = convert(Conversion(str(path), str(target), drop=True))
+    counts = report["conversions"][-1]["counts"]
+    assert [counts[name] for name in ("read", "used", "zero", "not_unit", "not_finite")] == [
+        *(5, 2, 1, 1, 1),
+    ]
+    assert (counts["first"], counts["first_ns"]) == (1, 1_000_000_000)
+    report = convert(Conversion(str(path), str(target), drop=True, normalize=True))
+    assert report["conversions"][-1]["counts"]["normalized"] == 1
+    assert read(target)[0].tolist() == [0, 3_000_000_000, 4_000_000_000]
 
 
 def test_every_kind_takes_part():
