@@ -102,10 +102,7 @@ def sha256_of(path: str) -> str:
     UnreadableLogError
         It is not there, or cannot be read.
     """
-    try:
-        found = fingerprint(path)["sha256"]
-    except OSError as error:
-        raise UnreadableLogError(path, f"it cannot be read: {error.strerror or error}") from error
+    found = fingerprint(path)["sha256"]
     if found is None:
         raise UnreadableLogError(path, "no such file or folder; check the path")
     return str(found)
