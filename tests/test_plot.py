@@ -1,6 +1,7 @@
 """Pictures as users ask for them: what they show, what is said, what is refused."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -443,6 +444,21 @@ def test_the_picture_of_propagate_goes_nowhere_else(rates, tmp_path):
         2, f"Error: {target}: two outputs of the run would go here; choose another\n"
     )  # fmt: skip
     assert not target.exists()
+
+
+def test_what_looks_wrong_with_rates_is_said_below_them(tmp_path):
+    """The remarks of the other commands are those of a picture too."""
+    still = write_rates(tmp_path / "a.csv", T0 + np.arange(300) * STEP, np.zeros((300, 3)))
+    code, _, said = run("plot", still, "-o", tmp_path / "a.png", "--rate-unit", "rad/s")
+    assert code == 0
+    assert "warning: every rate is zero: is this the right topic?" in said.splitlines()
+
+
+def test_only_what_draws_knows_of_matplotlib():
+    """What is reduced and shown is told apart from how it is drawn."""
+    room = Path(draw.__file__).parent
+    know = {path.name for path in room.glob("*.py") if "matplotlib." in path.read_text()}
+    assert know == {"draw.py", "axes.py"}
 
 
 @pytest.mark.parametrize(

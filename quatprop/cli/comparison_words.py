@@ -6,21 +6,12 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from quatprop.cli.words import lost
+from quatprop.compare.figures import FIGURES
 from quatprop.errors import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-FIGURES = {
-    "max": "max",
-    "rms": "RMS",
-    "mean": "mean",
-    "median": "median",
-    "p95": "95 %",
-    "final": "final",
-}
-"""Key of a figure -> its name in the table."""
 
 
 def comparison(report: dict[str, Any]) -> str:

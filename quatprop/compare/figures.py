@@ -20,6 +20,16 @@ if TYPE_CHECKING:
 NS_PER_S = 1e9
 S_PER_H = 3600.0
 
+FIGURES = {
+    "max": "max",
+    "rms": "RMS",
+    "mean": "mean",
+    "median": "median",
+    "p95": "95 %",
+    "final": "final",
+}
+"""Key of a figure -> its name in the table."""
+
 
 @dataclass(frozen=True, slots=True)
 class ErrorFigures:

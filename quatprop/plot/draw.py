@@ -139,7 +139,7 @@ def figure(picture: Picture) -> Figure:
     height = head + body + foot
     result = Figure(figsize=(WIDTH, height))
     grid = result.add_gridspec(
-        len(rows), 1, left=0.122, right=0.985, top=1 - head / height, bottom=foot / height,
+        len(rows), 1, left=0.122, right=0.975, top=1 - head / height, bottom=foot / height,
         hspace=0.12,
     )  # fmt: skip
     shared: Axes | None = None

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from quatprop.compare.figures import FIGURES
 from quatprop.errors import plain
 from quatprop.plot.names import names_of
 from quatprop.plot.page import Page, Table
@@ -23,16 +24,6 @@ if TYPE_CHECKING:
     from quatprop.compare import Comparison, Place
     from quatprop.plot.picture import Picture
     from quatprop.signals.operands import Operand
-
-FIGURES = {
-    "max": "max",
-    "rms": "RMS",
-    "mean": "mean",
-    "median": "median",
-    "p95": "95 %",
-    "final": "final",
-}
-"""Key of a figure -> its name in the table."""
 
 MATCHES = {
     "exact": "pairs of equal stamps",

@@ -22,9 +22,9 @@ from quatprop.errors import (
 from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_from
 from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
-from quatprop.plot.sketch import AttitudeSketch, RateSketch
+from quatprop.plot.sketch import AttitudeSketch, RateSketch, Sketch
 from quatprop.readers import open_log
-from quatprop.sanity import Watch
+from quatprop.sanity import Watch, orientation_remarks, stamp_remarks
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
@@ -177,6 +177,12 @@ def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
+def _part(path: str, source: Source | AttitudeSource, sketch: Sketch, counts: Counts) -> Part:
+    """Return what is drawn of a file."""
+    group = Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns)
+    return Part(names_of([path])[0], (group,), named(source))
+
+
 def _see_rates(
     path: str, log: MessageLog | TableLog, source: Source, view: View, tick: Tick
 ) -> Seen:
@@ -186,14 +192,13 @@ def _see_rates(
     counts = _counted(sketch.passing(watch.passing(batches)), path, tick)
     if not counts.used:
         raise NoSamplesError(path, source.name, done["outside"])
+    findings = watch.remarks(counts.median_dt_ns)
+    if path != "-":
+        findings += [*stamp_remarks(source), *orientation_remarks(log, source)]
     highest = f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"
     return Seen(
         path=path,
-        part=Part(
-            names_of([path])[0],
-            (Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns),),
-            named(source),
-        ),
+        part=_part(path, source, sketch, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
         samples=samples_text(counts),
         facts=(
@@ -203,7 +208,7 @@ def _see_rates(
             *facts_of(counts),
             ("largest rate", highest),
         ),
-        remarks=(*source.remarks, *events_in(counts), *watch.remarks(counts.median_dt_ns)),
+        remarks=(*source.remarks, *events_in(counts), *findings),
         losses=tuple(log.losses),
     )
 
@@ -227,11 +232,7 @@ def _see_attitudes(
     stored = f"{source.meaning.convention} {source.meaning.direction}"
     return Seen(
         path=path,
-        part=Part(
-            names_of([path])[0],
-            (Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns),),
-            named(source),
-        ),
+        part=_part(path, source, sketch, counts),
         meaning=f"{attitude_words(components=view.components)}{how}, {source.clock} clock",
         samples=samples_text(counts),
         facts=(
