@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop import __version__
 from quatprop.quaternion import geodesic_angle
+from quatprop.readers.remote import without_secret
 from quatprop.timeline.counts import remarks
 from quatprop.writers.atomic import Output, reported
 
@@ -113,7 +114,7 @@ def report_on(job: Job, done: Done) -> dict[str, Any]:
     return {
         "quatprop": __version__,
         "source": {
-            "path": job.log,
+            "path": without_secret(job.log),
             "kind": log.kind,
             **done.fingerprint,
             "name": source.name,

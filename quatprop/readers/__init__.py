@@ -23,6 +23,7 @@ from quatprop.errors import (
 )
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
+from quatprop.readers.remote import is_address, local_copy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,7 +84,8 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
     Parameters
     ----------
     path
-        A file, a ROS 2 bag folder, or ``"-"`` for CSV on stdin.
+        A file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"`` for
+        CSV on stdin.
     kind
         A key of :data:`READERS`; None means: told by the content, then by the suffix.
 
@@ -109,10 +111,11 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             stack.enter_context(log)
             yield log
             return
-        if "://" in str(path):
-            raise UnreadableLogError(
-                path, "object-store addresses are not read by this version; download the log first"
-            )
+        if is_address(path):
+            copied = stack.enter_context(local_copy(str(path)))
+            with _told_of(path):
+                yield stack.enter_context(open_log(copied, kind))
+            return
         path = Path(path)
         head = _head(path)
         if kind is not None and path.is_dir() != (kind == "rosbag2"):
@@ -158,7 +161,7 @@ def _unpacked(path: Path) -> UnpackedCopy:
 
 
 @contextmanager
-def _told_of(path: Path) -> Iterator[None]:
+def _told_of(path: Path | str) -> Iterator[None]:
     """Let errors name the file the user knows, not the temporary copy."""
     try:
         yield

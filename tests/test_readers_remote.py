@@ -1,0 +1,70 @@
+"""Logs in object stores, tried on the one that is everywhere: the local file system."""
+
+import json
+import tempfile
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.errors import LogError, UnreadableLogError
+from quatprop.readers import open_log
+from quatprop.readers.remote import local_copy, without_secret
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path, monkeypatch):
+    """Keep temporary copies in a folder of the test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["tumbling.bag", "tumbling_ros2", "spin.csv"])
+def test_a_log_at_an_address_is_the_log(tmp_path, temporary, name):
+    """The series is the same to the byte, the source is recorded as named, no copy stays."""
+    near, far, report = tmp_path / "near.csv", tmp_path / "far.csv", tmp_path / "report.json"
+    address = (SAMPLES / name).as_uri()
+    runner = CliRunner()
+    runner.invoke(cli, ["propagate", str(SAMPLES / name), "-o", str(near)])
+    done = runner.invoke(cli, ["propagate", address, "-o", str(far), "--report", str(report)])
+    assert done.exit_code == 0, done.output
+    assert far.read_bytes() == near.read_bytes()
+    assert json.loads(report.read_text())["source"]["path"] == address
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_is_not_there_is_said(tmp_path):
+    """An address that the store does not know is one sentence."""
+    address = (tmp_path / "none.bag").as_uri()
+    with pytest.raises(UnreadableLogError) as caught, local_copy(address):
+        pass
+    assert str(caught.value) == f"{address}: there is no such object; check the address"
+
+
+def test_a_store_that_is_not_known_is_said():
+    """As is one that does not answer."""
+    known = pytest.raises(
+        UnreadableLogError, match=r"^nowhere://log.bag: it cannot be read"
+    )
+    with known, local_copy("nowhere://log.bag"):
+        pass
+
+
+def test_errors_name_the_address(tmp_path):
+    """Not the copy that nobody knows of."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"#ROSBAG V2.1\n" + bytes(100))
+    named = pytest.raises(LogError, match=rf"^{path.as_uri()}: its bag format is version 2.1")
+    with named, open_log(path.as_uri()):
+        pass
+
+
+def test_no_key_is_recorded():
+    """An address may carry a key; what is written does not."""
+    assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
+    assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
