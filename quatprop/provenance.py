@@ -97,8 +97,9 @@ def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
     custom
         All of them, by their names.
     """
-    words = custom.get(METADATA_KEY.decode())
-    return {} if words is None else {"": words}
+    # What was added to a bag stands under its topic.
+    parted = {name.partition(" ")[::2]: words for name, words in custom.items()}
+    return {topic: words for (key, topic), words in parted.items() if key == METADATA_KEY.decode()}
 
 
 def fingerprint(path: Path | str) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.writers.ros_types import ros2_types
@@ -35,13 +36,13 @@ def imu_message(store, stamp, ros1=False):
     return bytes(store.serialize_ros1(message, IMU) if ros1 else store.serialize_cdr(message, IMU))
 
 
-def moments(count):
+def moments(count, start=0):
     """Return stamps and log times: 100 Hz, each logged a little later than it was measured."""
-    for k in range(count):
+    for k in range(start, start + count):
         yield BOOT + k * 10_000_000, START + k * 10_000_000 + (k % 7) * 1000
 
 
-def write_mcap(path, count=300, profile="ros2", **options):
+def write_mcap(path, count=300, profile="ros2", start=0, **options):
     """Write an MCAP file of rates, a camera, an attachment and metadata.
 
     Every other option is that of the library's writer.
@@ -61,7 +62,7 @@ def write_mcap(path, count=300, profile="ros2", **options):
         imu = writer.register_channel("/imu", "ros1" if ros1 else "cdr", schema)
         camera = writer.register_channel("/camera", "jpeg", 0, {"lens": "wide"})
         writer.add_metadata("vehicle", {"name": "truck"})
-        for k, (stamp, logged) in enumerate(moments(count)):
+        for k, (stamp, logged) in enumerate(moments(count, start)):
             writer.add_message(imu, logged, imu_message(store, stamp, ros1), logged + 1, k)
             if k % 10 == 0:
                 writer.add_message(camera, logged, bytes([k % 256]) * 500, logged, k)
@@ -92,4 +93,20 @@ def write_bag(path, count=300, compression=None, chunk_size=4000):
                 message = header(seq=k, stamp=time, frame_id="x" * 50)
                 data = store.serialize_ros1(message, "std_msgs/msg/Header")
                 writer.write(shutter, logged, data)
+    return path
+
+
+def write_rosbag2(path, storage, count=300, version=9):
+    """Write a ROS 2 bag of rates and of a camera's shutter, with a note beside its files."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Rosbag2Writer(path, version=version, storage_plugin=storage) as writer:
+        imu = writer.add_connection("/imu", IMU, typestore=store)
+        shutter = writer.add_connection("/shutter", "std_msgs/msg/Header", typestore=store)
+        for k, (stamp, logged) in enumerate(moments(count)):
+            writer.write(imu, logged, imu_message(store, stamp))
+            if k % 10 == 0:
+                time = store.types["builtin_interfaces/msg/Time"](0, k)
+                header = store.types["std_msgs/msg/Header"](stamp=time, frame_id="x" * 50)
+                writer.write(shutter, logged, store.serialize_cdr(header, "std_msgs/msg/Header"))
+    (path / "note.txt").write_text("first flight")
     return path

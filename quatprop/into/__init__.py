@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _COPIERS: Mapping[str, tuple[str, str]] = {
     "mcap": ("mcap", "quatprop.into.mcap:McapInto"),
     "bag": ("bag", "quatprop.into.rosbag1:Rosbag1Into"),
+    "db3": ("rosbag2", "quatprop.into.rosbag2:Rosbag2Into"),
+    "rosbag2": ("rosbag2", "quatprop.into.rosbag2:Rosbag2Into"),
 }
 """By the kind of a log: the key of :data:`WRITERS` that it is, and what copies it."""
 

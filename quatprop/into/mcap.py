@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError, plain, quoted
@@ -15,15 +16,106 @@ from quatprop.writers.mcap_messages import declared
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
-    from typing import Any
+    from typing import Any, BinaryIO
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from quatprop.into import Addition
-    from quatprop.readers.mcap import McapLog
+    from quatprop.readers.base import MessageLog
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages import Message
 
 _CHUNK_BYTES = 1 << 17
 """Small chunks: each stands between those of its own time."""
+
+
+class McapPart:
+    """A copy of an MCAP file to which messages of one topic are added.
+
+    Parameters
+    ----------
+    source
+        What is copied.
+    place
+        Where the copy goes: a path where nothing is, or a stream.
+    message
+        What is published where.
+
+    Raises
+    ------
+    UsageError
+        The topic is there already.
+
+    Attributes
+    ----------
+    encoder
+        Encodes the messages as the file has them.
+    """
+
+    def __init__(self, source: Path, place: Path | BinaryIO, message: Message) -> None:
+        self._copy = McapCopy(source)
+        self._file: McapFile | None = None
+        self._stream: BinaryIO | None = None
+        contents, topic = self._copy.contents, message.place
+        if any(channel.topic == topic for channel in contents.channels.values()):
+            self._copy.close()
+            raise UsageError(
+                f"{plain(source)}: topic {quoted(topic)} is there already; choose another with "
+                "--out-topic NAME"
+            )
+        told = declared(message, ros1=self._copy.header.profile == "ros1")
+        self.encoder = told.encoder
+        if isinstance(place, Path):
+            place = self._stream = place.open("xb")
+        self._file = McapFile(
+            place,
+            self._copy.header,
+            "zstd",
+            contents=contents,
+            before=self._before,
+            chunk_bytes=_CHUNK_BYTES,
+        )
+        # Some recorders tell of topics without messages at the end only: all go first.
+        self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
+        schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
+        self._channel = self._file.add_channel(topic, told.encoding, schema)
+
+    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Append messages, and what the file holds up to their time."""
+        self._channel.write(log_ns, messages)
+
+    def rest(self) -> McapFile:
+        """Copy everything that is left, and return the file for what comes at its end."""
+        file = self._opened
+        file.flush()
+        self._copy.rest(file)
+        return file
+
+    def finish(self, metadata: str | None = None) -> None:
+        """Finish the file, with what metadata.yaml says."""
+        file = self.rest()
+        if metadata is not None:
+            file.add_metadata("rosbag2", {"serialized_metadata": metadata})
+        file.finish()
+        self.close()
+
+    def close(self) -> None:
+        """Let go of both files; harmless after the end."""
+        if self._file is not None:
+            self._file.abort()
+        self._copy.close()
+        if self._stream is not None:
+            self._stream.close()
+
+    def _before(self, first_ns: int) -> None:
+        self._copy.up_to(first_ns, self._opened)
+
+    @property
+    def _opened(self) -> McapFile:
+        if self._file is None:
+            raise ValueError("nothing is written before the file is open")
+        return self._file
 
 
 class McapInto(AttitudeWriter):
@@ -44,57 +136,34 @@ class McapInto(AttitudeWriter):
         The topic is there already.
     """
 
-    def __init__(self, log: McapLog, target: Path | str, addition: Addition) -> None:
-        message = addition.message
+    def __init__(self, log: MessageLog, target: Path | str, addition: Addition) -> None:
+        self._topic = addition.message.place
         self._times = addition.times
-        self._topic = message.place
-        self._copy = McapCopy(log.path)
-        contents = self._copy.contents
-        if any(channel.topic == self._topic for channel in contents.channels.values()):
-            self._copy.close()
-            raise UsageError(
-                f"{plain(log.path)}: topic {quoted(self._topic)} is there already; choose another "
-                "with --out-topic NAME"
-            )
-        told = declared(message, ros1=self._copy.header.profile == "ros1")
-        self._encoder = told.encoder
         self._output = Output(target)
-        with reported(target):
-            self._file = McapFile(
-                self._output.stream,
-                self._copy.header,
-                "zstd",
-                contents=contents,
-                before=self._before,
-                chunk_bytes=_CHUNK_BYTES,
-            )
-            # Some recorders tell of topics without messages at the end only: all go first.
-            self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
-            schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
-            self._channel = self._file.add_channel(self._topic, told.encoding, schema)
-
-    def _before(self, first_ns: int) -> None:
-        self._copy.up_to(first_ns, self._file)
+        try:
+            with reported(target):
+                self._part = McapPart(log.path, self._output.stream, addition.message)
+        except BaseException:
+            self._output.discard()
+            raise
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch, and what the log holds up to its time."""
-        messages = self._encoder.encode(series, self._output.target)
+        messages = self._part.encoder.encode(series, self._output.target)
         log_ns = self._times.of(series.t_ns)
         with reported(self._output.target):
-            self._channel.write(log_ns, messages)
+            self._part.write(log_ns, messages)
 
     def commit(self, provenance: Mapping[str, Any]) -> None:
         """Copy the rest, finish the file with its provenance, and put it in its place."""
         told = {"provenance": words_of(provenance), "topic": self._topic}
         with reported(self._output.target):
-            self._file.flush()
-            self._copy.rest(self._file)
-            self._file.add_metadata(METADATA, told)
-            self._file.finish()
+            file = self._part.rest()
+            file.add_metadata(METADATA, told)
+            file.finish()
         self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""
-        self._file.abort()
-        self._copy.close()
+        self._part.close()
         self._output.discard()

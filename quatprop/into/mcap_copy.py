@@ -85,6 +85,11 @@ class McapCopy:
         self._at = len(MAGIC)
         self._end: int = self._source.size if footer is None else footer.data_end
 
+    @property
+    def first_ns(self) -> int:
+        """The earliest log time, ns; 0 where there is none."""
+        return min((region.first_ns for region in self._regions.values()), default=0)
+
     def up_to(self, first_ns: int, file: McapFile) -> None:
         """Copy what comes before messages that were logged after `first_ns`."""
         self._copy(file, first_ns)
