@@ -4,11 +4,13 @@ import gzip
 import io
 import json
 import math
+import time
 
 import pytest
 from click.testing import CliRunner
 
 from quatprop.cli import cli
+from quatprop.errors import UnsupportedLogError
 from quatprop.readers.base import Loss
 from quatprop.readers.csv import CsvLog
 from quatprop.selection import Selection
@@ -105,3 +107,35 @@ def test_the_doubt_is_said_by_the_commands(tmp_path):
     assert shown in result.output
     assert any("no line end" in remark for remark in json.loads(report.read_text())["remarks"])
     assert "no line end" in CliRunner().invoke(cli, ["info", str(log)]).output
+
+
+ROWS = "".join(f"{1000 * k},0.5,0.25,0.125\n" for k in range(1000))
+
+
+def test_a_row_with_a_cell_of_megabytes_is_read():
+    """Text beside the numbers may be of any length."""
+    text = "".join(f"{1000 * k},1,2,3,{'x' * 3_000_000}\n" for k in range(6))
+    assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 6, [], [])
+
+
+def test_a_cell_of_megabytes_that_is_no_number_is_one_row_that_does_not_fit():
+    """One row is lost with it, and its line is told."""
+    text = f"{ROWS}1000000,{'x' * 10_000_000},1,2\n1001000,1,2,3\n"
+    last, count, losses, _ = read(text)
+    assert (last, count) == ([1.0, 2.0, 3.0], 1001)
+    assert [(loss.place, loss.messages) for loss in losses] == [("line 1002", 1)]
+
+
+def test_a_header_without_end_is_refused():
+    """Fifty megabytes of commas are no table."""
+    with pytest.raises(UnsupportedLogError, match="its header is longer than 262144 bytes"):
+        read("," * 50_000_000, "")
+
+
+@pytest.mark.parametrize("junk", ["1\n", '"\n"x\n', "a,b\n"])
+def test_megabytes_of_rows_that_do_not_fit_are_refused_soon(junk):
+    """A table is refused when most of its rows do not fit, without looking at all of them."""
+    began = time.process_time()
+    with pytest.raises(UnsupportedLogError, match=r"rows do not fit \(line"):
+        read(ROWS + junk * (20_000_000 // len(junk)))
+    assert time.process_time() - began < 5

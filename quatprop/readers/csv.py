@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _PIECE_BYTES = 1 << 16
 _LOSSES_A_BLOCK = 8
+_ENOUGH_ROWS = 100_000
+"""Rows after which a table is refused, of which most do not fit."""
 _SHOWN = 12
 """Bytes of a line that are shown."""
 _STDIN = Path("-")
@@ -70,6 +72,11 @@ class CsvLog(Closing):
         if not self._head:
             raise UnreadableLogError(self.path, "it is empty; was the recording closed?")
         self._layout = sniff(self._head, self.path)
+        if self._layout.header and self._layout.body == HEAD_BYTES == len(self._head):
+            raise UnsupportedLogError(
+                self.path,
+                f"its header is longer than {HEAD_BYTES} bytes; is it a table with a row a sample?",
+            )
         self._known_losses: int | None = None
 
     @property
@@ -241,14 +248,18 @@ class _Scan:
         """Read a block in which something does not fit, piece by piece."""
         line = self._lines.at(block.offset)
         lost: list[tuple[int, str]] = []
+        seen = 0
         for piece in pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
             try:
-                yield self._block_parser.parse(piece, quoted=b'"' in piece)
+                rows = self._block_parser.parse(piece, quoted=b'"' in piece, task=len(piece))
             except MISFITS:
                 rows = self._row_parser.parse(piece, line)
                 lost += rows.lost
-                yield rows
+            yield rows
             line += piece.count(b"\n")
+            seen += rows.total
+            if seen > _ENOUGH_ROWS and 2 * len(lost) > self._count + seen:
+                break  # it will be refused: nobody waits for the rest
         self._note(lost)
 
     def _note(self, lost: list[tuple[int, str]]) -> None:

@@ -96,8 +96,17 @@ class BlockParser(_Wanted):
         self._names = [str(k) for k in range(len(layout.names))]
         self._spare = 0
 
-    def parse(self, data: bytes | memoryview, *, quoted: bool) -> Rows:
+    def parse(self, data: bytes | memoryview, *, quoted: bool, task: int = _TASK_BYTES) -> Rows:
         """Return all rows of a block.
+
+        Parameters
+        ----------
+        data
+            Whole records.
+        quoted
+            Whether there may be line breaks between quotes.
+        task
+            Bytes that one thread parses at a time; no record may be longer.
 
         Raises
         ------
@@ -109,15 +118,15 @@ class BlockParser(_Wanted):
         if self.layout.delimiter == " ":
             data = squeezed(data)
         try:
-            return self._parse(data, self._spare, quoted)
+            return self._parse(data, self._spare, quoted, task)
         except MISFITS:
             if self._spare or not self.time:
                 raise
-        rows = self._parse(data, decimal_time.SPARE_PLACES, quoted)
+        rows = self._parse(data, decimal_time.SPARE_PLACES, quoted, task)
         self._spare = decimal_time.SPARE_PLACES  # stamps finer than ns, here and likely further on
         return rows
 
-    def _parse(self, data: bytes | memoryview, spare: int, quoted: bool) -> Rows:
+    def _parse(self, data: bytes | memoryview, spare: int, quoted: bool, task: int) -> Rows:
         types = {str(k): pa.float64() for k in self.numbers}
         for k, unit in zip(self.time, self.units, strict=True):
             types[str(k)] = self._date_type(k) or decimal_time.decimal_type(unit, spare)
@@ -125,8 +134,8 @@ class BlockParser(_Wanted):
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_csv.ReadOptions(
                 column_names=self._names,
-                block_size=_TASK_BYTES,
-                use_threads=len(data) > _TASK_BYTES,
+                block_size=task,
+                use_threads=len(data) > task,
             ),
             parse_options=arrow_csv.ParseOptions(
                 delimiter=self.layout.delimiter, newlines_in_values=quoted

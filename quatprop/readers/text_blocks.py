@@ -139,12 +139,16 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
 
 
 def pieces(data: bytes, size: int) -> Iterator[bytes]:
-    """Cut whole records into pieces of whole records, of about `size` bytes each."""
+    """Cut whole records into pieces of whole records, of about `size` bytes each or a record."""
     begin = 0
     while begin < len(data):
         piece = data[begin : begin + size]
         if begin + size < len(data):
-            end = record_end(piece, len(piece)) or len(piece)
+            end = record_end(piece, len(piece))
+            if not end:
+                after = data.find(b"\n", begin + size)
+                piece = data[begin:] if after < 0 else data[begin : after + 1]
+                end = len(piece)
             piece = piece[:end]
         yield piece
         begin += len(piece)
