@@ -5,6 +5,7 @@ import pytest
 from click.testing import CliRunner
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from mcap.reader import make_reader
+from mcap_doctor import examine
 
 from quatprop.cli import cli
 from quatprop.errors import OutputError, UsageError
@@ -145,6 +146,7 @@ def test_an_mcap_file_declares_them(tmp_path, name):
     with open_writer(tmp_path / "a.mcap", message=Message(name)) as writer:
         writer.write(attitudes(STAMPS))
         writer.commit({})
+    assert examine(tmp_path / "a.mcap").counts == {1: len(STAMPS)}
     short = name.rpartition(".")[2]
     with (tmp_path / "a.mcap").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
