@@ -286,6 +286,13 @@ def test_options_that_do_not_go_with_a_copy_are_refused(tmp_path, options, words
     assert list(tmp_path.iterdir()) == [log]
 
 
+def test_a_copy_does_not_go_to_stdout(tmp_path):
+    """It is no text."""
+    result = run("propagate", write_mcap(tmp_path / "log.mcap"), "--into", "-")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "standard output takes text only; name a file for the copy" in result.stderr
+
+
 def test_somewhere_must_be_said(tmp_path):
     """Neither -o nor --into is an error that names both."""
     result = run("propagate", write_mcap(tmp_path / "log.mcap"))

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError, listed, plain, quoted
+from quatprop.errors import OutputError, UsageError, listed, plain, quoted
 from quatprop.into.log_times import LogTimes
 from quatprop.readers import open_log
 from quatprop.writers import WRITERS, kind_of, layout_of
+from quatprop.writers.atomic import is_stdout
 from quatprop.writers.messages import Message
 
 if TYPE_CHECKING:
@@ -69,6 +70,8 @@ def written_kind(log: Log, target: str, to: str | None = None) -> str:
     ------
     UsageError
         The log is no container of messages, or something else is asked for.
+    OutputError
+        The target is stdout.
     """
     if log.kind not in _COPIERS:
         raise UsageError(
@@ -76,6 +79,8 @@ def written_kind(log: Log, target: str, to: str | None = None) -> str:
             f"this one is {quoted(log.kind)}; write them to a file of their own with -o"
         )
     kind, _ = _COPIERS[log.kind]
+    if is_stdout(target):
+        raise OutputError(target, "standard output takes text only; name a file for the copy")
     if to is not None:
         raise UsageError("--into copies the log in its own format; leave --to out")
     suffixes = [suffix for known in WRITERS.values() for suffix in known.suffixes if suffix]
