@@ -13,6 +13,10 @@ BYTES = json.loads(Path(__file__).with_name("recordings.json").read_text())
 """The recordings that the tests were written against, with their sizes."""
 
 
+os.environ["QUATPROP_TRACEBACK"] = "1"
+"""Errors of the package itself are not made sentences of, so that no test can pass over one."""
+
+
 class Recordings(type(Path())):
     """A folder of recordings; one that is not the file it was skips the test that asks for it."""
 

@@ -70,6 +70,7 @@ def _serve(pipe, intact):
     from fuzz_logs import write_damaged
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    os.environ["QUATPROP_TRACEBACK"] = "1"
     signal.signal(signal.SIGALRM, _interrupt)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("error")

@@ -68,6 +68,7 @@ ENDS = (
 
 FORBIDDEN = {
     "errors.py": (*UPSTREAM, *CORE, *ENDS, "series", "timeline"),
+    "foreign.py": (*UPSTREAM, *CORE, *ENDS, "series", "timeline"),
     "series.py": (*UPSTREAM, *CORE, *ENDS, "timeline"),
     "quaternion.py": (*UPSTREAM, *CORE, *ENDS, "series", "timeline"),
     "increments.py": (*UPSTREAM, *ENDS, "timeline", "propagate"),

@@ -21,6 +21,7 @@ from quatprop.errors import (
     UnsupportedLogError,
     quoted,
 )
+from quatprop.foreign import as_errors_of
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
 from quatprop.readers.remote import is_address, local_copy
@@ -103,7 +104,7 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
     LogError
         The log is recognised but cannot be opened.
     """
-    with ExitStack() as stack:
+    with as_errors_of(path), ExitStack() as stack:
         if str(path) == "-":
             if kind not in (None, "csv"):
                 raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
