@@ -446,6 +446,32 @@ def test_the_picture_of_propagate_goes_nowhere_else(rates, tmp_path):
     assert not target.exists()
 
 
+def test_whoever_says_which_attitudes_wants_attitudes(shared_logs, tmp_path):
+    """--components and the like draw the orientation of a log that has rates as well."""
+    log, target = shared_logs / "husky" / "test1_husky.bag", tmp_path / "a.svg"
+    plain, shown = run("plot", log, "-o", target), target.read_text()
+    assert plain[0] == 0
+    assert "rate x" in shown
+    assert run("plot", log, "-t", "/imu/data", "--components", "-o", target)[0] == 0
+    assert "<!-- qw -->" in target.read_text()
+    code, _, said = run("plot", log, "--components", "--show", "rates", "-o", target)
+    assert (code, said.splitlines()[-1]) == (2, "Error: --components goes with --show attitude")
+
+
+@pytest.mark.parametrize("suffix", ["png", "html"])
+def test_what_is_lost_of_a_damaged_log_is_said(tmp_path, suffix):
+    """A log that was cut off is drawn as far as it goes: exit code 3, and the page says so."""
+    whole, cut = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    run("simulate", whole, "--truth", "none", "--samples", "2000", "--compression", "none")
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    target = tmp_path / f"a.{suffix}"
+    code, _, said = run("plot", cut, "-o", target)
+    assert code == 3
+    (lost,) = [line for line in said.splitlines() if "lost: " in line]
+    if suffix == "html":
+        assert lost.removeprefix("warning: ")[:30] in target.read_text()
+
+
 def test_what_looks_wrong_with_rates_is_said_below_them(tmp_path):
     """The remarks of the other commands are those of a picture too."""
     still = write_rates(tmp_path / "a.csv", T0 + np.arange(300) * STEP, np.zeros((300, 3)))

@@ -142,6 +142,9 @@ def test_names_from_a_file_are_text(tmp_path):
         assert "<script" not in text
         assert "<img" not in text
         assert HOSTILE in "".join(page.words)
+    picture, _ = page_of("plot", log, "-o", tmp_path / "a.svg")
+    assert "<script" not in picture
+    assert "<img" not in picture
 
 
 def test_a_page_says_what_its_picture_means(series, tmp_path):

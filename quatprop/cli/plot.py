@@ -33,7 +33,8 @@ OWN_OPTIONS = [
 @click.option(
     "--show",
     type=click.Choice(("rates", "attitude")),
-    help="What to draw.  [default: the rates of a file that has some, else its attitudes]",
+    help="What to draw.  [default: attitudes where an option says which, else the rates of a file "
+    "that has some, else its attitudes]",
 )
 @click.option(
     "--components",
@@ -105,6 +106,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
 
     reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
     _refuse_idle(reference)
+    show = _shown(chosen)
     of_reference = attitude_selection(chosen, "_ref")
     keys = ("tolerance", "align", "time_offset", "max_dt_ns")
     settings = Settings(**{key: chosen.pop(key) for key in keys})
@@ -116,7 +118,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
         chosen.pop("output"),
         View(
             kind=chosen.pop("kind"),
-            show=chosen.pop("show"),
+            show=show,
             rates=selection(chosen),
             attitudes=attitudes,
             **chosen,
@@ -129,9 +131,20 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
     if not quiet:
         lines = [plain(line) for line in report["lines"]]
         lines += [f"warning: {plain(warning)}" for warning in report["warnings"]]
-        click.echo("\n".join([*lines, *words.lost(report["losses"])]), err=True)
+        click.echo("\n".join(lines), err=True)
     if report["data_lost"]:
         raise click.exceptions.Exit(3)
+
+
+def _shown(chosen: dict[str, Any]) -> str | None:
+    """Take out what is to be shown: whoever says which attitudes wants attitudes."""
+    show: str | None = chosen.pop("show")
+    for key, (name, _) in {"components": ("--components", {}), **ATTITUDE_OPTIONS}.items():
+        if key not in OF_SAMPLES and chosen[key]:
+            if show == "rates":
+                raise click.UsageError(f"{name} goes with --show attitude")
+            return "attitude"
+    return show
 
 
 def _own(chosen: dict[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.compare.figures import FIGURES
 from quatprop.errors import plain
-from quatprop.plot.names import names_of
+from quatprop.plot.names import lost_text, names_of
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
 from quatprop.plot.sketch import ERROR, Sketch
@@ -166,7 +166,7 @@ def _of_operand(operand: Operand) -> Iterator[str]:
     yield from (f"{path}: {remark}" for remark in operand.source.remarks)
     if operand.counts.bad:
         yield f"{path}: {operand.counts.bad} rows are no rotation and were left out"
-    yield from (f"{path}: lost {loss.place}: {loss.reason}" for loss in operand.losses)
+    yield from (f"{path}: {words}" for words in lost_text(operand.losses))
 
 
 def _place(place: Place) -> str:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from quatprop.errors import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.readers.base import Loss
 
 NOTES = 3
 """Warnings that stand below a picture; a report has all of them."""
@@ -27,6 +29,11 @@ def names_of(paths: Iterable[str]) -> list[str]:
     return [
         plain(path if own.count(name) > 1 else name) for path, name in zip(paths, own, strict=True)
     ]
+
+
+def lost_text(losses: Iterable[Loss]) -> Iterator[str]:
+    """Yield what could not be read of a damaged file."""
+    yield from (f"lost: {loss.place}: {loss.reason}" for loss in losses)
 
 
 def noted(warnings: tuple[str, ...]) -> tuple[str, ...]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from quatprop.compare import Settings, compare
 from quatprop.plot.errors import Compared, error_page
 from quatprop.plot.files import View, see
-from quatprop.plot.names import names_of, noted
+from quatprop.plot.names import lost_text, names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile
@@ -61,7 +61,7 @@ def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``lines``, what each file shows; ``warnings``; ``losses``; ``data_lost``. JSON-ready.
+        ``lines``, what each file shows; ``warnings``; ``data_lost``. JSON-ready.
 
     Raises
     ------
@@ -80,20 +80,13 @@ def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
             seen = [see(path, job.view, tick) for path in job.files]
             page = _page(seen)
             lines = [f"{one.name}: {one.samples}" for one in seen]
-            losses = [asdict(loss) for one in seen for loss in one.losses]
-            lost = bool(losses)
+            lost = any(one.losses for one in seen)
         else:
             page, operands = _against(job, job.reference)
             lines = list(page.lead)
-            losses = [asdict(loss) for operand in operands for loss in operand.losses]
             lost = any(operand.data_lost for operand in operands)
         target.commit(page)
-    return {
-        "lines": lines,
-        "warnings": list(page.warnings),
-        "losses": losses,
-        "data_lost": lost,
-    }
+    return {"lines": lines, "warnings": list(page.warnings), "data_lost": lost}
 
 
 def _page(seen: list[Seen]) -> Page:
@@ -102,7 +95,7 @@ def _page(seen: list[Seen]) -> Page:
     warnings = tuple(
         f"{one.part.label}: {remark}" if several else remark
         for one in seen
-        for remark in one.remarks
+        for remark in (*one.remarks, *lost_text(one.losses))
     )
     meanings = list(dict.fromkeys(one.meaning for one in seen))
     names = names_of(one.path for one in seen)
