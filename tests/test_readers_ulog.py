@@ -10,7 +10,7 @@ from px4_messages import DEFINITIONS, write_mcap
 from quatprop.errors import AmbiguousTopicError, DamagedLogError, SchemaError, UnsupportedLogError
 from quatprop.propagate import propagate
 from quatprop.quaternion import exp, geodesic_angle
-from quatprop.readers import open_log
+from quatprop.readers import open_log, ulog
 from quatprop.readers.ulog import SYNC
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
@@ -267,3 +267,35 @@ def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
         pytest.raises(SchemaError, match=f"topic 'sensor_gyro/0': .*{reason}"),
     ):
         sources(log, Selection())
+
+
+def test_windows_change_nothing(tmp_path, monkeypatch):
+    """Records, marks and damage that lie across the border of what is read at a time are found."""
+    stamps = list(range(1000, 300_000, 1000))
+    messages = gyro(1, stamps)
+    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 301, record(b"S", SYNC)]
+    path = write(tmp_path / "log.ulg", *records, *messages[100:])
+    whole, losses = read(path)
+    assert len(whole) == len(stamps)
+    assert len(losses) == 1
+    for window in (1 << 17, 70_001, 66_000):
+        monkeypatch.setattr(ulog, "_WINDOW", window)
+        series, told = read(path)
+        assert series.t_ns.tolist() == [stamp * 1000 for stamp in stamps]
+        assert series.rate.tobytes() == whole.rate.tobytes()
+        assert told == losses
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
+    """Nothing dies of it, and what is missing is counted."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(200_000)))
+    size = path.stat().st_size
+    with open_log(path) as log:
+        batches = choose(log, Selection()).batches()
+        first = next(batches)
+        with path.open("r+b") as file:
+            file.truncate(size // 2)
+        count = len(first) + sum(len(batch) for batch in batches)
+    assert 90_000 < count < 110_000
+    assert sum(loss.messages for loss in log.losses) == 200_000 - count
+    assert {loss.reason for loss in log.losses} == {"the file has become shorter"}

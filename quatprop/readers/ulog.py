@@ -10,7 +10,6 @@ PX4 user guide, "ULog File Format".
 
 from __future__ import annotations
 
-import mmap
 import re
 import struct
 from array import array
@@ -23,6 +22,7 @@ from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, U
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.readers.mcap_regions import Source
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -36,6 +36,9 @@ HEADER_SIZE = 16
 
 BLOCK = 65_536
 """Messages in a block."""
+
+_WINDOW = 1 << 22
+"""Bytes that are read at a time; a record has less than 65,539."""
 
 SYNC = bytes.fromhex("2f731320250cbb12")
 """Content of records that are there to be found again behind damage."""
@@ -54,6 +57,8 @@ class _Records:
     formats: dict[str, str] = field(default_factory=dict)
     subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
     offsets: array[int] = field(default_factory=lambda: array("q"))
+    sizes: array[int] = field(default_factory=lambda: array("H"))
+    ids: array[int] = field(default_factory=lambda: array("H"))
     damage: list[Loss] = field(default_factory=list)
 
 
@@ -83,42 +88,46 @@ class UlogLog(Closing):
         self.path = path
         self.losses: list[Loss] = []
         try:
-            with path.open("rb") as file:
-                self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            self._source = Source(path)
         except OSError as error:
             raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
-        if len(self._map) < HEADER_SIZE:
-            raise DamagedLogError(path, "it ends within its header; was it copied whole?")
-        records = self._walked()
+        try:
+            records = self._walked()
+        except BaseException:
+            self._source.close()
+            raise
         self.losses += records.damage
-        self._data = np.frombuffer(self._map, np.uint8)
         self._offsets = np.array(records.offsets, np.int64)
-        self._ids = _u2(self._data, self._offsets + _HEAD.size)
+        self._sizes = np.array(records.sizes, np.int64)
+        self._ids = np.array(records.ids, np.int64)
         self._channels = self._found(records)
 
     def _walked(self) -> _Records:
         """Follow the records, of the file as it was and of what was appended to it."""
+        if self._source.size < HEADER_SIZE:
+            raise DamagedLogError(self.path, "it ends within its header; was it copied whole?")
         records = _Records()
-        ends = [*self._appended(), len(self._map)]
+        ends = [*self._appended(), self._source.size]
         for start, end in zip([HEADER_SIZE, *ends], ends, strict=False):
-            _walk(self._map, start, end, records)
+            _walk(self._source, start, end, records)
         return records
 
     def _appended(self) -> list[int]:
         """Return where data was appended, from the flags, which come first if at all."""
-        size, kind = _head(self._map, HEADER_SIZE)
+        begin = self._source.read(HEADER_SIZE, _HEAD.size + _FLAGS.size)
+        if len(begin) < _HEAD.size + _FLAGS.size:
+            return []
+        size, kind = _HEAD.unpack_from(begin)
         if kind != ord("B") or size < _FLAGS.size:
             return []
-        if HEADER_SIZE + _HEAD.size + size > len(self._map):
-            return []
-        _, incompatible, *offsets = _FLAGS.unpack_from(self._map, HEADER_SIZE + _HEAD.size)
+        _, incompatible, *offsets = _FLAGS.unpack_from(begin, _HEAD.size)
         if incompatible[0] & ~1 or any(incompatible[1:]):
             raise UnsupportedLogError(
                 self.path,
                 f"it uses features of ULog that this version does not know (flags "
                 f"{incompatible.hex()}); convert it with a newer tool",
             )
-        return [offset for offset in sorted(offsets) if HEADER_SIZE < offset < len(self._map)]
+        return [offset for offset in sorted(offsets) if HEADER_SIZE < offset < self._source.size]
 
     def _found(self, records: _Records) -> dict[Channel, list[int]]:
         """Return the ids of each channel; one that was left and taken up again may have two."""
@@ -158,20 +167,45 @@ class UlogLog(Closing):
             Log and publish times are the messages' own time stamps.
         """
         stamps = decoder_of(channel, ["timestamp"], self.path)
-        chosen = self._offsets[np.isin(self._ids, self._channels.get(channel, []))]
-        for start in range(0, len(chosen), BLOCK):
-            offsets = chosen[start : start + BLOCK]
-            begin = offsets + _HEAD.size
-            sizes = _u2(self._data, offsets)
-            # The id of the subscription is no part of the message.
-            block = MessageBlock(self._data, begin + 2, begin + sizes, begin, begin)
+        chosen = np.flatnonzero(np.isin(self._ids, self._channels.get(channel, [])))
+        for places in self._stretches(chosen):
+            block = self._block(places)
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self._lose(Loss(f"topic {channel.topic}", error.reason, len(offsets)))
+                self._lose(Loss(f"topic {channel.topic}", error.reason, len(places)))
                 continue
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
-            yield MessageBlock(self._data, block.starts, block.ends, log_ns, log_ns)
+            yield replace(block, log_ns=log_ns, publish_ns=log_ns)
+
+    def _stretches(self, chosen: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        """Cut messages into parts that are not many and lie together."""
+        offsets = self._offsets[chosen]
+        start = 0
+        while start < len(chosen):
+            reach = int(offsets.searchsorted(offsets[start] + _WINDOW))
+            stop = max(start + 1, min(start + BLOCK, reach))
+            yield chosen[start:stop]
+            start = stop
+
+    def _block(self, places: NDArray[np.int64]) -> MessageBlock:
+        """Read messages; those that are not there any more are left out and told."""
+        offsets, sizes = self._offsets[places], self._sizes[places]
+        base = int(offsets[0])
+        try:
+            data = self._source.read(base, int(offsets[-1] + sizes[-1]) + _HEAD.size - base)
+        except OSError as error:
+            data = b""
+            self._lose(Loss(f"byte {base}", f"it cannot be read: {error.strerror}"))
+        begin = offsets - base + _HEAD.size
+        ends = begin + sizes
+        there = int(ends.searchsorted(len(data), "right"))
+        if there < len(places):
+            place = f"byte {base + len(data)}"
+            self._lose(Loss(place, "the file has become shorter", len(places) - there))
+        # The id of the subscription is no part of the message.
+        begin, ends = begin[:there] + 2, ends[:there]
+        return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
 
     def _lose(self, loss: Loss) -> None:
         """Note a loss once, however often the log is read."""
@@ -183,32 +217,42 @@ class UlogLog(Closing):
         return {}
 
     def close(self) -> None:
-        """Let go of the file; it stays mapped until the last block is gone."""
-        del self._data
+        """Close the file."""
+        self._source.close()
 
 
-def _head(data: mmap.mmap, position: int) -> tuple[int, int]:
-    """Return length and kind of a record; of none where the file ends."""
-    if position + _HEAD.size > len(data):
-        return 0, 0
-    size, kind = _HEAD.unpack_from(data, position)
-    return size, kind
-
-
-def _walk(data: mmap.mmap, position: int, end: int, records: _Records) -> None:
+def _walk(source: Source, position: int, end: int, records: _Records) -> None:
     """Follow records by their lengths; behind damage go on at the next mark, if there is one."""
-    note, unpack, size_of_head = records.offsets.append, _HEAD.unpack_from, _HEAD.size
-    while position + size_of_head <= end:
+    while position + _HEAD.size <= end:
+        data = source.read(position, min(_WINDOW, end - position))
+        if len(data) < _HEAD.size:
+            break
+        taken = _followed(data, position, records)
+        if not taken:
+            after = _behind_mark(source, position, end)
+            reason = f"its records cannot be followed for {after - position} bytes"
+            records.damage.append(Loss(f"byte {position}", reason))
+            taken = after - position
+        position += taken
+    if position < end:
+        records.damage.append(Loss(f"byte {position}", "the last record is cut off"))
+
+
+def _followed(data: bytes, base: int, records: _Records) -> int:
+    """Take records up to the first that is none, or not whole; return how many bytes they have."""
+    unpack, size_of_head = _HEAD.unpack_from, _HEAD.size
+    offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
+    position, last = 0, len(data) - size_of_head
+    while position <= last:
         size, kind = unpack(data, position)
         begin, after = position + size_of_head, position + size_of_head + size
-        if kind == _DATA and size > 1 and after <= end:
-            note(position)
-        elif kind not in _KINDS or after > end:
-            found = data.find(SYNC, position, end)
-            last = end if found < 0 else found + len(SYNC)
-            reason = f"its records cannot be followed for {last - position} bytes"
-            records.damage.append(Loss(f"byte {position}", reason))
-            after = last
+        if after > len(data) or kind not in _KINDS:
+            break
+        if kind == _DATA:
+            if size > 1:
+                offset(base + position)
+                size_note(size)
+                id_note(data[begin] | data[begin + 1] << 8)
         elif kind == _FORMAT:
             name, _, fields = data[begin:after].decode("utf-8", "replace").partition(":")
             records.formats[name] = fields
@@ -217,8 +261,20 @@ def _walk(data: mmap.mmap, position: int, end: int, records: _Records) -> None:
             name = data[begin + 3 : after].decode("utf-8", "replace")
             records.subscriptions[id_] = (name, instance)
         position = after
-    if position < end:
-        records.damage.append(Loss(f"byte {position}", "the last record is cut off"))
+    return position
+
+
+def _behind_mark(source: Source, position: int, end: int) -> int:
+    """Return where the next mark ends; `end` where there is none."""
+    while position < end:
+        data = source.read(position, min(_WINDOW, end - position))
+        found = data.find(SYNC)
+        if found >= 0:
+            return position + found + len(SYNC)
+        if len(data) < _WINDOW:
+            break
+        position += len(data) - len(SYNC) + 1  # it may lie across the border
+    return end
 
 
 def _definition(name: str, formats: dict[str, str]) -> bytes:
@@ -228,8 +284,3 @@ def _definition(name: str, formats: dict[str, str]) -> bytes:
         inside = dict.fromkeys(_WORD.findall(formats[one]))
         needed += [other for other in inside if other in formats and other not in needed]
     return "\n".join(f"{one}:{formats[one]}" for one in needed).encode()
-
-
-def _u2(data: NDArray[np.uint8], positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return little endian numbers of two bytes."""
-    return data[positions] | data[positions + 1].astype(np.int64) << 8
