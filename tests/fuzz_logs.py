@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import json
 import random
 import shutil
 from fractions import Fraction
@@ -173,6 +174,11 @@ def _write_tables(folder):
     for compression in ("uncompressed", "lz4", "zstd"):
         target = folder / f"{compression}.feather"
         feather.write_feather(table, target, compression=compression, chunksize=50)
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    records = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    np.save(folder / "records.npy", np.asarray(records))
+    np.savez(folder / "stored.npz", **columns)
+    np.savez_compressed(folder / "packed.npz", **columns)
     rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
     lines = {
         "small.csv": ["t_ns,wx,wy,wz", *(",".join(map(str, row)) for row in rows)],
@@ -186,6 +192,11 @@ def _write_tables(folder):
             *(f'{row[0]}\t"a ""b"" \n c"\t{row[1]}\t{row[2]}\t{row[3]}' for row in rows),
         ],
     }
+    lines["rows.jsonl"] = [
+        json.dumps({"header": {"stamp": {"sec": row[0] // 10**9, "nanosec": row[0] % 10**9}},
+                    "note": 'a "b" \\', "angular_velocity": dict(zip("xyz", row[1:], strict=True))})
+        for row in rows
+    ]  # fmt: skip
     for name, text in lines.items():
         (folder / name).write_bytes(("\n".join(text) + "\n").encode())
 

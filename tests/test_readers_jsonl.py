@@ -102,6 +102,14 @@ def test_lines_that_do_not_fit_are_told(tmp_path):
     assert losses[0][1] == "Column(/wx) changed from number to string"
 
 
+def test_empty_lines_are_no_rows(tmp_path):
+    """Not beside damage either."""
+    text = ROW % (1, 1, 2, 3) + "\n" + "{\n" + "\n\n" + ROW % (2, 1, 2, 3) + ROW % (3, 1, 2, 3)
+    t_ns, _, losses = read(written(tmp_path, text))
+    assert t_ns == [1, 2, 3]
+    assert [place for place, _ in losses] == ["line 3"]
+
+
 def test_rows_that_are_counted_keep_their_times_around_damage(tmp_path):
     """A line that is lost leaves its place in a steady rate."""
     lines = [f'{{"wx":{k},"wy":0,"wz":0}}\n' for k in range(6)]
@@ -143,6 +151,16 @@ def test_what_is_no_table_is_refused(tmp_path):
         read(written(tmp_path, '{"t":1,"a":{"b":2}}\n'))
     with pytest.raises(UndeclaredError, match="the unit of the time 't' is not declared"):
         read(written(tmp_path, '{"t":1,"wx_rad_s":1,"wy_rad_s":2,"wz_rad_s":3}\n'))
+
+
+@pytest.mark.parametrize("tiny", ["17e-40000000", "1E-2147483647", "1e-40", "1e-100"])
+def test_times_smaller_than_anything_do_not_end_the_process(tmp_path, tiny):
+    """A row with such a number is lost and told; pyarrow is not asked, for it would not return."""
+    text = "".join(ROW % (k, k, k, 5e-324) for k in range(4))
+    text += f'{{"t_ns":{tiny},"wx":1,"wy":1,"wz":1}}\n'
+    t_ns, _, losses = read(written(tmp_path, text))
+    assert t_ns == [0, 1, 2, 3]
+    assert losses == [("line 5", "its time is a number below 1e-39")]
 
 
 @pytest.mark.parametrize(

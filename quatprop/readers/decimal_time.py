@@ -33,6 +33,8 @@ _DIGITS = 38
 _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 _ROOM = 2**62
+_SMALL = 0x20
+"""What makes a letter small."""
 
 
 class StampRangeError(ValueError):
@@ -47,6 +49,33 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
     """
     scale = PLACES[unit] + spare
     return pa.decimal128(_DIGITS - scale, scale)
+
+
+def refuse_tiny(data: bytes | memoryview) -> None:
+    """Refuse text that pyarrow must not read as decimals: numbers smaller than 1e-39.
+
+    It divides them by powers of ten out of a table that ends before, whatever lies there: from a
+    few thousand places on it ends the process. Read line by line they are what they are.
+
+    Parameters
+    ----------
+    data
+        Whole records of text.
+
+    Raises
+    ------
+    StampRangeError
+        There is such a number, in any column.
+    """
+    whole = bytes(data)
+    # Few texts have exponents at all.
+    if b"e" not in whole and b"E" not in whole:
+        return
+    text = np.frombuffer(whole + b"   ", np.uint8)
+    marks = np.flatnonzero((text[1:-3] == ord("-")) & (text[:-4] | _SMALL == ord("e"))) + 1
+    first, second, third = (text[marks + k] - np.uint8(ord("0")) for k in (1, 2, 3))
+    if np.any((first <= 9) & (second <= 9) & ((third <= 9) | (first >= 4))):  # noqa: PLR2004  # digits
+        raise StampRangeError
 
 
 def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:

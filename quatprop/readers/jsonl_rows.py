@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,10 @@ if TYPE_CHECKING:
     Fields = dict[tuple[str, ...], pa.DataType]
 
 _TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
-_MISFITS = (pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError)
+_MISFITS = (
+    *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
+    decimal_time.StampRangeError,
+)
 _MANY_LOST = 1000
 
 
@@ -97,6 +101,12 @@ class LineParser:
             raise
 
     def _batches(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
+        try:
+            decimal_time.refuse_tiny(data)
+        except decimal_time.StampRangeError:
+            # It may be in another column, where it does no harm.
+            for stamp in self._stamps(data):
+                decimal_time.refuse_tiny(stamp.encode())
         table = arrow_json.read_json(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_json.ReadOptions(
@@ -108,7 +118,23 @@ class LineParser:
         batches: list[pa.RecordBatch] = table.combine_chunks().to_batches()
         return batches
 
+    def _stamps(self, data: bytes | memoryview) -> Iterator[str]:
+        """Yield the times of whole lines as they are written."""
+        for line in bytes(data).split(b"\n"):
+            try:
+                row = json.loads(line, parse_int=str, parse_float=str)
+            except (ValueError, RecursionError):
+                continue
+            for leaf, _ in self._time:
+                value = row
+                for name in leaf.path:
+                    value = value.get(name) if isinstance(value, dict) else None
+                if isinstance(value, str):
+                    yield value
+
     def _by_halves(self, lines: list[bytes], first: int) -> Iterator[pa.RecordBatch | int]:
+        if not any(map(bytes.strip, lines)):
+            return
         try:
             yield from self._whole(b"\n".join(lines))
         except _MISFITS as error:
@@ -153,6 +179,8 @@ def _fields(tree: dict[str, Any]) -> list[pa.Field]:
 
 
 def _reason(error: Exception) -> str:
+    if isinstance(error, decimal_time.StampRangeError):
+        return "its time is a number below 1e-39"
     if isinstance(error, UnicodeDecodeError):
         return "it is not UTF-8"
     return re.sub(r"^JSON parse error: | in row \d+$", "", plain(error))
