@@ -48,9 +48,7 @@ def test_what_is_not_there_is_said(tmp_path):
 
 def test_a_store_that_is_not_known_is_said():
     """As is one that does not answer."""
-    known = pytest.raises(
-        UnreadableLogError, match=r"^nowhere://log.bag: it cannot be read"
-    )
+    known = pytest.raises(UnreadableLogError, match=r"^nowhere://log.bag: it cannot be read")
     with known, local_copy("nowhere://log.bag"):
         pass
 

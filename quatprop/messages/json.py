@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
+from quatprop.arrow_arrays import to_numpy
 from quatprop.errors import SchemaError, UsageError, quoted
 from quatprop.messages.schema import (
     TIME,
@@ -282,5 +283,4 @@ def _part(table: pa.Table, way: Steps, wanted: Wanted) -> NDArray[Any]:
     if pa.types.is_decimal(found.type):
         values = [math.nan if value is None else value for value in found.to_pylist()]
         return np.array(values, object)
-    column: NDArray[Any] = found.to_numpy()
-    return column
+    return to_numpy(found)

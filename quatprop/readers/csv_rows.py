@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from quatprop.arrow_arrays import to_numpy
 from quatprop.errors import plain, quoted
 from quatprop.readers import decimal_time
 from quatprop.readers.headers import COMMENTS
@@ -148,7 +149,7 @@ class BlockParser(_Wanted):
         )
         numbers = np.empty((table.num_rows, len(self.numbers)))
         for place, k in enumerate(self.numbers):
-            numbers[:, place] = table.column(str(k)).to_numpy()
+            numbers[:, place] = to_numpy(table.column(str(k)))
         return Rows(self._stamps(table), numbers, table.num_rows)
 
     def _stamps(self, table: pa.Table) -> NDArray[np.int64] | None:
@@ -269,7 +270,7 @@ class RowParser(_Wanted):
 
 def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:
     if pa.types.is_timestamp(column.type):
-        return np.asarray(column.cast(pa.int64()).to_numpy())
+        return to_numpy(column.cast(pa.int64()))
     return decimal_time.from_decimals(column, unit)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from quatprop.arrow_arrays import to_arrow
 from quatprop.errors import UnsupportedLogError, listed, plain
 from quatprop.readers.npy_arrays import Column, read_header
 from quatprop.readers.typed_table import BATCH_ROWS, DamageError, Leaf, Part, TypedTable
@@ -89,7 +90,7 @@ class NumpyTable(TypedTable):
                 whole = min(block.rows for block in blocks)
                 if whole:
                     values = {
-                        name: pa.array(column[:whole])
+                        name: to_arrow(column[:whole])
                         for block in blocks
                         for name, column in block.columns()
                     }

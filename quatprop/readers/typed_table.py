@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError, listed, plain, quoted
 from quatprop.readers import columns as choosing
 from quatprop.readers import decimal_time
@@ -206,7 +207,7 @@ class TypedTable(Closing):
         numbers = np.empty((batch.num_rows, len(columns.numbers)))
         for axis, k in enumerate(columns.numbers):
             values = _column(batch, self._leaves[k])
-            numbers[:, axis] = values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
+            numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
         if not columns.time:
             t_ns = decimal_time.counted(first, batch.num_rows, columns.sample_rate or 1.0)
             return t_ns, numbers
@@ -217,7 +218,7 @@ class TypedTable(Closing):
             lost = int(np.count_nonzero(~timed))
             place = f"rows {first + 1} to {first + batch.num_rows}"
             self.losses.append(Loss(place, "rows without a time", lost))
-            batch, numbers = batch.filter(pa.array(timed)), numbers[timed]
+            batch, numbers = batch.filter(to_arrow(timed)), numbers[timed]
         return self._stamps(batch, columns), numbers
 
     def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
@@ -251,8 +252,8 @@ def _has_value(column: pa.Array) -> NDArray[np.bool_]:
     """Return which values are neither null nor NaN nor infinite, shape ``(N,)``."""
     valid = column.is_valid()
     if pa.types.is_floating(column.type):
-        valid = pc.and_(valid, pc.fill_null(pc.is_finite(column), False))
-    values: NDArray[np.bool_] = valid.to_numpy(zero_copy_only=False)
+        valid = pc.and_kleene(valid, pc.is_finite(column))
+    values: NDArray[np.bool_] = to_numpy(valid)
     return values
 
 
@@ -261,9 +262,9 @@ def _nanoseconds(column: pa.Array, unit: str) -> Int64:
     if pa.types.is_decimal128(column.type):
         return decimal_time.from_decimals(column, unit)
     if pa.types.is_floating(column.type):
-        return decimal_time.from_floats(column.cast(pa.float64()).to_numpy(), unit)
+        return decimal_time.from_floats(to_numpy(column.cast(pa.float64())), unit)
     try:
         integers = column.cast(pa.int64())
     except pa.ArrowInvalid as error:
         raise decimal_time.StampRangeError from error
-    return decimal_time.from_integers(integers.to_numpy(), unit)
+    return decimal_time.from_integers(to_numpy(integers), unit)

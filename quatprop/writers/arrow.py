@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from quatprop.arrow_arrays import to_arrow
 from quatprop.provenance import METADATA_KEY
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import Table, words_of
@@ -71,7 +72,7 @@ class ArrowTable(Table):
 
     def _write_group(self) -> None:
         rows = slice(0, self._filled)
-        arrays = [pa.array(self._t_ns[rows]), *(pa.array(kept[rows]) for kept in self._columns)]
+        arrays = [to_arrow(self._t_ns[rows]), *(to_arrow(kept[rows]) for kept in self._columns)]
         with reported(self._output.target):
             self._put(pa.record_batch(arrays, schema=self._schema))
         self._filled = 0

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from quatprop.arrow_arrays import text_scalar, to_arrow
 from quatprop.writers.text import TextTable
 
 if TYPE_CHECKING:
@@ -43,11 +44,15 @@ class JsonLinesTable(TextTable):
 
 def _objects(names: Sequence[str]) -> Form:
     """Return what formats columns as objects with these keys."""
-    keys = [f"{',' if place else '{'}{json.dumps(name)}:" for place, name in enumerate(names)]
+    keys = [
+        text_scalar(f"{',' if place else '{'}{json.dumps(name)}:")
+        for place, name in enumerate(names)
+    ]
+    end, nothing = text_scalar("}\n"), text_scalar("")
 
     def form(columns: list[NDArray[Any]]) -> pa.Buffer:
         parts = chain.from_iterable(zip(keys, map(_numbers, columns), strict=True))
-        lines = pc.binary_join_element_wise(*parts, "}\n", "")
+        lines = pc.binary_join_element_wise(*parts, end, nothing)
         # The strings of an array lie one after the other: that is the file.
         _, ends, text = lines.buffers()
         return text.slice(0, np.frombuffer(ends, np.int32, len(lines) + 1)[-1])
@@ -57,12 +62,12 @@ def _objects(names: Sequence[str]) -> Form:
 
 def _numbers(column: NDArray[Any]) -> pa.Array:
     """Return numbers as JSON has them."""
-    text = pc.cast(pa.array(column), pa.string())
+    text = pc.cast(to_arrow(column), pa.string())
     if column.dtype == np.int64:
         return text
     # Without its point, minus zero would come back as the integer, which has no sign.
     minus_zero = (column == 0) & np.signbit(column)
     if minus_zero.any():
-        text = pc.if_else(minus_zero, "-0.0", text)
+        text = pc.if_else(to_arrow(minus_zero), text_scalar("-0.0"), text)
     finite = np.isfinite(column)
-    return text if finite.all() else pc.if_else(finite, text, "null")
+    return text if finite.all() else pc.if_else(to_arrow(finite), text, text_scalar("null"))

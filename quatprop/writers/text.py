@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 import pyarrow.csv
 
+from quatprop.arrow_arrays import to_arrow
 from quatprop.provenance import COMMENT
 from quatprop.writers.atomic import Output, reported, scratch
 from quatprop.writers.base import Table, words_of
@@ -97,9 +98,13 @@ def delimited(separator: str, names: Sequence[str]) -> Form:
     )
 
     def form(columns: list[NDArray[Any]]) -> pa.Buffer:
-        batch = pa.record_batch([pa.array(column) for column in columns], names=list(names))
+        batch = pa.record_batch([_arrow(column) for column in columns], names=list(names))
         lines = pa.BufferOutputStream()
         pyarrow.csv.write_csv(batch, lines, options)
         return lines.getvalue()
 
     return form
+
+
+def _arrow(column: pa.Array | NDArray[Any]) -> pa.Array:
+    return column if isinstance(column, pa.Array) else to_arrow(column)

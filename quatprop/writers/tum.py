@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from quatprop.arrow_arrays import to_arrow
 from quatprop.writers.base import AttitudeTable
 from quatprop.writers.text import TextTable, delimited
 
@@ -46,9 +47,9 @@ def seconds(t_ns: NDArray[np.int64]) -> pa.Array:
     >>> seconds(np.array([1_700_000_000_000_000_001, -5])).to_pylist()
     ['1700000000.000000001', '-0.000000005']
     """
-    digits = pc.utf8_lpad(pc.cast(pa.array(np.abs(t_ns).view(np.uint64)), pa.string()), 10, "0")
+    digits = pc.utf8_lpad(pc.cast(to_arrow(np.abs(t_ns).view(np.uint64)), pa.string()), 10, "0")
     text = pc.binary_replace_slice(digits, -_DECIMALS, -_DECIMALS, ".")
     negative = t_ns < 0
     if negative.any():
-        text = pc.if_else(negative, pc.binary_join_element_wise("-", text, ""), text)
+        text = pc.if_else(to_arrow(negative), pc.binary_join_element_wise("-", text, ""), text)
     return text

@@ -1,0 +1,91 @@
+"""Columns between NumPy and Arrow, as views of the same numbers.
+
+Arrow's own conversions import pandas wherever it is installed, to see whether they were given a
+Series: a fifth of a second for every command.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TYPES = {
+    np.dtype(name): kind
+    for name, kind in (
+        ("f8", pa.float64()),
+        ("f4", pa.float32()),
+        ("f2", pa.float16()),
+        ("i8", pa.int64()),
+        ("u8", pa.uint64()),
+        ("i4", pa.int32()),
+        ("u4", pa.uint32()),
+        ("i2", pa.int16()),
+        ("u2", pa.uint16()),
+        ("i1", pa.int8()),
+        ("u1", pa.uint8()),
+    )
+}
+_DTYPES = {kind: dtype for dtype, kind in _TYPES.items()}
+
+
+def to_arrow(values: NDArray[Any]) -> pa.Array:
+    """Return a column as an Arrow array, without a copy where it is contiguous.
+
+    Parameters
+    ----------
+    values
+        Numbers or booleans, shape ``(N,)``.
+    """
+    if values.dtype == np.bool_:
+        bits = np.packbits(values, bitorder="little")
+        return pa.Array.from_buffers(pa.bool_(), len(values), [None, pa.py_buffer(bits)])
+    native = np.ascontiguousarray(values, values.dtype.newbyteorder("="))
+    return pa.Array.from_buffers(
+        _TYPES[native.dtype], len(native), [None, pa.py_buffer(native)], null_count=0
+    )
+
+
+def text_scalar(text: str) -> pa.StringScalar:
+    """Return a text as an Arrow value."""
+    data = text.encode()
+    ends = np.array([0, len(data)], np.int32)
+    return pa.Array.from_buffers(pa.string(), 1, [None, pa.py_buffer(ends), pa.py_buffer(data)])[0]
+
+
+def to_numpy(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
+    """Return a column of numbers or booleans as an array, read-only where it is a view.
+
+    Parameters
+    ----------
+    column
+        Shape ``(N,)``; of floats, nulls become NaN; of others, there must be none.
+    """
+    if isinstance(column, pa.ChunkedArray):
+        parts = [to_numpy(chunk) for chunk in column.chunks]
+        if len(parts) == 1:
+            return parts[0]
+        empty = np.empty(0, _DTYPES.get(column.type, np.dtype(np.bool_)))
+        return np.concatenate([*parts, empty])
+    validity, data = column.buffers()
+    if pa.types.is_boolean(column.type):
+        return _bits(data, column)
+    dtype = _DTYPES[column.type]
+    if data is None:
+        return np.zeros(len(column), dtype)
+    numbers: NDArray[Any] = np.frombuffer(data, dtype, len(column), column.offset * dtype.itemsize)
+    if column.null_count:
+        numbers = np.where(_bits(validity, column), numbers, dtype.type(np.nan))
+    return numbers
+
+
+def _bits(data: pa.Buffer | None, column: pa.Array) -> NDArray[np.bool_]:
+    """Return the bits of a bitmap that belong to a column."""
+    if data is None:
+        return np.zeros(len(column), np.bool_)
+    every = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
+    return every[column.offset : column.offset + len(column)].view(np.bool_)

@@ -1,0 +1,68 @@
+"""Columns between NumPy and Arrow."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quatprop.arrow_arrays import to_arrow, to_numpy
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+CODES = ["f8", "f4", "f2", "i8", "u8", "i4", "u4", "i2", "u2", "i1", "u1", "?"]
+
+
+@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 100])
+def test_a_column_goes_there_and_back(code, count):
+    """Every type of number, and booleans, which Arrow packs into bits; Arrow agrees."""
+    values = np.random.default_rng(3).integers(0, 2 if code == "?" else 100, count).astype(code)
+    column = to_arrow(values)
+    column.validate(full=True)
+    assert column.to_pylist() == values.tolist()
+    assert to_numpy(column).dtype == values.dtype
+    assert to_numpy(column).tolist() == values.tolist()
+
+
+def test_a_column_that_is_strided_or_of_other_byte_order_is_copied():
+    """Arrow has neither."""
+    values = np.arange(12.0).reshape(6, 2)[:, 1]
+    assert to_arrow(values).to_pylist() == values.tolist()
+    assert to_arrow(values.astype(">f8")).to_pylist() == values.tolist()
+
+
+@settings(deadline=None)
+@given(st.lists(st.none() | st.floats(width=32), max_size=40), st.integers(0, 40))
+def test_nulls_of_floats_are_nan(values, begin):
+    """Also in a slice, whose bits do not begin with a byte."""
+    column = pa.array(values, pa.float64())[begin:]
+    wanted = [np.nan if value is None else value for value in values[begin:]]
+    np.testing.assert_array_equal(to_numpy(column), wanted)
+
+
+@settings(deadline=None)
+@given(st.lists(st.lists(st.booleans(), max_size=20), max_size=4))
+def test_chunks_are_put_together(chunks):
+    """A column of several chunks, of one, of none."""
+    column = pa.chunked_array([pa.array(chunk, pa.bool_()) for chunk in chunks], pa.bool_())
+    assert to_numpy(column).tolist() == [value for chunk in chunks for value in chunk]
+
+
+@pytest.mark.parametrize("name", ["spin.csv", "rest.parquet", "tumbling.bag"])
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet", "feather", "npz", "tum"])
+def test_pandas_is_not_imported(tmp_path, name, kind):
+    """Where it is installed, nothing waits for it."""
+    pytest.importorskip("pandas")
+    code = (
+        "import sys\n"
+        "from quatprop.job import Job, run\n"
+        "run(Job(sys.argv[1], sys.argv[2], to=sys.argv[3]))\n"
+        "print('pandas' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, SAMPLES / name, tmp_path / "out", kind]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
