@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -200,3 +201,16 @@ rosbag2_bagfile_information:
         },
     }  # fmt: skip
     assert "custom_data" not in bag
+
+
+def test_a_database_in_write_ahead_mode_gets_no_files_beside_it(tmp_path):
+    """Reading leaves the folder of the log as it was, whoever may write there."""
+    log = write_rosbag2(tmp_path / "log", StoragePlugin.SQLITE3)
+    (database,) = log.glob("*.db3")
+    with closing(sqlite3.connect(database)) as opened:
+        assert opened.execute("PRAGMA journal_mode=WAL").fetchone() == ("wal",)
+    before = {path.name: path.read_bytes() for path in log.iterdir()}
+    assert run("info", log).exit_code == 0
+    assert run("propagate", log, "--into", tmp_path / "copy", "-q").exit_code == 0
+    assert run("convert", log, tmp_path / "out.csv", "-q").exit_code in {0, 2}
+    assert {path.name: path.read_bytes() for path in log.iterdir()} == before

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sqlite3
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
+from quatprop.readers.db3 import not_yet_inside, read_only
 from quatprop.writers.ros_types import ros2_types
 
 if TYPE_CHECKING:
@@ -23,12 +23,17 @@ _STEP = 1 << 12
 
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 where there is none."""
-    database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
+    database = _original(path)
     try:
         ((found,),) = database.execute("SELECT MIN(timestamp) FROM messages")
     finally:
         database.close()
     return found or 0
+
+
+def _original(path: Path) -> sqlite3.Connection:
+    """Open a database that is copied, with what has not yet been moved into it."""
+    return sqlite3.connect(read_only(path, not_yet_inside(path)), uri=True)
 
 
 class SqlitePart:
@@ -46,7 +51,7 @@ class SqlitePart:
 
     def __init__(self, source: Path, place: Path, message: Message) -> None:
         self._database = sqlite3.connect(place)
-        original = sqlite3.connect(f"file:{quote(str(source))}?mode=ro", uri=True)
+        original = _original(source)
         try:
             original.backup(self._database, pages=_STEP)
         finally:

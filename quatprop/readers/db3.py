@@ -17,7 +17,7 @@ from quatprop.readers.packed_messages import is_packed, unpacked
 from quatprop.readers.rosbag2_parts import custom_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -84,23 +84,17 @@ class Db3Log(Closing):
 
     def _connected(self) -> apsw.Connection:
         """Open the database without ever writing to it."""
-        address = f"file:{quote(str(self.path.absolute()))}?mode=ro"
-        beside = [
-            name
-            for name in (f"{self.path.name}-wal", f"{self.path.name}-journal")
-            if (file := self.path.with_name(name)).is_file() and file.stat().st_size
-        ]
+        beside = not_yet_inside(self.path)
         if beside:
-            # What a recorder that is running, or died, has not yet moved into the database.
             try:
-                database = _opened(address)
+                database = _opened(read_only(self.path, beside))
                 database.execute("SELECT count(*) FROM sqlite_master").fetchall()
             except apsw.Error as error:
                 reason = f"it cannot be applied ({error}); the last messages may be missing"
                 self.losses.append(Loss(beside[0], reason))
             else:
                 return database
-        return _opened(f"{address}&immutable=1")
+        return _opened(read_only(self.path))
 
     def _columns(self, table: str) -> set[str]:
         rows = self._database.execute("SELECT name FROM pragma_table_info(?)", (table,))
@@ -233,6 +227,30 @@ def _joined(fetches: list[_Fetch]) -> MessageBlock:
     ends = np.cumsum(lengths)
     buffer = np.frombuffer(b"".join(data), np.uint8)
     return MessageBlock(buffer, ends - lengths, ends, times, times, int(times[-1]))
+
+
+def not_yet_inside(path: Path) -> list[str]:
+    """Name the files beside a database with what a recorder has not yet moved into it."""
+    return [
+        name
+        for name in (f"{path.name}-wal", f"{path.name}-journal")
+        if (file := path.with_name(name)).is_file() and file.stat().st_size
+    ]
+
+
+def read_only(path: Path, beside: Sequence[str] = ()) -> str:
+    """Return the address that opens a database and neither changes it nor leaves files beside it.
+
+    Parameters
+    ----------
+    path
+        The database.
+    beside
+        The files of :func:`not_yet_inside` where they are to be read, too.
+    """
+    address = f"file:{quote(str(path.absolute()))}?mode=ro"
+    # Opened without this, a database in write-ahead mode gets files of its own beside it.
+    return address if beside else f"{address}&immutable=1"
 
 
 def _opened(address: str) -> apsw.Connection:
