@@ -81,8 +81,8 @@ td { font-variant-numeric: tabular-nums; }
 @media (max-width: 36rem) { th { width: 6.5rem; } body { padding-top: 1rem; } }
 @media print { :root { --page: #ffffff; --ink: #000000; --faint: #444444; --edge: #bbbbbb;
   --alarm: #b04a00; --alarm-page: #ffffff; } body { max-width: none; padding: 0; font-size: 10pt; }
-  figure { overflow: visible; break-inside: avoid; } figure svg { min-width: 0; }
-  tr, h2 { break-inside: avoid; break-after: avoid; } }
+  figure { overflow: visible; break-inside: avoid; } figure svg { min-width: 0;
+  max-height: 18cm; } tr, h2 { break-inside: avoid; } h2 { break-after: avoid; } }
 """
 
 

@@ -20,6 +20,16 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries, GyroSeries
 
 
+CONDITIONING = {
+    "bias_rad_s": "bias, rad/s",
+    "rest": "rest",
+    "mount": "sensor to body",
+    "start_ns": "from, ns",
+    "end_ns": "to, ns",
+}
+"""Key of what was done to the rates -> its name in the table."""
+
+
 class PropagationPicture:
     """Looks at a run as it goes by, and draws it when it is done.
 
@@ -136,5 +146,8 @@ def _convention(convention: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _done(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for name, value in (*report["policy"].items(), *report["conditioning"].items()):
-        yield name.replace("_", " "), "none" if value is None else str(value)
+    for name, value in report["policy"].items():
+        yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
+    for name, words in CONDITIONING.items():
+        if (value := report["conditioning"][name]) is not None:
+            yield words, str(value)
