@@ -33,8 +33,6 @@ _DIGITS = 38
 _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 _ROOM = 2**62
-_SMALL = 0x20
-"""What makes a letter small."""
 
 
 class StampRangeError(ValueError):
@@ -67,15 +65,17 @@ def refuse_tiny(data: bytes | memoryview) -> None:
     StampRangeError
         There is such a number, in any column.
     """
-    whole = bytes(data)
-    # Few texts have exponents at all.
-    if b"e" not in whole and b"E" not in whole:
-        return
-    text = np.frombuffer(whole + b"   ", np.uint8)
-    marks = np.flatnonzero((text[1:-3] == ord("-")) & (text[:-4] | _SMALL == ord("e"))) + 1
-    first, second, third = (text[marks + k] - np.uint8(ord("0")) for k in (1, 2, 3))
-    if np.any((first <= 9) & (second <= 9) & ((third <= 9) | (first >= 4))):  # noqa: PLR2004  # digits
-        raise StampRangeError
+    whole = bytes(data) + b"   "
+    text = np.frombuffer(whole, np.uint8)
+    for letter in b"eE":
+        # Few texts have exponents at all, and fewer have many.
+        if letter not in whole:
+            continue
+        marks = np.flatnonzero(text == letter)
+        marks = marks[text[marks + 1] == ord("-")] + 1
+        first, second, third = (text[marks + k] - np.uint8(ord("0")) for k in (1, 2, 3))
+        if np.any((first <= 9) & (second <= 9) & ((third <= 9) | (first >= 4))):  # noqa: PLR2004  # digits
+            raise StampRangeError
 
 
 def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
