@@ -47,7 +47,7 @@ class Worker:
             other.close()
         self.pipe.send(seed)
         try:
-            if self.pipe.poll((len(COMMANDS) + 1) * SECONDS):
+            if self.pipe.poll((len(COMMANDS) + 2) * SECONDS):
                 return self.pipe.recv()
         except EOFError:
             self.process.join()
@@ -106,15 +106,19 @@ def problem(log, folder):
     from quatprop.cli import cli
 
     scratch = folder / "scratch"
-    for arguments in COMMANDS:
+    # What a stream can be is read from one as well.
+    texts = (("propagate", "-"),) if set(log.suffixes) & {".csv", ".tsv"} else ()
+    for arguments in COMMANDS + texts:
         scratch.mkdir()
         tempfile.tempdir = str(scratch)
-        command = [*arguments, str(log)]
+        is_stream = "-" in arguments
+        command = [*arguments] if is_stream else [*arguments, str(log)]
         if arguments[0] == "propagate":
             command += ["-o", str(scratch / "out.csv")]
         signal.setitimer(signal.ITIMER_REAL, SECONDS)
         try:
-            result = CliRunner().invoke(cli, command)
+            stdin = log.read_bytes() if is_stream else None
+            result = CliRunner().invoke(cli, command, input=stdin)
         except Hang:
             return f"{arguments[0]} hangs\n{traceback.format_exc()}"
         finally:

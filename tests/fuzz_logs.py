@@ -12,6 +12,7 @@ import lz4.frame
 import numpy as np
 import pyarrow as pa
 import zstandard
+from fuzz_messages import write_message_logs
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
@@ -99,6 +100,7 @@ def write_logs(folder):
         simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     shutil.copy(folder / "small_ros2" / "small_ros2.db3", folder / "small.db3")
     _write_tables(folder)
+    write_message_logs(folder, SAMPLES)
     for name in ("small.csv", "mcap-none.mcap", "bag-none.bag"):
         for suffix, pack in PACK.items():
             (folder / f"{name}.{suffix}").write_bytes(pack((folder / name).read_bytes()))

@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+import struct
 
 import numpy as np
 import pyarrow as pa
@@ -47,6 +48,12 @@ CUT_LOGS = [
     "small.parquet",
     "uncompressed.feather",
     "zstd.feather",
+    "json.mcap",
+    "protobuf.mcap",
+    "gyro.ulg",
+    "rows.jsonl",
+    "records.npy",
+    "stored.npz",
 ]
 
 
@@ -77,7 +84,7 @@ def samples(log):
 
 def held(name, path):
     """Return where parts of a log end and how many samples they end with, by others' count."""
-    if name.endswith(".csv"):
+    if name.endswith((".csv", ".jsonl")):
         lines = path.read_bytes().splitlines(keepends=True)
         ends = np.cumsum([len(line) for line in lines])
         return list(zip(ends.tolist(), range(SAMPLES - len(lines) + 1, SAMPLES + 1), strict=True))
@@ -94,12 +101,29 @@ def held(name, path):
             chunks = sorted(reader.chunk_infos, key=lambda chunk: chunk.pos)
         counts = np.cumsum([sum(chunk.connection_counts.values()) for chunk in chunks])
         return list(zip([chunk.pos for chunk in chunks[1:]], counts[:-1].tolist(), strict=True))
+    if name.endswith(".npy"):
+        (header,) = struct.unpack_from("<H", path.read_bytes(), 8)
+        return [(10 + header + 4 * 8 * count, count) for count in range(1, SAMPLES + 1)]
+    if name.endswith(".ulg"):
+        return [(end, count) for end, count, _ in ulog_records(path.read_bytes())]
     return []
 
 
-def ends_a_row(name, data):
-    """Tell whether a text ends with a whole row: nothing says then that others followed."""
-    return name.endswith(".csv") and data.endswith(b"\n")
+def ulog_records(data):
+    """Return where each record ends, how many samples come before there, and its kind."""
+    position, count, found = 16, 0, []
+    while position < len(data):
+        size, kind = struct.unpack_from("<Hc", data, position)
+        count += kind == b"D" and data[position + 3 : position + 5] == b"\x01\0"
+        position += 3 + size
+        found.append((position, count, kind))
+    return found
+
+
+def ends_a_row(name, data, ends):
+    """Tell whether a log without an end of its own ends with a whole row, and says no more."""
+    is_text = name.endswith((".csv", ".jsonl"))
+    return data.endswith(b"\n") if is_text else name.endswith(".ulg") and len(data) in ends
 
 
 @pytest.mark.parametrize("name", CUT_LOGS)
@@ -114,6 +138,7 @@ def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs
     if part:
         shutil.copytree(logs / folder, log)
     parts = held(name, intact)
+    ends = {end for end, _ in parts}
     wrong = []
     for size in np.linspace(0, len(data) - 1, CUTS).astype(int).tolist():
         (log / part if part else log).write_bytes(data[:size])
@@ -125,7 +150,7 @@ def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs
         if (
             count < least
             or found.tobytes() != whole[:count].tobytes()
-            or (count < len(whole) and lost is False and not ends_a_row(name, data[:size]))
+            or (count < len(whole) and lost is False and not ends_a_row(name, data[:size], ends))
         ):
             wrong.append((size, count, least, lost))
     assert wrong == []
