@@ -15,10 +15,13 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 import traceback
 import warnings
+from collections import Counter
 from itertools import count
 from pathlib import Path
+from typing import NamedTuple
 
 SECONDS = 10
 MEMORY = 4 << 30
@@ -30,6 +33,15 @@ class Hang(BaseException):
     """A command takes too long; no handler of errors catches it."""
 
 
+class Found(NamedTuple):
+    """What came of a damaged log: a problem or None, exit codes, time, and the most memory."""
+
+    problem: str | None
+    codes: tuple[int, ...] = ()
+    seconds: float = 0.0
+    memory: int = 0
+
+
 class Worker:
     """A process that reads damaged logs, with bounds; the next one is begun where it dies."""
 
@@ -37,8 +49,8 @@ class Worker:
         self.intact = intact
         self.process = None
 
-    def problem(self, seed):
-        """Return what is wrong with how a damaged log is read; None where nothing is."""
+    def found(self, seed):
+        """Return what comes of reading a damaged log."""
         if self.process is None:
             context = multiprocessing.get_context("spawn")
             self.pipe, other = context.Pipe()
@@ -53,9 +65,9 @@ class Worker:
             self.process.join()
             died = self.process.exitcode
             self.process = None
-            return f"the process dies ({died})"
+            return Found(f"the process dies ({died})")
         self.close()
-        return "the process hangs"
+        return Found("the process hangs")
 
     def close(self):
         """End the process."""
@@ -84,7 +96,12 @@ def _serve(pipe, intact):
             # Says where it hangs, should the alarm not get through.
             faulthandler.dump_traceback_later(len(COMMANDS) * SECONDS)
             with tempfile.TemporaryDirectory(dir=room) as folder:
-                pipe.send(problem(write_damaged(seed, intact, Path(folder)), Path(folder)))
+                log = write_damaged(seed, intact, Path(folder))
+                began = time.perf_counter()
+                found, codes = problem(log, Path(folder))
+                seconds = time.perf_counter() - began
+                memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+                pipe.send(Found(found, codes, seconds, memory))
 
 
 def _interrupt(_number, _frame):
@@ -92,7 +109,7 @@ def _interrupt(_number, _frame):
 
 
 def problem(log, folder):
-    """Return what is wrong with how a log is read; None where nothing is.
+    """Return what is wrong with how a log is read, None where nothing is, and the exit codes.
 
     Parameters
     ----------
@@ -108,6 +125,7 @@ def problem(log, folder):
     scratch = folder / "scratch"
     # What a stream can be is read from one as well.
     texts = (("propagate", "-"),) if set(log.suffixes) & {".csv", ".tsv"} else ()
+    codes = []
     for arguments in COMMANDS + texts:
         scratch.mkdir()
         tempfile.tempdir = str(scratch)
@@ -120,15 +138,16 @@ def problem(log, folder):
             stdin = log.read_bytes() if is_stream else None
             result = CliRunner().invoke(cli, command, input=stdin)
         except Hang:
-            return f"{arguments[0]} hangs\n{traceback.format_exc()}"
+            return f"{arguments[0]} hangs\n{traceback.format_exc()}", codes
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             tempfile.tempdir = None
         wrong = _wrong(arguments[0], result, sorted(path.name for path in scratch.iterdir()))
         if wrong:
-            return f"{' '.join(arguments)}: {wrong}"
+            return f"{' '.join(arguments)}: {wrong}", codes
+        codes.append(result.exit_code)
         shutil.rmtree(scratch)
-    return None
+    return None, codes
 
 
 def _wrong(command, result, left):
@@ -152,7 +171,7 @@ def fuzz(seeds, workers, tell):
     workers
         How many processes.
     tell
-        Called with each seed and its problem, or None.
+        Called with each seed and what was found.
     """
     from fuzz_logs import write_logs
 
@@ -166,7 +185,7 @@ def fuzz(seeds, workers, tell):
                 seed = next(seeds, None)
             if seed is None:
                 return worker.close()
-            found = worker.problem(seed)
+            found = worker.found(seed)
             with lock:
                 tell(seed, found)
 
@@ -198,18 +217,24 @@ def main():
                 target.mkdir(parents=True)
                 print(write_damaged(seed, Path(folder), target))
         return
-    done, failed = count(1), []
+    done, failed, codes, worst = count(1), [], Counter(), {"seconds": (0,), "memory": (0,)}
 
     def tell(seed, found):
         number = next(done)
-        if found:
+        codes.update(found.codes)
+        for name, so_far in worst.items():
+            worst[name] = max(so_far, (getattr(found, name), seed))
+        if found.problem:
             failed.append(seed)
-            print(f"seed {seed}: {found}", flush=True)
+            print(f"seed {seed}: {found.problem}", flush=True)
         if number % 1000 == 0:
             print(f"{number} logs, {len(failed)} problems", flush=True)
 
     fuzz(seeds, chosen.workers, tell)
     print(f"{len(seeds)} logs, {len(failed)} problems: seeds {failed}")
+    print(f"exit codes {dict(sorted(codes.items()))}")
+    print(f"worst log (all commands): {worst['seconds'][0]:.1f} s, seed {worst['seconds'][1:]}")
+    print(f"most memory of a process: {worst['memory'][0] >> 20} MB, seed {worst['memory'][1:]}")
     sys.exit(bool(failed))
 
 

@@ -12,4 +12,4 @@ def test_damaged_logs_are_read_or_refused_within_bounds():
     problems = {}
     fuzz(range(LOGS), min(2, os.cpu_count() or 1), problems.__setitem__)
     assert sorted(problems) == list(range(LOGS))
-    assert {seed: problem for seed, problem in problems.items() if problem} == {}
+    assert {seed: found.problem for seed, found in problems.items() if found.problem} == {}
