@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import struct
 import threading
-import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.checksum import crc32
 from quatprop.readers.compression import CompressionError, decompress, front
 from quatprop.readers.limits import CHECKSUMS, checksums_matter
 
@@ -216,7 +216,7 @@ def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
         data = decompress(packed, chunk.compression, chunk.size)
     except CompressionError as error:
         raise RegionError(error.reason) from error
-    if check and chunk.crc and zlib.crc32(data) != chunk.crc and checksums_matter():
+    if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise RegionError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
             "it is read all the same"

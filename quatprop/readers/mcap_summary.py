@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 
+from quatprop.checksum import crc32
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import MAX_SIZE
 from quatprop.readers.mcap_messages import LATEST
@@ -143,7 +143,7 @@ def read_summary(source: Source, footer: Footer) -> Summary:
         return Summary()
     # The CRC covers the footer up to itself.
     data = source.read(footer.summary_start, size + RECORD.size + _FOOTER_FIELDS.size - 4)
-    if footer.crc not in {0, zlib.crc32(data)}:
+    if footer.crc not in {0, crc32(data)}:
         return Summary()
     summary = Summary()
     statistics = None

@@ -8,11 +8,11 @@ on at the next that is one beyond doubt.
 
 from __future__ import annotations
 
-import zlib
 from bisect import bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from quatprop.checksum import crc32
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import MAX_SIZE
 from quatprop.readers.limits import checksums_matter
@@ -236,7 +236,7 @@ class _Scan:
             return
         found = 0
         for start in range(0, end, _STRETCH):
-            found = zlib.crc32(self.source.read(start, min(_STRETCH, end - start)), found)
+            found = crc32(self.source.read(start, min(_STRETCH, end - start)), found)
         if found != crc:
             reason = (
                 "its checksum is wrong: something in it is not what was recorded, and nothing "

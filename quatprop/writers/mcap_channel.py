@@ -6,7 +6,6 @@ time, its message index is two columns, and nothing is done for a message alone.
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,8 @@ import lz4.frame
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
+
+from quatprop.checksum import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -61,7 +62,7 @@ def packed(compression: str, channel: int, records: bytes, index: NDArray[np.voi
         first=int(index["log"].min()),
         last=int(index["log"].max()),
         size=len(records),
-        crc=zlib.crc32(records),
+        crc=crc32(records),
         packed=COMPRESSIONS[compression](records),
         index=index.tobytes(),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -19,6 +18,8 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+
+from quatprop.checksum import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -73,7 +74,7 @@ class Contents:
         # The CRC is of the section and of the footer up to itself.
         section = b"".join([*parts, encoded(offsets)])
         footer = encoded([Footer(start, place, 0)])
-        crc = zlib.crc32(footer[:-_CRC_BYTES], zlib.crc32(section))
+        crc = crc32(footer[:-_CRC_BYTES], crc32(section))
         return section + footer[:-_CRC_BYTES] + crc.to_bytes(_CRC_BYTES, "little")
 
     def _groups(self) -> Iterator[tuple[Opcode, Iterable[McapRecord]]]:

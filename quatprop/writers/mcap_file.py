@@ -7,13 +7,13 @@ records that are not messages are those of the mcap package.
 from __future__ import annotations
 
 import struct
-import zlib
 from functools import partial
 from typing import TYPE_CHECKING
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
+from quatprop.checksum import crc32
 from quatprop.writers.in_order import InOrder
 from quatprop.writers.mcap_channel import CHUNK_BYTES, ENTRY_BYTES, MessageChannel, packed
 from quatprop.writers.mcap_contents import Contents, encoded
@@ -175,7 +175,7 @@ class McapFile:
     def put(self, data: bytes) -> None:
         """Write whole records as they are."""
         self._stream.write(data)
-        self._crc = zlib.crc32(data, self._crc)
+        self._crc = crc32(data, self._crc)
         self.place += len(data)
 
     def _put_record(self, record: McapRecord) -> None:
