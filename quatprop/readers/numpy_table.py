@@ -90,7 +90,7 @@ class NumpyTable(TypedTable):
                 whole = min(block.rows for block in blocks)
                 if whole:
                     values = {
-                        name: to_arrow(column[:whole])
+                        name: _arrow(column[:whole])
                         for block in blocks
                         for name, column in block.columns()
                     }
@@ -109,6 +109,11 @@ def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
         return pa.from_numpy_dtype(dtype.newbyteorder("="))
     except (pa.ArrowException, TypeError):
         return pa.binary()
+
+
+def _arrow(column: np.ndarray[Any, Any]) -> pa.Array:
+    """Return a column of numbers, or of dates: of those only Arrow knows which are none."""
+    return pa.array(column) if column.dtype.kind in "mM" else to_arrow(column)
 
 
 @contextmanager
