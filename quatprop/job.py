@@ -21,7 +21,7 @@ from quatprop.provenance import Fingerprint
 from quatprop.readers import open_log
 from quatprop.report import Done, ReportFile, report_on
 from quatprop.resample import Listed, Steady, every
-from quatprop.sanity import Watch, orientation_remarks, stamp_remarks
+from quatprop.sanity import Watch, log_remarks
 from quatprop.selection import Selection
 from quatprop.signals.lookup import stamps_in
 from quatprop.signals.rates import UNITS, choose, stamps_of
@@ -182,7 +182,7 @@ def run(
             findings = clipping_remarks(job.conditioning, conditioned)
             findings += watch.remarks(timeline.counts.median_dt_ns)
             if job.log != "-":
-                findings += [*stamp_remarks(source), *orientation_remarks(log, source)]
+                findings += log_remarks(log, source)
             done = Done(
                 log=log,
                 source=source,

@@ -150,6 +150,11 @@ def _runs(hit: NDArray[np.bool_]) -> int:
     return int(window.all(axis=1).sum())
 
 
+def log_remarks(log: MessageLog | TableLog, source: Source) -> list[str]:
+    """Return what stamps and orientation beside the rates tell; see the two functions below."""
+    return [*stamp_remarks(source), *orientation_remarks(log, source)]
+
+
 def stamp_remarks(source: Source) -> list[str]:
     """Return what is remarkable about header stamps beside the times of recording.
 

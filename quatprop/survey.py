@@ -23,7 +23,7 @@ from quatprop.errors import (
 )
 from quatprop.readers import open_log
 from quatprop.readers.base import is_table
-from quatprop.sanity import Watch, orientation_remarks
+from quatprop.sanity import Watch, log_remarks
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, attitude_candidates
 from quatprop.signals.channel_values import channels_of
@@ -115,7 +115,7 @@ def _rates(log: Log, selection: Selection, path: str) -> Iterator[Facts]:
     for source in found:
         facts = _measured(source, path)
         if path != "-":
-            facts["remarks"] += orientation_remarks(log, source)
+            facts["remarks"] += log_remarks(log, source)
         facts["remarks"] += log.remarks
         yield facts
 

@@ -10,6 +10,7 @@ from quatprop.job import Job, run
 from quatprop.readers import open_log
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
+from quatprop.survey import survey
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 IMU = "sensor_msgs/msg/Imu"
@@ -57,6 +58,8 @@ def test_stamps_since_start_up_are_remarked_on(tmp_path):
         "another clock; for the time of recording choose --clock log"
     )
     assert remarks(path, tmp_path, clock="log") == []
+    (source,) = survey(str(path), None, Selection())["sources"]
+    assert source["remarks"] == [said]
 
 
 def test_stamps_of_zero_are_counted(tmp_path):

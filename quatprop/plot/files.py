@@ -24,7 +24,7 @@ from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
 from quatprop.plot.sketch import AttitudeSketch, RateSketch, Sketch
 from quatprop.readers import open_log
-from quatprop.sanity import Watch, orientation_remarks, stamp_remarks
+from quatprop.sanity import Watch, log_remarks
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
@@ -194,7 +194,7 @@ def _see_rates(
         raise NoSamplesError(path, source.name, done["outside"])
     findings = watch.remarks(counts.median_dt_ns)
     if path != "-":
-        findings += [*stamp_remarks(source), *orientation_remarks(log, source)]
+        findings += log_remarks(log, source)
     highest = f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"
     return Seen(
         path=path,
