@@ -5,6 +5,8 @@ import gzip
 import io
 import json
 import math
+import subprocess
+import sys
 from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
@@ -261,6 +263,18 @@ def test_the_sample_rate_in_the_comments_is_the_time():
     assert t_ns.tolist() == [0, 1000000000]
     assert rate.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert losses == [Loss("line 4", "it has 2 columns instead of 4", 1)]
+
+
+def test_a_time_too_small_for_decimals_is_read_exactly(tmp_path):
+    """It is zero ns, and does not end the process, which is why it is tried in one of its own."""
+    path = tmp_path / "log.csv"
+    path.write_text("t,wx,wy,wz\n17e-40000000,1,2,3\n1,1,2,3e-50\n2,1,2,3\n")
+    command = [sys.executable, "-m", "quatprop", "propagate", path, "-o", "-", "-q"]
+    units = ["--time-unit", "s", "--rate-unit", "rad/s"]
+    done = subprocess.run([*command, *units], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    stamps = [row.split(",")[0] for row in done.stdout.splitlines()[1:]]
+    assert stamps == ["0", "1000000000", "2000000000"]
 
 
 def test_a_sample_rate_too_low_for_the_clock_is_refused():

@@ -128,6 +128,8 @@ class BlockParser(_Wanted):
         return rows
 
     def _parse(self, data: bytes | memoryview, spare: int, quoted: bool, task: int) -> Rows:
+        if self.time:
+            decimal_time.refuse_tiny(data)
         types = {str(k): pa.float64() for k in self.numbers}
         for k, unit in zip(self.time, self.units, strict=True):
             types[str(k)] = self._date_type(k) or decimal_time.decimal_type(unit, spare)
