@@ -25,6 +25,9 @@ from typing import NamedTuple
 
 SECONDS = 10
 MEMORY = 4 << 30
+LOGS_A_PROCESS = 1000
+"""After so many, another process: allocators keep addresses that they once had for a large claim."""
+
 LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
 COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
 
@@ -180,7 +183,9 @@ def fuzz(seeds, workers, tell):
 
     def work(intact):
         worker = Worker(intact)
-        while True:
+        for number in count(1):
+            if number % LOGS_A_PROCESS == 0:
+                worker.close()
             with lock:
                 seed = next(seeds, None)
             if seed is None:

@@ -16,6 +16,9 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+MAX_LOST = 20
+"""Losses that are told one by one."""
+
 PROGRESS_EVERY_S = 0.2
 """How often the progress line changes; nothing shows before the first interval is over."""
 
@@ -57,8 +60,12 @@ def summary(report: dict[str, Any], *, verbose: bool) -> str:
 
 
 def lost(losses: list[dict[str, Any]]) -> list[str]:
-    """Return one line for each thing that a damaged log has lost."""
-    return [f"lost: {plain(loss['place'])}: {plain(loss['reason'])}" for loss in losses]
+    """Return a line for each thing that a damaged log has lost, or for the first of many."""
+    shown = losses if len(losses) <= MAX_LOST else losses[:MAX_LOST]
+    lines = [f"lost: {plain(loss['place'])}: {plain(loss['reason'])}" for loss in shown]
+    if len(losses) > len(shown):
+        lines.append(f"lost: {len(losses) - len(shown)} more like these, which the JSON report lists")
+    return lines
 
 
 def _facts(report: dict[str, Any]) -> Iterator[tuple[str, str]]:

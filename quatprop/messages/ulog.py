@@ -76,10 +76,15 @@ def message_type(channel: Channel) -> Struct:
     definitions = dict(line.split(":", 1) for line in lines if ":" in line)
     if not definitions:
         raise BadDefinitionError(f"the log carries no definition of {quoted(channel.type_name)}")
-    return _struct(next(iter(definitions)), definitions, 0)
+    return _struct(next(iter(definitions)), definitions, {}, 0)
 
 
-def _struct(name: str, definitions: Mapping[str, str], depth: int) -> Struct:
+def _struct(
+    name: str, definitions: Mapping[str, str], made: dict[str, Struct], depth: int
+) -> Struct:
+    """Return a type, made once however often it is named: two of two of two soon are too many."""
+    if name in made:
+        return made[name]
     if depth > MAX_DEPTH:
         raise BadDefinitionError(f"the definition of {quoted(name)} contains itself")
     fields = []
@@ -94,8 +99,9 @@ def _struct(name: str, definitions: Mapping[str, str], depth: int) -> Struct:
         if kind in NUMBERS:
             element = NUMBERS[kind]
         elif kind in definitions:
-            element = _struct(kind, definitions, depth + 1)
+            element = _struct(kind, definitions, made, depth + 1)
         else:
             element = Unknown(kind)
         fields.append((own, element if length is None else Array(element, int(length))))
-    return Struct(px4_name(name), tuple(fields))
+    made[name] = Struct(px4_name(name), tuple(fields))
+    return made[name]

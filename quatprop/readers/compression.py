@@ -17,6 +17,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from quatprop.readers.limits import too_large, unpacked_limit
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
 MAX_SIZE = 1 << 30
 """Bytes that one chunk or message may unpack to."""
+
+LARGE = 1 << 26
+"""Bytes of a chunk of which no second is unpacked ahead of its use."""
 
 _PIECE = 1 << 20
 """Bytes that are unpacked at a time when streaming."""
@@ -326,13 +331,14 @@ class UnpackedCopy:
             self.path = Path(name)
             # Also runs when the interpreter ends, whatever the caller forgot.
             self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
+            limit = unpacked_limit(path.stat().st_size)
             try:
-                self._fill(_pieces(packed, compression), compression)
+                self._fill(_pieces(packed, compression), compression, limit)
             except BaseException:
                 self.close()
                 raise
 
-    def _fill(self, pieces: Iterator[bytes], compression: str) -> None:
+    def _fill(self, pieces: Iterator[bytes], compression: str, limit: int) -> None:
         """Write the pieces up to the end or the damage."""
         with self.path.open("wb") as copy:
             while True:
@@ -345,6 +351,8 @@ class UnpackedCopy:
                     return
                 if not piece:
                     return
+                if copy.tell() + len(piece) > limit:
+                    raise CompressionError(too_large(limit))
                 try:
                     copy.write(piece)
                     copy.flush()

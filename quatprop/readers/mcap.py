@@ -12,16 +12,25 @@ import numpy as np
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.readers.compression import LARGE
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_metadata import recorded
 from quatprop.readers.mcap_picked import picked
-from quatprop.readers.mcap_regions import Loaded, RegionError, Source, is_plain, load
+from quatprop.readers.mcap_regions import (
+    PEEK,
+    Loaded,
+    RegionError,
+    Source,
+    chunk_head,
+    is_plain,
+    load,
+)
 from quatprop.readers.mcap_summary import MAGIC
 from quatprop.readers.mcap_survey import survey
-from quatprop.readers.prefetch import ahead
+from quatprop.readers.prefetch import Later, ahead
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.readers.compression import Buffer
@@ -57,6 +66,7 @@ class McapLog(Closing):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.losses: list[Loss] = []
+        self._told: set[Loss] = set()
         try:
             with Source(path) as source:
                 magic = source.read(0, len(MAGIC))
@@ -120,8 +130,7 @@ class McapLog(Closing):
             source = Source(self.path)
         except OSError as error:
             raise self._unreadable(error) from error
-        load_one = partial(_load, source, ids)
-        with source, closing(_each(load_one, regions, source)) as loaded:
+        with source, closing(_each(source, ids, regions)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _total([region], ids)
@@ -183,7 +192,8 @@ class McapLog(Closing):
 
     def _lose(self, loss: Loss) -> None:
         """Note a loss once, however often the log is read."""
-        if loss not in self.losses:
+        if loss not in self._told:
+            self._told.add(loss)
             self.losses.append(loss)
 
 
@@ -212,13 +222,22 @@ def _type_name(name: str, encoding: str) -> str:
 
 
 def _each(
-    load_one: Callable[[Region], Content], regions: Sequence[Region], source: Source
+    source: Source, ids: Sequence[int], regions: Sequence[Region]
 ) -> Generator[Content, None, None]:
     """Load regions one after another, ahead where that is worth threads: where they are packed."""
     if regions and not is_plain(source, regions[0]):
-        yield from ahead(load_one, regions)
+        loaded: Generator[Content, None, None]
+        loaded = ahead(partial(_load_or_wait, source, ids), regions)
+        yield from loaded
     else:
-        yield from map(load_one, regions)
+        yield from (_load(source, ids, region) for region in regions)
+
+
+def _load_or_wait(source: Source, ids: Sequence[int], region: Region) -> Content | Later[Content]:
+    """Load a region; one that would be large only when it is asked for."""
+    load_now = partial(_load, source, ids, region)
+    head = chunk_head(source.read(region.start, PEEK), region.length) if region.is_chunk else None
+    return Later(load_now) if head is not None and head.size > LARGE else load_now()
 
 
 def _load(source: Source, ids: Sequence[int], region: Region) -> Content:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
 from quatprop.readers.compression import CompressionError, decompress, front
-from quatprop.readers.limits import CHECKSUMS, checksums_matter
+from quatprop.readers.limits import CHECKSUMS, checksums_matter, too_large, unpacked_limit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +55,20 @@ class Source:
         self._file = path.open("rb", buffering=0)
         self._lock = threading.Lock()
         self.size = self._file.seek(0, 2)
+        self._unpacked = 0
+        self._limit = unpacked_limit(self.size)
+
+    def unpacks(self, size: int) -> None:
+        """Count bytes that were unpacked.
+
+        Raises
+        ------
+        RegionError
+            There were more already than a file may have.
+        """
+        if self._unpacked > self._limit:
+            raise RegionError(too_large(self._limit))
+        self._unpacked += size
 
     def read(self, start: int, length: int) -> bytes:
         """Return the bytes from `start`, fewer than `length` at the end of the file."""
@@ -209,6 +223,7 @@ def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
     chunk = chunk_head(raw, region.length)
     if chunk is None:
         raise RegionError("no chunk of the indexed length begins there")
+    source.unpacks(0)
     packed = memoryview(raw)[chunk.begin : chunk.end]
     if is_torn:
         return Loaded(front(packed, chunk.compression, chunk.size), raw, damage)
@@ -216,6 +231,7 @@ def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
         data = decompress(packed, chunk.compression, chunk.size)
     except CompressionError as error:
         raise RegionError(error.reason) from error
+    source.unpacks(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise RegionError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "

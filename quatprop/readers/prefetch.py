@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -20,8 +21,21 @@ _WORTH = 2
 """Fewer threads than this gain nothing: one alone is slowed by handing over what it has done."""
 
 
+@dataclass(frozen=True, slots=True)
+class Later(Generic[Result]):
+    """What is too large to wait for its use.
+
+    Parameters
+    ----------
+    make
+        Gives the result when its turn has come.
+    """
+
+    make: Callable[[], Result]
+
+
 def ahead(
-    function: Callable[[Item], Result], items: Sequence[Item]
+    function: Callable[[Item], Result | Later[Result]], items: Sequence[Item]
 ) -> Generator[Result, None, None]:
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
@@ -30,7 +44,8 @@ def ahead(
     Parameters
     ----------
     function
-        Called in other threads, several at a time.
+        Called in other threads, several at a time; what it leaves for later is made when it is
+        asked for, and not before.
     items
         What to call it with.
 
@@ -40,18 +55,22 @@ def ahead(
     [3, 1, 2, 0]
     """
     if _WORKERS < _WORTH or len(items) <= 1 + _WORKERS:
-        yield from map(function, items)
+        yield from (_now(function(item)) for item in items)
         return
     from concurrent.futures import ThreadPoolExecutor
 
     pool = ThreadPoolExecutor(_WORKERS)
-    waiting: deque[Future[Result]] = deque()
+    waiting: deque[Future[Result | Later[Result]]] = deque()
     try:
         for item in items:
             waiting.append(pool.submit(function, item))
             if len(waiting) > _WORKERS:
-                yield waiting.popleft().result()
+                yield _now(waiting.popleft().result())
         while waiting:
-            yield waiting.popleft().result()
+            yield _now(waiting.popleft().result())
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _now(result: Result | Later[Result]) -> Result:
+    return result.make() if isinstance(result, Later) else result

@@ -151,6 +151,7 @@ class Rosbag1Log(Closing):
         wanted = {conn for conn, found in self._channels.items() if found == channel}
         chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), _LAST]
+        self._file.restart()
         load = partial(self._messages, wanted)
         # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
         packed = chunks and self._is_packed(chunks[0])
@@ -187,7 +188,9 @@ class Rosbag1Log(Closing):
         if part is not None and (few := _indexed(part, chunk, wanted)) is not None:
             return part.data, few, ""
         try:
+            self._file.unpacks(0)
             loaded = content(self._file, chunk)
+            self._file.unpacks(0 if chunk.loose else len(loaded.data))
         except (MalformedRecordError, CompressionError) as error:
             loaded = Content(np.empty(0, np.uint8), {}, str(error))
         if not loaded.damage:

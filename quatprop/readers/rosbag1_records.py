@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from quatprop.readers.limits import too_large, unpacked_limit
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import BinaryIO
@@ -105,6 +107,24 @@ class RecordFile:
         self._file = file
         self._lock = threading.Lock()
         self.size = file.seek(0, 2)
+        self._unpacked = 0
+        self._limit = unpacked_limit(self.size)
+
+    def unpacks(self, size: int) -> None:
+        """Count bytes that were unpacked since the bag was opened, or read again.
+
+        Raises
+        ------
+        MalformedRecordError
+            There were more already than a file may have.
+        """
+        if self._unpacked > self._limit:
+            raise MalformedRecordError(too_large(self._limit))
+        self._unpacked += size
+
+    def restart(self) -> None:
+        """Count anew: a bag may be read more than once."""
+        self._unpacked = 0
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer at the end of the file."""
