@@ -241,7 +241,13 @@ def _unread_attitude(candidate: Candidate, name: str, reason: str) -> Facts:
 
 
 def _observed(source: AttitudeSource, log: Log) -> Facts:
-    """Return what stamps and rows of a source are like."""
+    """Return what stamps and rows of a source are like.
+
+    Raises
+    ------
+    NoAttitudesError
+        Every row is marked as absent, as gyroscopes without an estimate do.
+    """
     check = RotationCheck(log.path, drop=True)
     timeline = Timeline(OBSERVE, str(log.path))
 
@@ -252,6 +258,8 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
             yield GyroSeries(t_ns, np.zeros((len(t_ns), 3)))
 
     deque(timeline.apply(stamps()), maxlen=0)
+    if check.counts.not_finite == check.counts.read > 0:
+        raise NoAttitudesError(log.path, [source.name])
     said = [check.counts.words] if check.counts.bad else []
     return {
         "source": source.name,

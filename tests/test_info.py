@@ -1,6 +1,7 @@
 """`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from click.testing import CliRunner
 from quatprop.cli import cli
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, open_writer
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
 
 HEADS = {
     "unit of the rates": "t_ns,gyro_x,gyro_y,gyro_z",
@@ -171,3 +174,10 @@ def test_attitude_topics_of_a_recording_are_listed(shared_logs):
     assert found["/vicon/auk/auk"]["samples"] == 11161
     assert found["/vicon/auk/auk"]["layout"] == "scalar-last"
     assert {one["source"] for one in log["sources"]} <= {*found}
+
+
+def test_an_orientation_that_no_message_has_is_not_listed():
+    """A gyroscope without an estimate marks every orientation as absent: there are none."""
+    (facts,), _ = info(SAMPLES / "tumbling.bag")
+    assert [one["source"] for one in facts["sources"]] == ["/imu"]
+    assert facts["attitudes"] == []

@@ -1,0 +1,38 @@
+"""What the README shows is what happens."""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SECTION = (ROOT / "README.md").read_text().split("## One log in")[1].split("\n## ")[0]
+
+
+def shown():
+    """Return each command of the section, and what is shown of it."""
+    (block,) = [part.split("```")[0] for part in SECTION.split("```console\n")[1:] if "$ " in part]
+    for text in block.split("$ ")[1:]:
+        command, _, output = text.partition("\n")
+        yield command, output.rstrip("\n")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with the sample logs, as a clone has them."""
+    place = tmp_path_factory.mktemp("clone")
+    (place / "sample_logs").symlink_to(ROOT / "sample_logs")
+    return place
+
+
+@pytest.mark.parametrize(("command", "output"), list(shown()))
+def test_the_first_commands_say_what_is_shown(folder, command, output):
+    """To the letter, on stdout or stderr."""
+    name, *arguments = shlex.split(command)
+    program = [sys.executable, "-m", "quatprop"] if name == "quatprop" else [name]
+    done = subprocess.run(
+        [*program, *arguments], cwd=folder, capture_output=True, text=True, check=True
+    )
+    assert (done.stdout + done.stderr).rstrip("\n") == output
