@@ -30,14 +30,18 @@ from a file goes through :func:`quoted`, so that it cannot command the terminal.
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 MAX_LISTED = 12
 """How many names an error lists before it says "and N more"."""
+
+_OPTION = re.compile(r"(?<![\w'-])--[a-z][a-z-]*")
+"""An option in a sentence; in quotes it is a name from a file."""
 
 
 def quoted(text: object) -> str:
@@ -77,8 +81,22 @@ def listed(names: Iterable[object]) -> str:
     return ", ".join(every[:MAX_LISTED]) + f" and {len(every) - MAX_LISTED} more"
 
 
+def _called(sentence: str, names: Mapping[str, str]) -> str:
+    return _OPTION.sub(lambda found: names.get(found[0], found[0]), sentence)
+
+
 class QuatpropError(Exception):
     """Base of every error that is meant for the user: one sentence, no traceback."""
+
+    def call_options(self, names: Mapping[str, str]) -> None:
+        """Name options as a command has them that reads two series, and so has two of each.
+
+        Parameters
+        ----------
+        names
+            What an option is called elsewhere -> what it is called there.
+        """
+        self.args = (_called(str(self), names),)
 
 
 class UsageError(QuatpropError):
@@ -131,6 +149,11 @@ class LogError(QuatpropError):
         """Name another file: the one the user knows, where a copy of it was read."""
         self.path = path
         self.args = (f"{plain(path)}: {self.reason}",)
+
+    def call_options(self, names: Mapping[str, str]) -> None:
+        """Name options as a command has them; not what looks like one in the path."""
+        self.reason = _called(self.reason, names)
+        self.move_to(self.path)
 
 
 class UnreadableLogError(LogError):

@@ -181,6 +181,16 @@ def test_what_a_case_lacks_is_told(folder, text, words):
     assert words in result.stdout
 
 
+def test_what_settles_a_series_from_elsewhere_is_named_as_a_key(folder):
+    """Where compare has options of its B, a suite has keys that begin with reference."""
+    (folder / "logs" / "plain.csv").write_text("1,1,0,0,0\n2,1,0,0,0\n")
+    text = '[case.c]\nlog = "logs/spin.csv"\nreference-log = "logs/plain.csv"\ntol = "1deg"\n'
+    result = check(write(folder, text), "--update")
+    assert result.exit_code == 2
+    words = "name the columns with reference-quat-cols, reference-from-layout and "
+    assert f"{words}reference-time-col\n" in result.stdout
+
+
 def test_two_cases_do_not_share_a_reference(folder):
     """An update of one would be that of the other."""
     second = stored("other").replace("refs/other", "refs/../refs/spin")

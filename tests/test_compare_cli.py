@@ -7,6 +7,8 @@ import pyarrow as pa
 import pyarrow.csv
 import pytest
 from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
@@ -234,3 +236,52 @@ def test_a_driver_that_scaled_its_rates_is_recognised(shared_logs, tmp_path):
     found = report(out, log, "--topic-b", "/imu", "--align", "mean")
     assert found["likely_cause"]["name"] == "scale"
     assert "one of them took degrees for radians" in found["likely_cause"]["sentence"]
+
+
+def two_topics(path):
+    """Write a log that has attitudes on two topics."""
+    rows = "t_ns,wx,wy,wz\n" + "".join(f"{t}0000000,0,0,1\n" for t in range(1, 5))
+    rates, one = path.with_suffix(".csv"), path.with_name("one.mcap")
+    rates.write_text(rows)
+    assert run("propagate", rates, "-o", one, "--out-topic", "/one").exit_code == 0
+    # The copy has rates on none of its topics: what is added is made from another file's.
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        with one.open("rb") as source:
+            for schema, channel, message in make_reader(source).iter_messages():
+                known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                for topic in ("/one", "/two"):
+                    id_ = writer.register_channel(topic, channel.message_encoding, known)
+                    writer.add_message(id_, message.log_time, message.data, message.log_time)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (("compare", "LOG", "TABLE"), "--topic-a"),
+        (("compare", "TABLE", "LOG"), "--topic-b"),
+        (("plot", "TABLE", "--reference", "LOG", "-o", "PIC"), "--topic-ref"),
+        (("plot", "LOG", "--reference", "TABLE", "-o", "PIC"), "--topic"),
+    ],
+)
+def test_the_option_that_settles_it_is_the_one_of_that_side(files, tmp_path, command, option):
+    """Where two series are read, what is asked for is named as the command has it."""
+    log = two_topics(tmp_path / "log.mcap")
+    paths = {"LOG": log, "TABLE": files[0], "PIC": tmp_path / "error.svg"}
+    result = run(*(paths.get(word, word) for word in command))
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {log}: several topics carry attitudes: '/one', '/two'; choose one with {option}\n"
+    )
+
+
+def test_an_undeclared_layout_is_asked_for_by_the_name_of_its_side(files, tmp_path):
+    """So it is with every option that both sides have, even in an error that names several."""
+    table = tmp_path / "plain.csv"
+    table.write_text("1,1,0,0,0\n2,1,0,0,0\n")
+    result = run("compare", files[0], table)
+    assert result.exit_code == 2
+    assert "name the columns with --quat-cols-b, --from-layout-b and --time-col-b" in result.stderr

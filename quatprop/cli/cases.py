@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import os
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ import click
 from quatprop.check.case import BrokenCase, Case
 from quatprop.check.suite import read_suite
 from quatprop.cli import compare, propagate
+from quatprop.cli.attitude_options import ATTITUDE_OPTIONS
 from quatprop.cli.types import Angle, InitialAttitude
 from quatprop.errors import QuatpropError, SuiteError, quoted
 
@@ -57,6 +59,9 @@ COMPARE = {
     if not key.endswith("-a")
 }
 """Key -> option of ``compare``; those of its B begin with ``reference-``."""
+
+B_OPTIONS = [option for option, _ in ATTITUDE_OPTIONS.values()]
+"""What errors call the options of B."""
 
 PIN_LOG = "pin-log"
 """Key of a case whose log is made anew each time, where it is false."""
@@ -150,7 +155,10 @@ class _Parser:
             chosen.pop(name, None)
         unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
         compare.reading_of("A", "a", chosen, unsound)
-        reading = compare.reading_of(against, "b", chosen, unsound)
+        reading = replace(
+            compare.reading_of(against, "b", chosen, unsound),
+            options={option: f"reference-{option.removeprefix('--')}" for option in B_OPTIONS},
+        )
         return Case(
             name=self.table.name,
             job=job,

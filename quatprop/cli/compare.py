@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.attitude_options import UNSOUND_OPTIONS, attitude_options, attitude_selection
+from quatprop.cli.attitude_options import (
+    UNSOUND_OPTIONS,
+    attitude_options,
+    attitude_selection,
+    named_options,
+)
 from quatprop.cli.options import plot_option, with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
@@ -142,4 +147,5 @@ def reading_of(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, 
     from quatprop.signals.operands import Reading
 
     kind = chosen.pop(f"kind_{side}")
-    return Reading(path, kind, attitude_selection(chosen, f"_{side}"), **unsound)
+    selected = attitude_selection(chosen, f"_{side}")
+    return Reading(path, kind, selected, **unsound, options=named_options(f"-{side}"))

@@ -6,7 +6,12 @@ from typing import Any
 
 import click
 
-from quatprop.cli.attitude_options import ATTITUDE_OPTIONS, attitude_options, attitude_selection
+from quatprop.cli.attitude_options import (
+    ATTITUDE_OPTIONS,
+    attitude_options,
+    attitude_selection,
+    named_options,
+)
 from quatprop.cli.compare import ALIGNMENTS
 from quatprop.cli.options import SELECTION_OPTIONS, quiet_option, selection, with_options
 from quatprop.cli.types import Angle, Duration, Time, TimeOffset
@@ -123,7 +128,8 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
             attitudes=attitudes,
             **chosen,
         ),
-        reference and Reading(reference, kind_ref, of_reference, drop=True),
+        reference
+        and Reading(reference, kind_ref, of_reference, drop=True, options=named_options("-ref")),
         settings,
     )
     with words.progress(quiet=quiet) as tick:

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import NoSamplesError
+from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.readers import open_log
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from quatprop.readers.base import Loss
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rotation_check import RowCounts
@@ -35,6 +37,9 @@ class Reading:
         Scale rows of any length but zero to unit length.
     drop
         Leave out rows that are no rotation, instead of refusing the series.
+    options
+        How options that settle what is unclear are called on this side of a comparison, for
+        errors: ``"--topic"`` -> ``"--topic-a"``.
     """
 
     path: str
@@ -42,6 +47,7 @@ class Reading:
     selection: AttitudeSelection = field(default_factory=AttitudeSelection)
     normalize: bool = False
     drop: bool = False
+    options: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +113,14 @@ def read_operand(reading: Reading) -> Operand:
     NotRotationsError
         Rows are no rotations, and are not to be dropped.
     """
+    try:
+        return _read(reading)
+    except QuatpropError as error:
+        error.call_options(reading.options)
+        raise
+
+
+def _read(reading: Reading) -> Operand:
     with open_log(reading.path, reading.kind) as log:
         source = choose_attitudes(log, reading.selection)
         check = RotationCheck(reading.path, normalize=reading.normalize, drop=reading.drop)
