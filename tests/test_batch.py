@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet
@@ -11,7 +12,9 @@ from click.testing import CliRunner
 
 from quatprop.batch import on_a_cluster, outputs
 from quatprop.cli import cli
-from quatprop.errors import UsageError
+from quatprop.cli.batch import command
+from quatprop.cli.propagate import command as propagate
+from quatprop.errors import LogError, UsageError
 from quatprop.job import Job
 
 INSTALLED = Path(sys.executable).with_name("quatprop")
@@ -155,6 +158,61 @@ def test_the_options_are_those_of_propagate(tmp_path):
     done = run(log(tmp_path / "a.csv"), "-o", tmp_path / "out", "--every", "2", "-q")
     assert done.exit_code == 0
     assert pyarrow.parquet.read_table(tmp_path / "out" / "a.parquet").num_rows == 3
+
+
+ONE_LOG = {"output", "to", "into", "report", "plot", "quiet", "verbose"}
+"""Options of propagate that are about one log: batch has its own of some of them, or none."""
+
+EVERY_LOG = {
+    "--layout": "xyzw", "--header-comment": None, "--message": "TFMessage", "--out-topic": "/q",
+    "--frames": "map,base", "--method": "coning", "--rates": "inertial", "--q0": "0,1,0,0",
+    "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
+    "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
+    "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--every": "3",
+    "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu", "--rate-field": "a.b",
+    "--time-field": "a.t", "--rate-cols": "1,2,3", "--time-col": "0", "--rate-unit": "deg/s",
+    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log",
+}  # fmt: skip
+"""Option of propagate that holds for every log -> a value that is not its default."""
+
+WITH = {
+    "--heading": ("--q0", "level"),
+    "--reference-z": ("--q0", "level"),
+    "--q0-layout": ("--q0", "1,0,0,0"),
+}
+"""What an option goes with."""
+
+
+def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
+    """Whoever adds an option to propagate has to decide here which it is."""
+    names = {name for option in propagate.params for name in option.opts if name.startswith("--")}
+    assert names == EVERY_LOG.keys() | {f"--{name}" for name in ONE_LOG}
+    own = {name for option in command.params for name in option.opts if name.startswith("--")}
+    assert own == EVERY_LOG.keys() | {"--output", "--to", "--quiet", "--json", "--dask",
+                                      "--skip-existing"}  # fmt: skip
+
+
+@pytest.mark.parametrize("option", EVERY_LOG)
+def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatch):
+    """It makes the same job of a log, and another one than without it."""
+    jobs = []
+
+    def record(job, *_):
+        jobs.append(job)
+        raise LogError(job.log, "that is all")
+
+    monkeypatch.setattr("quatprop.job.run", record)
+    monkeypatch.setattr("quatprop.batch.run", record)
+    value, beside = EVERY_LOG[option], WITH.get(option, ())
+    said = [option] if value is None else [option, value]
+    out = tmp_path / "a.parquet"
+    for words in (said, []):
+        CliRunner().invoke(cli, ["propagate", "a.csv", "-o", str(out), *beside, *words])
+        run("a.csv", "-o", tmp_path, *beside, *words)
+    alone, among, plain, plain_among = [replace(job, to=None) for job in jobs]
+    assert alone == among
+    assert plain == plain_among
+    assert alone != plain
 
 
 def test_the_installed_command_runs_processes(tmp_path):

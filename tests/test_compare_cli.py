@@ -12,8 +12,10 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
+from quatprop.cli.attitude_options import ATTITUDE_OPTIONS
 from quatprop.cli.compare import ALIGNMENTS, MATCHES
 from quatprop.compare import alignment, association
+from quatprop.errors import LogError
 
 FIRST_NS = 1_700_000_000_000_000_000
 
@@ -285,3 +287,63 @@ def test_an_undeclared_layout_is_asked_for_by_the_name_of_its_side(files, tmp_pa
     result = run("compare", files[0], table)
     assert result.exit_code == 2
     assert "name the columns with --quat-cols-b, --from-layout-b and --time-col-b" in result.stderr
+
+
+OF_A_SIDE = {
+    "--from": ("parquet", "kind", "parquet"),
+    "--topic": ("/t", "samples.topic", "/t"),
+    "--quat-field": ("a.b", "quat_field", "a.b"),
+    "--quat-cols": ("1,2,3,4", "quat_cols", ("1", "2", "3", "4")),
+    "--frame": ("map:base", "frame", "map:base"),
+    "--from-layout": ("xyzw", "layout", "xyzw"),
+    "--from-convention": ("jpl", "convention", "jpl"),
+    "--from-direction": ("ref-to-body", "direction", "ref-to-body"),
+    "--from-angle-unit": ("deg", "angle_unit", "deg"),
+    "--clock": ("publish", "samples.clock", "publish"),
+    "--time-field": ("a.t", "samples.time_field", "a.t"),
+    "--time-col": ("3", "samples.time_col", "3"),
+    "--time-unit": ("us", "samples.time_unit", "us"),
+    "--sample-rate": ("12.5", "samples.sample_rate", 12.5),
+}
+"""Option of a side -> what is given, where it arrives in what is read, and as what."""
+
+
+@pytest.mark.parametrize(
+    "side",
+    [
+        (("compare", "A", "B"), "-a", 0),
+        (("compare", "A", "B"), "-b", 1),
+        (("plot", "A", "--reference", "B", "-o", "error.svg"), "-ref", 0),
+        (("plot", "A", "--reference", "B", "-o", "error.svg"), "", 1),
+    ],
+)
+@pytest.mark.parametrize("option", OF_A_SIDE)
+def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_path):
+    """What is said of one series is said of that one: of the other all is as it is by itself."""
+    asked = []
+
+    def read(reading):
+        asked.append(reading)
+        if len(asked) == 2:
+            raise LogError("here", "that is all")
+
+    monkeypatch.setattr("quatprop.signals.operands.read_operand", read)
+    monkeypatch.setattr("quatprop.plot.run.read_operand", read)
+    monkeypatch.chdir(tmp_path)
+    (command, suffix, place), (given, where, expected) = side, OF_A_SIDE[option]
+    result = run(*command, option + suffix, given)
+    assert "that is all" in result.stderr
+
+    def value(reading):
+        holder = reading if where == "kind" else reading.selection
+        for name in where.split("."):
+            holder = getattr(holder, name)
+        return holder
+
+    assert value(asked[place]) == expected
+    assert value(asked[1 - place]) is None
+
+
+def test_every_option_of_a_side_is_tried():
+    """The table above has all of them."""
+    assert OF_A_SIDE.keys() == {name for name, _ in ATTITUDE_OPTIONS.values()}
