@@ -16,7 +16,6 @@ from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
     from typing import Self
 
 _BLOCK_BYTES = 1 << 20
@@ -160,12 +159,7 @@ class Fingerprint:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._stopped.set()
         self._thread.join()
 

@@ -13,7 +13,6 @@ from quatprop.timeline.counts import remarks
 from quatprop.writers.atomic import Output, reported
 
 if TYPE_CHECKING:
-    from types import TracebackType
     from typing import Self
 
     import numpy as np
@@ -96,12 +95,7 @@ class ReportFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         if self._output is not None:
             self._output.discard()
 

@@ -14,7 +14,6 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from types import TracebackType
     from typing import Self
 
     from quatprop.series import AttitudeSeries, GyroSeries
@@ -112,13 +111,8 @@ class PropagationPicture:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._file.__exit__(kind, error, trace)
+    def __exit__(self, *_error: object) -> None:
+        self._file.discard()
 
 
 def _lost(losses: list[dict[str, Any]]) -> Iterator[str]:

@@ -14,7 +14,6 @@ from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from types import TracebackType
     from typing import Self
 
     from quatprop.plot.page import Page
@@ -59,16 +58,15 @@ class PictureFile:
             self._output.stream.write(content)
         self._output.commit()
 
+    def discard(self) -> None:
+        """Remove what was not committed; harmless when there is nothing."""
+        self._output.discard()
+
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._output.discard()
+    def __exit__(self, *_error: object) -> None:
+        self.discard()
 
 
 def kind_of(target: str) -> str:
