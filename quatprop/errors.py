@@ -209,8 +209,8 @@ class MessageError(LogError):
         self.positions = tuple(positions)
 
 
-class NoRatesError(LogError):
-    """Nothing in the log carries body rates.
+class _NothingFoundError(LogError):
+    """Nothing in the log carries what is wanted.
 
     Parameters
     ----------
@@ -222,42 +222,35 @@ class NoRatesError(LogError):
         ``"topics"`` or ``"columns"``.
     """
 
-    def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
-        names = listed(seen)
-        way_out = (
-            "name the field with --topic and --rate-field"
-            if what == "topics"
-            else "name the columns with --rate-cols and --time-col"
-        )
-        held = f"its {what} are {names}" if names else f"it has no {what} with messages"
-        super().__init__(
-            path,
-            f"no body rates found; {held}; {way_out}" if names else f"no body rates found; {held}",
-        )
-
-
-class NoAttitudesError(LogError):
-    """Nothing in the log carries attitudes.
-
-    Parameters
-    ----------
-    path
-        The log.
-    seen
-        What it holds instead: topics with their types, or columns.
-    what
-        ``"topics"`` or ``"columns"``.
-    """
+    wanted: str
+    ways_out: Mapping[str, str]
 
     def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
         names = listed(seen)
-        way_out = (
-            "name the field with --topic and --quat-field"
-            if what == "topics"
-            else "name the columns with --quat-cols, --from-layout and --time-col"
-        )
-        held = f"its {what} are {names}; {way_out}" if names else f"it has no {what} with messages"
-        super().__init__(path, f"no attitudes found; {held}")
+        held = f"it has no {what} with messages"
+        if names:
+            held = f"its {what} are {names}; {self.ways_out[what]}"
+        super().__init__(path, f"no {self.wanted} found; {held}")
+
+
+class NoRatesError(_NothingFoundError):
+    """Nothing in the log carries body rates."""
+
+    wanted = "body rates"
+    ways_out: Mapping[str, str] = {
+        "topics": "name the field with --topic and --rate-field",
+        "columns": "name the columns with --rate-cols and --time-col",
+    }
+
+
+class NoAttitudesError(_NothingFoundError):
+    """Nothing in the log carries attitudes."""
+
+    wanted = "attitudes"
+    ways_out: Mapping[str, str] = {
+        "topics": "name the field with --topic and --quat-field",
+        "columns": "name the columns with --quat-cols, --from-layout and --time-col",
+    }
 
 
 class NotRotationsError(LogError):
