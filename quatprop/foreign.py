@@ -79,8 +79,13 @@ def as_errors_of(path: Path | str) -> Iterator[None]:
     """Name the log whose reading raises what only reading raises."""
     try:
         yield
-    except (QuatpropError, OSError):
+    except QuatpropError:
         raise
+    except OSError as error:
+        if error.errno is not None:
+            raise  # of the system, which names the file
+        reason = plain(f"it cannot be read ({error}); check that it was copied whole")
+        raise DamagedLogError(path, reason) from error
     except MemoryError as error:
         raise UnreadableLogError(path, str(_said(error, ANYWHERE))) from error
     except Exception as error:

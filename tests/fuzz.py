@@ -26,7 +26,7 @@ from typing import NamedTuple
 SECONDS = 10
 MEMORY = 4 << 30
 LOGS_A_PROCESS = 1000
-"""After so many, another process: allocators keep addresses that they once had for a large claim."""
+"""After so many, another process: allocators keep the addresses that a claim once took."""
 
 LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
 COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
@@ -189,10 +189,11 @@ def fuzz(seeds, workers, tell):
             with lock:
                 seed = next(seeds, None)
             if seed is None:
-                return worker.close()
+                break
             found = worker.found(seed)
             with lock:
                 tell(seed, found)
+        worker.close()
 
     with tempfile.TemporaryDirectory() as folder:
         write_logs(Path(folder))

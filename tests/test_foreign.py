@@ -105,6 +105,13 @@ def test_errors_of_reading_name_the_log(tmp_path, error):
     assert str(found).endswith(" (x); check that it was copied whole")
 
 
+def test_errors_of_files_that_are_not_of_the_system_name_the_log(tmp_path):
+    """Some packages raise OSError for data that are not there."""
+    found = raised_while_open(OSError("Expected 8 bytes, got 0"), tmp_path)
+    assert isinstance(found, DamagedLogError)
+    assert "it cannot be read (Expected 8 bytes, got 0); check that" in str(found)
+
+
 def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
     """A log that does not fit into memory is told with exit code 2."""
     found = raised_while_open(MemoryError("Unable to allocate 8 EiB"), tmp_path)

@@ -110,4 +110,8 @@ def main() -> None:
 
     # Told to end, a run ends as on Ctrl-C: what is half-written is removed.
     signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
-    cli(prog_name="quatprop")
+    try:
+        cli(prog_name="quatprop")
+    except OSError:
+        # Not even stderr takes words any more; all else has become a sentence before.
+        sys.exit(Unusable.exit_code)

@@ -26,7 +26,8 @@ PROGRESS_EVERY_S = 0.2
 @contextmanager
 def progress(*, quiet: bool) -> Iterator[Callable[[int], None]]:
     """Give a function to call with the samples done so far; it shows them on a terminal only."""
-    shows = sys.stderr.isatty() and not quiet
+    # Started without stderr, there is none.
+    shows = sys.stderr is not None and sys.stderr.isatty() and not quiet
     shown = time.monotonic()
 
     def tick(samples: int) -> None:
@@ -64,7 +65,8 @@ def lost(losses: list[dict[str, Any]]) -> list[str]:
     shown = losses if len(losses) <= MAX_LOST else losses[:MAX_LOST]
     lines = [f"lost: {plain(loss['place'])}: {plain(loss['reason'])}" for loss in shown]
     if len(losses) > len(shown):
-        lines.append(f"lost: {len(losses) - len(shown)} more like these, which the JSON report lists")
+        more = len(losses) - len(shown)
+        lines.append(f"lost: {more} more like these, which the JSON report lists")
     return lines
 
 

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from quatprop.readers.base import TimedColumns
     from quatprop.readers.headers import Layout
 
+# It would take Ctrl-C to itself while it parses, to no use where blocks are small, and a process
+# that is told to end in that moment aborts.
+pa.enable_signal_handlers(False)
+
 MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
 """What :class:`BlockParser` raises for a block in which something does not fit."""
 

@@ -1,0 +1,179 @@
+"""Runs that are interrupted, lose their listeners, or whose log changes under them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz_logs import write_logs
+
+from quatprop.readers import open_log
+from quatprop.selection import Selection
+from quatprop.signals.rates import choose
+from quatprop.simulate.gyroscope import Gyroscope
+from quatprop.simulate.motion import Shape
+from quatprop.simulate.run import simulate
+
+QUATPROP = Path(sys.executable).with_name("quatprop")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
+ENDS = {signal.SIGINT: (130, "Interrupted.\n"), signal.SIGTERM: (143, "")}
+SHELL = "/bin/sh"
+FULL = Path("/dev/full")
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return a folder with intact logs, two of them long enough to be interrupted."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_logs(folder)
+    for name, kind in {"long.csv": "csv", "long.mcap": "mcap"}.items():
+        gyroscope = Gyroscope(100, 1_500_000)
+        simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
+    return folder
+
+
+def run(*arguments, **options):
+    """Run the installed command; return its exit code and what it says."""
+    environment = {**os.environ, "QUATPROP_TRACEBACK": ""}
+    result = subprocess.run(
+        [QUATPROP, *map(str, arguments)],
+        check=False, env=environment, text=True, timeout=60, **{"capture_output": True, **options},
+    )  # fmt: skip
+    return result.returncode, result.stderr
+
+
+@pytest.mark.parametrize("name", ["long.csv", "long.mcap"])
+@pytest.mark.parametrize("number", ENDS)
+def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(logs, tmp_path, name, number):
+    """Ctrl-C and a request to end are obeyed at once, with the exit codes that shells expect."""
+    out = tmp_path / "out.csv"
+    out.write_text("old")
+    for wait in (0.02, 0.1, 0.3):
+        process = subprocess.Popen(
+            [QUATPROP, "propagate", logs / name, "-o", out, "-q"],
+            stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)},
+        )  # fmt: skip
+        began = time.monotonic()
+        while len(list(tmp_path.iterdir())) == 1 and time.monotonic() < began + 20:
+            time.sleep(0.005)
+        time.sleep(wait)
+        process.send_signal(number)
+        _, shown = process.communicate(timeout=20)
+        assert (process.returncode, shown) == ENDS[number]
+        assert out.read_text() == "old"
+        assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_reader_that_has_gone_is_no_error(logs):
+    """`| head` takes what it wants, and the run ends without a word."""
+    process = subprocess.Popen(
+        [QUATPROP, "propagate", logs / "long.csv", "-o", "-", "-q"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    assert process.stdout.readline() == b"t_ns,qw,qx,qy,qz\n"
+    process.stdout.close()
+    assert (process.wait(20), process.stderr.read()) == (0, b"")
+    process.stderr.close()
+
+
+@needs_full
+@pytest.mark.parametrize("command", ["info", "propagate"])
+def test_a_full_disk_behind_stdout_is_a_sentence(logs, command):
+    """What cannot be written is told, with exit code 2."""
+    output = ("-o", "-") if command == "propagate" else ()
+    with FULL.open("w") as full:
+        code, said = run(
+            command, logs / "small.csv", *output,
+            capture_output=False, stdout=full, stderr=subprocess.PIPE,
+        )  # fmt: skip
+    assert code == 2
+    assert "No space left on device" in said
+    assert said.count("Error: ") == 1
+    assert "Traceback" not in said
+
+
+@needs_full
+def test_words_that_cannot_be_said_do_not_pass_for_a_failed_comparison(logs, tmp_path):
+    """Exit code 1 means that series differ; a full disk behind stderr is none of that."""
+    with FULL.open("w") as full:
+        code, _ = run(
+            "propagate", logs / "small.csv", "-o", tmp_path / "out.csv",
+            capture_output=False, stdout=full, stderr=full,
+        )  # fmt: skip
+    assert code == 2
+
+
+def test_without_stderr_a_run_does_its_work(logs, tmp_path):
+    """Daemons close what they do not need."""
+    out = tmp_path / "out.csv"
+    command = f"'{QUATPROP}' propagate '{logs / 'small.csv'}' -o '{out}' 2>&-"
+    assert subprocess.run([SHELL, "-c", command], check=False).returncode == 0
+    assert out.read_text().count("\n") == 201
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "feather", "mcap", "bag", "npy", "npz"])
+def test_a_disk_that_fills_up_leaves_the_old_result(logs, tmp_path, suffix):
+    """A result that has no room is told in a sentence, and leaves nothing of itself."""
+    out = tmp_path / f"out.{suffix}"
+    out.write_text("old")
+    command = f"ulimit -f 400; exec '{QUATPROP}' propagate '{logs / 'long.mcap'}' -o '{out}' -q"
+    result = subprocess.run([SHELL, "-c", command], check=False, capture_output=True, text=True)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"Error: {out}: cannot be written: File too large\n"
+    assert out.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [out]
+
+
+CHANGING = ["small.csv", "mcap-zstd.mcap", "mcap-none.mcap", "mcap-unchunked.mcap",
+            "bag-none.bag", "bag-lz4.bag", "small.db3", "plain.parquet", "uncompressed.feather",
+            "gyro.ulg", "rows.jsonl", "records.npy", "stored.npz"]  # fmt: skip
+
+
+def rows_after(logs, tmp_path, name, change):
+    """Return the rates of a log that changes after it was opened, and those of the whole."""
+    log = tmp_path / name
+    log.write_bytes((logs / name).read_bytes())
+    with open_log(log) as opened:
+        whole = np.concatenate([one.rate for one in choose(opened, Selection()).batches()])
+    code = (
+        "import sys; from quatprop.readers import open_log; from quatprop.errors import LogError\n"
+        "from quatprop.selection import Selection; from quatprop.signals.rates import choose\n"
+        "import os\n"
+        "try:\n"
+        "    with open_log(sys.argv[1]) as log:\n"
+        "        batches = choose(log, Selection()).batches()\n"
+        f"        {change}\n"
+        "        count = sum(len(one) for one in batches)\n"
+        "    print(count, bool(log.losses))\n"
+        "except LogError as error:\n"
+        "    print(0, True)\n"
+    )
+    # In a process of its own: a file that is mapped and becomes shorter would end it.
+    result = subprocess.run(
+        [sys.executable, "-c", code, log], check=False, capture_output=True, text=True
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    count, lost = result.stdout.split()
+    return len(whole), int(count), lost == "True"
+
+
+@pytest.mark.parametrize("name", CHANGING)
+def test_a_log_that_becomes_shorter_while_it_is_read_ends_early(logs, tmp_path, name):
+    """Nothing dies of it, and what is missing is told."""
+    change = "os.truncate(sys.argv[1], os.path.getsize(sys.argv[1]) // 2)"
+    whole, count, lost = rows_after(logs, tmp_path, name, change)
+    assert count < whole
+    assert lost
+
+
+@pytest.mark.parametrize("name", CHANGING)
+def test_a_log_that_grows_while_it_is_read_gives_what_was_there(logs, tmp_path, name):
+    """A recorder that goes on writing does no harm."""
+    change = "open(sys.argv[1], 'ab').write(open(sys.argv[1], 'rb').read()[-1000:])"
+    whole, count, _ = rows_after(logs, tmp_path, name, change)
+    assert count >= whole - 1 or name.endswith((".npz", ".parquet", ".feather"))
