@@ -6,12 +6,14 @@ import os
 import time
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import OutputError, QuatpropError, UsageError, plain, quoted
+from quatprop.errors import QuatpropError, UsageError, plain, quoted
+from quatprop.foreign import told
 from quatprop.job import run
 from quatprop.parallel import KILLED, each
+from quatprop.readers.remote import is_address, without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -77,14 +79,15 @@ def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
     >>> [path.as_posix() for path in outputs(["a/imu.bag", "b/imu.bag"], Path("out"), ".npy")]
     ['out/a/imu.npy', 'out/b/imu.npy']
     """
-    places = [Path(os.path.abspath(log)) for log in logs]  # noqa: PTH100  # links stay as named
+    # Links stay as they are named.
+    places = [Path(os.path.abspath(_object(log))) for log in logs]  # noqa: PTH100
     for place, count in Counter(places).items():
         if count > 1:
             raise UsageError(f"{quoted(place)} is named {count} times; name each log once")
     names = [Path(_stem(place)) for place in places]
     if len({str(name).lower() for name in names}) < len(names):
-        shared = Path(os.path.commonpath([place.parent for place in places]))
-        names = [place.parent.relative_to(shared) / _stem(place) for place in places]
+        folders = below_shared(places)
+        names = [folder / _stem(place) for folder, place in zip(folders, places, strict=True)]
     for name, count in Counter(str(name).lower() for name in names).items():
         if count > 1:
             raise UsageError(
@@ -92,6 +95,18 @@ def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
                 "propagate them apart, or rename one"
             )
     return [folder / f"{name}{suffix}" for name in names]
+
+
+def below_shared(places: Sequence[PurePath]) -> list[Path]:
+    """Return the folders of paths, from the one on that all of them share; without drives."""
+    folders = [place.parent.relative_to(place.anchor).parts for place in places]
+    shared = len(os.path.commonprefix(folders))  # noqa: RUF071  # tuples, folder by folder
+    return [Path(*folder[shared:]) for folder in folders]
+
+
+def _object(log: str) -> str:
+    """Return a path, or an address without what it says of its store."""
+    return without_secret(log).partition("?")[0] if is_address(log) else log
 
 
 def _stem(place: Path) -> str:
@@ -109,11 +124,21 @@ def propagated(job: Job) -> Outcome:
         Path(job.output).parent.mkdir(parents=True, exist_ok=True)
         report = run(job)
     except QuatpropError as error:
-        return Outcome(job.log, job.output, str(error), None, time.perf_counter() - began)
-    except OSError as error:
-        reason = str(OutputError(job.output, error.strerror or str(error)))
-        return Outcome(job.log, job.output, reason, None, time.perf_counter() - began)
-    return Outcome(job.log, job.output, "", report, time.perf_counter() - began)
+        return _failed(job, str(error), time.perf_counter() - began)
+    except Exception as error:
+        if (sentence := told(error)) is None:
+            raise
+        return _failed(job, _about(job, str(sentence)), time.perf_counter() - began)
+    log = without_secret(job.log)
+    return Outcome(log, job.output, "", report, time.perf_counter() - began)
+
+
+def _failed(job: Job, error: str, seconds: float = 0.0) -> Outcome:
+    return Outcome(without_secret(job.log), job.output, error, None, seconds)
+
+
+def _about(job: Job, words: str) -> str:
+    return f"{plain(without_secret(job.log))}: {words}"
 
 
 def on_this_machine(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
@@ -130,7 +155,7 @@ def on_this_machine(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
 
 
 def _killed(job: Job) -> Outcome:
-    return Outcome(job.log, job.output, f"{plain(job.log)}: {KILLED}")
+    return _failed(job, _about(job, KILLED))
 
 
 def on_a_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
@@ -169,4 +194,7 @@ def on_a_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
                 yield future.result()
             except KilledWorker:
                 reason = "the workers that ran it were killed; have they enough memory?"
-                yield Outcome(job.log, job.output, f"{plain(job.log)}: {reason}")
+                yield _failed(job, _about(job, reason))
+            except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
+                reason = f"the cluster did not do it ({type(error).__name__}: {plain(error)})"
+                yield _failed(job, _about(job, reason))

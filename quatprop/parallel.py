@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, TypeVar
@@ -20,6 +21,16 @@ KILLED = (
     "Run fewer at a time with -j"
 )
 """Why there is no result of an item whose process has died."""
+
+
+MOST_ON_WINDOWS = 61
+"""Windows waits for 63 handles at a time, and two are taken."""
+
+
+def workers(asked: int, items: int) -> int:
+    """Return how many processes there are, for so many items."""
+    most = MOST_ON_WINDOWS if sys.platform == "win32" else asked
+    return min(asked, items, most)
 
 
 def each(
@@ -53,7 +64,7 @@ def each(
     # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(
-        min(processes, len(items)), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        workers(processes, len(items)), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
     )
     try:
         futures = [pool.submit(_interruptible, work, item) for item in items]

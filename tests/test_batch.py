@@ -3,19 +3,23 @@
 import json
 import subprocess
 import sys
+from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
-from quatprop.batch import on_a_cluster, outputs
+from quatprop import batch
+from quatprop.batch import below_shared, on_a_cluster, outputs
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, UsageError
+from quatprop.foreign import TRACEBACK
 from quatprop.job import Job
+from quatprop.parallel import workers
 
 INSTALLED = Path(sys.executable).with_name("quatprop")
 HEADER = "t_ns,wx,wy,wz\n"
@@ -63,6 +67,52 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.parquet"]
 
 
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (
+            ZeroDivisionError("by zero"),
+            "{log}: This is an error of quatprop itself (ZeroDivisionError: ",
+        ),
+        (pyarrow.ArrowInvalid("no"), "{log}: Columns cannot be used (no)"),
+        (MemoryError(), "{log}: There is not enough memory; choose fewer columns or topics"),
+        (
+            OSError(28, "No space left on device", "far/a"),
+            "{log}: far/a: the system refuses (No space",
+        ),
+    ],
+)
+def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
+    """Errors that are none of a log, too, are those of one log of many."""
+
+    def fails(job):
+        if job.log.endswith("bad.csv"):
+            raise error
+        return run_job(job)
+
+    monkeypatch.delenv(TRACEBACK, raising=False)
+    run_job = batch.run
+    monkeypatch.setattr(batch, "run", fails)
+    bad, good = log(tmp_path / "bad.csv"), log(tmp_path / "good.csv")
+    done = run(bad, good, "-o", tmp_path / "out", "-j", "1")
+    assert done.exit_code == 2
+    assert f"Error: {sentence.format(log=bad)}" in done.stderr
+    assert done.stderr.splitlines()[-1] == "1 of 2 logs done, 5 samples"
+
+
+def test_an_output_below_a_file_is_told(tmp_path):
+    """Where the folder of an output cannot be made, its log says so, and the others are done."""
+    first = log(tmp_path / "runs" / "1" / "imu.csv")
+    second = log(tmp_path / "runs" / "2" / "imu.csv")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "1").write_text("in the way")
+    done = run(first, second, "-o", out, "-j", "1")
+    assert done.exit_code == 2
+    assert f"Error: {first}: {out / '1'}: the system refuses (" in done.stderr
+    assert (out / "2" / "imu.parquet").exists()
+
+
 def test_lost_data_of_any_log_is_code_3(tmp_path):
     """As for one log: all that can be saved is there, and the code tells."""
     torn = log(tmp_path / "torn.csv")
@@ -86,6 +136,30 @@ def test_packed_logs_lose_both_suffixes(tmp_path):
     logs = [str(tmp_path / "a.mcap.zst"), str(tmp_path / "bag.v2"), str(tmp_path / "b.bag")]
     names = [path.name for path in outputs(logs, Path("out"), ".npy")]
     assert names == ["a.npy", "bag.v2.npy", "b.npy"]
+
+
+def test_logs_of_the_same_name_may_be_on_several_drives():
+    """Of paths that have no folder in common, all folders are kept, but not the drive."""
+    places = [PureWindowsPath(name) for name in ("C:/runs/1/imu.bag", "D:/runs/2/imu.bag")]
+    assert [path.as_posix() for path in below_shared(places)] == ["1", "2"]
+    places = [PureWindowsPath(name) for name in ("C:/a/imu.bag", "D:/b/c/imu.bag")]
+    assert [path.as_posix() for path in below_shared(places)] == ["a", "b/c"]
+
+
+def test_addresses_give_names_without_what_opens_them():
+    """What an address says of its store is no part of a file's name."""
+    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/b.bag.zst?a=b.c"]
+    assert outputs(logs, Path("out"), ".npy") == [Path("out/a.npy"), Path("out/b.npy")]
+
+
+def test_keys_in_addresses_are_not_shown(tmp_path):
+    """Neither where the log is told of, nor in its error, nor in the report."""
+    address = "nowhere://key:secret@logs/a.mcap"
+    done = run(address, "-o", tmp_path, "--json", "-j", "1")
+    assert done.exit_code == 2
+    assert "secret" not in done.stdout + done.stderr
+    assert "nowhere://logs/a.mcap: it cannot be read from its store (" in done.stderr
+    assert json.loads(done.stdout)[0]["log"] == "nowhere://logs/a.mcap"
 
 
 def test_two_logs_never_share_an_output(tmp_path):
@@ -224,12 +298,48 @@ def test_the_installed_command_runs_processes(tmp_path):
     assert len(list((tmp_path / "out").iterdir())) == 3
 
 
+@pytest.mark.parametrize(
+    ("platform", "asked", "items", "given"),
+    [("linux", 100, 200, 100), ("linux", 8, 3, 3), ("win32", 100, 200, 61), ("win32", 8, 9, 8)],
+)
+def test_windows_has_at_most_61_processes(monkeypatch, platform, asked, items, given):
+    """It can wait for no more: asking for them is no error, nor are as many cores."""
+    monkeypatch.setattr(sys, "platform", platform)
+    assert workers(asked, items) == given
+
+
 def test_a_cluster_that_is_not_there(tmp_path):
     """The address is named."""
     pytest.importorskip("distributed")
     job = Job(str(log(tmp_path / "a.csv")), str(tmp_path / "a.npy"))
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([job], "nonsense"))
+
+
+def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
+    """A worker without this package, or a scheduler that goes, is told for each log."""
+    distributed = pytest.importorskip("distributed")
+
+    class Client:
+        def __init__(self, *_, **__):
+            pass
+
+        __enter__ = __exit__ = __init__
+
+        def map(self, _work, jobs, **_):
+            futures = [Future() for _ in jobs]
+            futures[0].set_exception(ModuleNotFoundError("No module named 'quatprop'"))
+            futures[1].set_exception(distributed.client.FutureCancelledError("b", "lost"))
+            return futures
+
+    monkeypatch.setattr(distributed, "Client", Client)
+    monkeypatch.setattr(Client, "__enter__", lambda self: self)
+    jobs = [Job(name, str(tmp_path / name)) for name in ("a", "b")]
+    errors = [outcome.error for outcome in on_a_cluster(jobs, "here")]
+    assert errors[0] == (
+        "a: the cluster did not do it (ModuleNotFoundError: No module named 'quatprop')"
+    )
+    assert errors[1].startswith("b: the cluster did not do it (FutureCancelledError: ")
 
 
 CLUSTER = """

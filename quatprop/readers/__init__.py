@@ -24,7 +24,7 @@ from quatprop.errors import (
 from quatprop.foreign import as_errors_of
 from quatprop.readers.base import Loss
 from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
-from quatprop.readers.remote import is_address, local_copy
+from quatprop.readers.remote import is_address, local_copy, without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -104,7 +104,7 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
     LogError
         The log is recognised but cannot be opened.
     """
-    with as_errors_of(path), ExitStack() as stack:
+    with as_errors_of(without_secret(path)), ExitStack() as stack:
         if str(path) == "-":
             if kind not in (None, "csv"):
                 raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
@@ -114,7 +114,7 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             return
         if is_address(path):
             copied = stack.enter_context(local_copy(str(path)))
-            with _told_of(path):
+            with _told_of(without_secret(path)):
                 yield stack.enter_context(open_log(copied, kind))
             return
         path = Path(path)

@@ -59,21 +59,22 @@ def local_copy(address: str) -> Iterator[Path]:
     """
     from pyarrow.fs import FileSystem, FileType
 
+    name = without_secret(address)
     with tempfile.TemporaryDirectory(prefix="quatprop-") as folder:
         try:
             store, place = FileSystem.from_uri(address)
             found = store.get_file_info(place)
             target = Path(folder) / PurePosixPath(place).name
             if found.type == FileType.NotFound:
-                raise UnreadableLogError(address, "there is no such object; check the address")
+                raise UnreadableLogError(name, "there is no such object; check the address")
             if found.type == FileType.Directory:
                 _copy_folder(store, place, target)
             else:
                 _copy_file(store, place, target)
         except (OSError, ValueError) as error:
-            reason = " ".join(str(error).split())
+            reason = " ".join(str(error).replace(address, name).split())
             raise UnreadableLogError(
-                address,
+                name,
                 f"it cannot be read from its store ({reason}); check the address and access",
             ) from error
         yield target
