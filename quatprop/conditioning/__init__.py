@@ -214,8 +214,17 @@ def conditioned(
         if bias is not None:
             rate = rate - bias
         if mount is not None:
-            rate = rate @ mount.T
+            rate = _turned(rate, mount)
         yield batch.with_rate(rate)
+
+
+def _turned(rate: NDArray[np.float64], mount: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``rate @ mount.T``, each row rounded alike wherever it stands in its batch.
+
+    A product of matrices rounds by the block in which a row comes to lie, and by the thread.
+    """
+    x, y, z = rate.T
+    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in mount], axis=1)
 
 
 def clipped(

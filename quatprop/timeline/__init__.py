@@ -273,7 +273,9 @@ class Timeline:
         if self.policy.on_gap in {"zero", "split"} and counts.gap_limit_ns is not None:
             # Nothing is known to turn across a gap that is not propagated across.
             lasting = np.where(intervals > counts.gap_limit_ns, 0, lasting)
-        counts.turned += float(ruling @ lasting) * 1e-9
+        # Not by a dot product: how that adds up depends on the number of threads.
+        with np.errstate(over="ignore", invalid="ignore"):
+            counts.turned += float((ruling * lasting).sum()) * 1e-9
         if len(intervals):
             self._measure_intervals(intervals, ends)
         self._last_magnitude = magnitude[-1]
