@@ -13,7 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from quatprop.check.measure import measured
 from quatprop.cli import cases, cli, compare, propagate
+from quatprop.foreign import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 
@@ -393,6 +395,69 @@ def test_a_lock_that_is_none_is_refused(folder):
     assert result.stderr.startswith(
         f"Error: {folder / 'suite.lock.json'}: it is not the lock that --update writes; restore it"
     )
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("final_wxyz", [1.0]),
+        ("final_wxyz", None),
+        ("final_wxyz", ["1", 0, 0, 0]),
+        ("samples", "1001"),
+        ("every", 1.5),
+        ("every", 0),
+        ("reference", 7),
+        ("quatprop", None),
+        ("error_rad", "small"),
+        ("inputs", {"log": 1}),
+        ("options", {"method": None}),
+    ],
+)
+def test_a_lock_with_a_value_of_another_kind_is_refused(folder, key, value):
+    """What was edited by hand so that it means nothing is told before anything is judged."""
+    suite = write(folder, stored())
+    assert check(suite, "--update").exit_code == 0
+    lock = folder / "suite.lock.json"
+    told = json.loads(lock.read_bytes())
+    told["cases"]["spin"][key] = value
+    lock.write_text(json.dumps(told))
+    result = check(suite)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"Error: {lock}: it is not the lock that --update writes;")
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (ZeroDivisionError("by zero"), "This is an error of quatprop itself (ZeroDivisionError: "),
+        (MemoryError(), "There is not enough memory; choose fewer columns or topics"),
+    ],
+)
+def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch, error, sentence):
+    """Errors that are none of a log, too, are those of one case of many."""
+
+    def fails(case, every):
+        if case.name == "bad":
+            raise error
+        return measured(case, every)
+
+    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.setattr("quatprop.check.update.measured", fails)
+    suite = write(folder, stored("bad") + stored("good"))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert f"ERROR  bad   {sentence}" in result.stdout
+    assert "pass   good  new  " in result.stdout
+
+
+def test_a_reference_below_a_file_is_an_error_of_its_case(folder):
+    """Where its folder cannot be made, the others are updated all the same."""
+    (folder / "way").write_text("in it")
+    suite = write(folder, stored("bad").replace("refs/", "way/") + stored("good"))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert f"ERROR  bad   {folder / 'way'}: the system refuses (" in result.stdout
+    assert (folder / "refs" / "good.parquet").exists()
 
 
 # What CI is told.

@@ -22,6 +22,7 @@ from quatprop.check.measure import (
 )
 from quatprop.check.reference import differing_provenance, read_reference
 from quatprop.errors import LogError, QuatpropError, plain, quoted
+from quatprop.foreign import told
 from quatprop.quaternion import geodesic_angle
 from quatprop.signals.operands import read_operand
 
@@ -59,6 +60,10 @@ def settled(
         outcome = work(case, pin)
     except QuatpropError as error:
         outcome = Outcome(case.name, "error", str(error))
+    except Exception as error:
+        if (sentence := told(error)) is None:
+            raise
+        outcome = Outcome(case.name, "error", str(sentence))
     return replace(outcome, seconds=time.perf_counter() - began, line=case.line)
 
 

@@ -7,7 +7,7 @@ a reference alone is binary, and a series from elsewhere has no place to keep su
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import SuiteError, UnreadableLogError
@@ -15,6 +15,7 @@ from quatprop.provenance import fingerprint
 from quatprop.writers.atomic import replacing
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
 
@@ -52,7 +53,29 @@ class Pin:
     error_rad: float | None
 
 
-KEYS = {field.name for field in fields(Pin)}
+def _is_count(value: Any) -> bool:
+    return type(value) is int and value > 0
+
+
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in {int, float}
+
+
+SOUND: Mapping[str, Callable[[Any], bool]] = {
+    "quatprop": lambda value: isinstance(value, str),
+    "inputs": _is_texts,
+    "options": _is_texts,
+    "samples": _is_count,
+    "every": lambda value: value is None or _is_count(value),
+    "reference": lambda value: value is None or isinstance(value, str),
+    "final_wxyz": lambda value: len(value) == len("wxyz") and all(map(_is_number, value)),
+    "error_rad": lambda value: value is None or _is_number(value),
+}
+"""Field of :class:`Pin` -> whether a value of the lock can be that."""
 
 
 def read_lock(path: Path) -> dict[str, Pin]:
@@ -77,9 +100,7 @@ def read_lock(path: Path) -> dict[str, Pin]:
 
 
 def _pin(entry: dict[str, Any]) -> Pin:
-    if entry.keys() != KEYS or not all(
-        isinstance(entry[key], dict) for key in ("inputs", "options")
-    ):
+    if entry.keys() != SOUND.keys() or not all(SOUND[key](entry[key]) for key in SOUND):
         raise ValueError(entry)
     return Pin(**entry)
 
