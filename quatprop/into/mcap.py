@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError, plain, quoted
 from quatprop.into.mcap_copy import McapCopy
+from quatprop.into.topics import refuse_taken
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.mcap import METADATA
@@ -54,32 +55,29 @@ class McapPart:
     """
 
     def __init__(self, source: Path, place: Path | BinaryIO, message: Message) -> None:
-        self._copy = McapCopy(source)
-        self._file: McapFile | None = None
-        self._stream: BinaryIO | None = None
-        contents, topic = self._copy.contents, message.place
-        if any(channel.topic == topic for channel in contents.channels.values()):
-            self._copy.close()
-            raise UsageError(
-                f"{plain(source)}: topic {quoted(topic)} is there already; choose another with "
-                "--out-topic NAME"
+        with ExitStack() as begun:
+            self._copy = begun.enter_context(closing(McapCopy(source)))
+            contents, topic = self._copy.contents, message.place
+            taken = [channel.topic for channel in contents.channels.values()]
+            refuse_taken(topic, taken, source)
+            told = declared(message, ros1=self._copy.header.profile == "ros1")
+            self.encoder = told.encoder
+            if isinstance(place, Path):
+                place = begun.enter_context(place.open("xb"))
+            self._file = McapFile(
+                place,
+                self._copy.header,
+                "zstd",
+                contents=contents,
+                before=self._before,
+                chunk_bytes=_CHUNK_BYTES,
             )
-        told = declared(message, ros1=self._copy.header.profile == "ros1")
-        self.encoder = told.encoder
-        if isinstance(place, Path):
-            place = self._stream = place.open("xb")
-        self._file = McapFile(
-            place,
-            self._copy.header,
-            "zstd",
-            contents=contents,
-            before=self._before,
-            chunk_bytes=_CHUNK_BYTES,
-        )
-        # Some recorders tell of topics without messages at the end only: all go first.
-        self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
-        schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
-        self._channel = self._file.add_channel(topic, told.encoding, schema)
+            begun.callback(self._file.abort)
+            # Some recorders tell of topics without messages at the end only: all go first.
+            self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
+            schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
+            self._channel = self._file.add_channel(topic, told.encoding, schema)
+            self._begun = begun.pop_all()
 
     def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Append messages, and what the file holds up to their time."""
@@ -87,10 +85,9 @@ class McapPart:
 
     def rest(self) -> McapFile:
         """Copy everything that is left, and return the file for what comes at its end."""
-        file = self._opened
-        file.flush()
-        self._copy.rest(file)
-        return file
+        self._file.flush()
+        self._copy.rest(self._file)
+        return self._file
 
     def finish(self, metadata: str | None = None) -> None:
         """Finish the file, with what metadata.yaml says."""
@@ -102,20 +99,10 @@ class McapPart:
 
     def close(self) -> None:
         """Let go of both files; harmless after the end."""
-        if self._file is not None:
-            self._file.abort()
-        self._copy.close()
-        if self._stream is not None:
-            self._stream.close()
+        self._begun.close()
 
     def _before(self, first_ns: int) -> None:
-        self._copy.up_to(first_ns, self._opened)
-
-    @property
-    def _opened(self) -> McapFile:
-        if self._file is None:
-            raise ValueError("nothing is written before the file is open")
-        return self._file
+        self._copy.up_to(first_ns, self._file)
 
 
 class McapInto(AttitudeWriter):

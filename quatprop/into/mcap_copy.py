@@ -7,6 +7,7 @@ of what tells where things are, since they are elsewhere in the copy.
 from __future__ import annotations
 
 from bisect import bisect_right
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,13 +73,15 @@ class McapCopy:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            self._source = Source(path)
-            found = survey(self._source)
-            footer = read_footer(self._source)
-            self.header = _header(self._source)
-        except OSError as error:
-            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+        with ExitStack() as opened:
+            try:
+                self._source = opened.enter_context(Source(path))
+                found = survey(self._source)
+                footer = read_footer(self._source)
+                self.header = _header(self._source)
+            except OSError as error:
+                raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+            opened.pop_all()
         self.contents = Contents(dict(found.schemas), dict(found.channels))
         self._regions = {region.start: region for region in found.regions}
         self._starts = sorted(self._regions)

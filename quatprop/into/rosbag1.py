@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError, plain, quoted
 from quatprop.into.rosbag1_copy import BagCopy
+from quatprop.into.topics import refuse_taken
 from quatprop.writers.atomic import Output, refuse_streams, reported
 from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.ros_messages import Encoder
@@ -48,29 +49,26 @@ class Rosbag1Into(AttitudeWriter):
         self._times = addition.times
         self._encoder = Encoder(message, ros1=True)
         refuse_streams(target, "a ROS 1 bag")
-        self._copy = BagCopy(log.path)
-        topic = message.place.encode()
-        if any(known.get("topic") == topic for known in self._copy.connections.values()):
-            self._copy.close()
-            raise UsageError(
-                f"{plain(log.path)}: topic {quoted(message.place)} is there already; choose "
-                "another with --out-topic NAME"
-            )
         name = message.definition.name
         definition, md5sum = ros1_types().generate_msgdef(name)
-        self._output = Output(target)
-        with reported(target):
-            self._bag = BagFile(
-                self._output.stream,
-                "none",
-                topic=message.place,
-                kind=name.replace("/msg/", "/"),
-                definition=definition,
-                md5sum=md5sum,
-                connection=self._copy.free,
-                before=self._before,
-                chunk_bytes=_CHUNK_BYTES,
-            )
+        with ExitStack() as begun:
+            self._copy = begun.enter_context(closing(BagCopy(log.path)))
+            refuse_taken(message.place, self._copy.topics(), log.path)
+            self._output = Output(target)
+            begun.callback(self._output.discard)
+            with reported(target):
+                self._bag = BagFile(
+                    self._output.stream,
+                    "none",
+                    topic=message.place,
+                    kind=name.replace("/msg/", "/"),
+                    definition=definition,
+                    md5sum=md5sum,
+                    connection=self._copy.free,
+                    before=self._before,
+                    chunk_bytes=_CHUNK_BYTES,
+                )
+            begun.pop_all()
 
     def _before(self, first_ns: int) -> None:
         self._copy.up_to(first_ns, self._bag)

@@ -7,6 +7,7 @@ cut off are written again with the messages that are whole.
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,13 +63,15 @@ class BagCopy:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            self._handle = path.open("rb")
-            self._file = RecordFile(self._handle)
-            header = self._file.record(len(records.MAGIC))
-        except (OSError, MalformedRecordError) as error:
-            raise UnreadableLogError(path, f"{error}; check the path") from error
-        index = indexed(self._file, header) or walked(self._file, header.end)
+        with ExitStack() as opened:
+            try:
+                self._handle = opened.enter_context(path.open("rb"))
+                self._file = RecordFile(self._handle)
+                header = self._file.record(len(records.MAGIC))
+                index = indexed(self._file, header) or walked(self._file, header.end)
+            except (OSError, MalformedRecordError) as error:
+                raise UnreadableLogError(path, f"{error}; check the path") from error
+            opened.pop_all()
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
         self._next = 0
         self.connections = {
@@ -77,6 +80,11 @@ class BagCopy:
         }
         used = {id_ for chunk in self._chunks for id_ in chunk.counts} | self.connections.keys()
         self.free = max(used, default=-1) + 1
+
+    def topics(self) -> Iterator[str]:
+        """Yield the topic of each connection."""
+        for known in self.connections.values():
+            yield known.get("topic", b"").decode(errors="replace")
 
     def up_to(self, first_ns: int | None, bag: BagFile) -> None:
         """Copy what comes before messages that arrived after `first_ns`; with None everything."""

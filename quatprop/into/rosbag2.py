@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from quatprop.errors import OutputError, UnsupportedLogError, UsageError, plain, quoted
+from quatprop.errors import OutputError, UnsupportedLogError, plain
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
 from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.rosbag2_metadata import extended
+from quatprop.into.topics import refuse_taken
 from quatprop.readers.rosbag2_parts import folder
 from quatprop.writers.atomic import Replacement, reported
 from quatprop.writers.base import AttitudeWriter, words_of
@@ -85,12 +86,8 @@ class Rosbag2Into(AttitudeWriter):
         self._encoder = Encoder(self._message)
         self._target = target
         self._source = log.path
-        topic = self._message.place
-        if any(channel.topic == topic for channel in log.channels()):
-            raise UsageError(
-                f"{plain(log.path)}: topic {quoted(topic)} is there already; choose another with "
-                "--out-topic NAME"
-            )
+        taken = [channel.topic for channel in log.channels()]
+        refuse_taken(self._message.place, taken, log.path)
         self._files = _files(log.path)
         self._added: list[Added] = []
         self._part: _Part | None = None
@@ -216,8 +213,5 @@ def _files(path: Path) -> list[Path]:
 def _first_ns(file: Path) -> int:
     if file.suffix != ".mcap":
         return sqlite.first_ns(file)
-    copy = McapCopy(file)
-    try:
+    with closing(McapCopy(file)) as copy:
         return copy.first_ns
-    finally:
-        copy.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 from quatprop.readers.db3 import not_yet_inside, read_only
@@ -23,11 +24,8 @@ _STEP = 1 << 12
 
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 where there is none."""
-    database = _original(path)
-    try:
+    with closing(_original(path)) as database:
         ((found,),) = database.execute("SELECT MIN(timestamp) FROM messages")
-    finally:
-        database.close()
     return found or 0
 
 
@@ -50,32 +48,35 @@ class SqlitePart:
     """
 
     def __init__(self, source: Path, place: Path, message: Message) -> None:
-        self._database = sqlite3.connect(place)
-        original = _original(source)
-        try:
-            original.backup(self._database, pages=_STEP)
-        finally:
-            original.close()
+        with ExitStack() as begun:
+            self._database = begun.enter_context(closing(sqlite3.connect(place)))
+            with closing(_original(source)) as original:
+                original.backup(self._database, pages=_STEP)
+            self._topic = self._declared(message)
+            begun.pop_all()
+
+    def _declared(self, message: Message) -> int:
+        """Declare the topic and its type; return the id of the topic."""
         name = message.definition.name
         types = ros2_types()
         definition, _ = types.generate_msgdef(name, ros_version=2)
         described = {"type_description_hash": types.hash_rihs01(name)}
-        self._topic = self._insert(
-            "topics",
-            {
-                "name": message.place,
-                "type": name,
-                "serialization_format": "cdr",
-                "offered_qos_profiles": self._no_profiles(),
-                **described,
-            },
-        )
         self._insert(
             "message_definitions",
             {
                 "topic_type": name,
                 "encoding": "ros2msg",
                 "encoded_message_definition": definition,
+                **described,
+            },
+        )
+        return self._insert(
+            "topics",
+            {
+                "name": message.place,
+                "type": name,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": self._no_profiles(),
                 **described,
             },
         )
