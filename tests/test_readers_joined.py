@@ -3,13 +3,14 @@
 from itertools import chain, pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.readers import joined as module
 from quatprop.readers.base import MessageBlock
 from quatprop.readers.joined import joined
-from quatprop.readers.spans import spans_of
+from quatprop.readers.spans import spans_of, spans_worth_picking
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -91,3 +92,34 @@ def test_small_blocks_keep_nothing_but_their_messages():
     (kept,) = joined([block])
     assert len(kept.data) == 5 * 8
     assert messages(kept) == messages(block)
+
+
+def test_a_few_messages_of_a_chunk_are_worth_picking():
+    """Each goes to where the next record of any channel begins, or to the end."""
+    every = np.array([0, 100_000, 100_500, 900_000])
+    spans = spans_worth_picking(np.array([100_000, 900_000]), every, 900_300)
+    assert (spans.begins.tolist(), spans.ends.tolist()) == ([100_000, 900_000], [100_500, 900_300])
+    assert spans.size == 800
+
+
+@pytest.mark.parametrize("size", [2000, 1999])
+def test_a_quarter_of_a_chunk_is_the_most_that_is_picked(size):
+    """Of more, reading all of it is as quick."""
+    spans = spans_worth_picking(np.array([0]), np.array([0, 500]), size)
+    assert (spans is None) == (size < 2000)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "every"),
+    [
+        ([], [0, 10]),
+        ([-30_000, 10], [-30_000, 10, 20]),
+        ([10, 5_000_000], [10, 20, 5_000_000]),
+        ([10], [10, 5_000_000]),
+        ([1_000_000], [10, 1_000_000]),
+    ],
+)
+def test_an_index_that_points_elsewhere_picks_nothing(wanted, every):
+    """Before the records, behind them, or where a message would end behind them."""
+    places = np.array(wanted, np.int64), np.array(every, np.int64)
+    assert spans_worth_picking(*places, 1_000_000) is None

@@ -95,6 +95,7 @@ def spans_worth_picking(wanted: Int64, every: Int64, size: int) -> Spans | None:
     if not len(wanted):
         return None
     ends = np.append(every, size)[np.searchsorted(every, wanted, "right")]
+    if wanted[0] < 0 or wanted[-1] >= size or ends[-1] > size:
+        return None
     spans = spans_of(wanted, ends, GAP)
-    inside = spans.begins.min() >= 0 and spans.ends.max() <= size
-    return spans if inside and spans.size * SHARE <= size else None
+    return spans if spans.size * SHARE <= size else None
