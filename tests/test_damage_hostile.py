@@ -2,6 +2,7 @@
 
 import struct
 import threading
+import time
 
 import pytest
 import zstandard
@@ -157,3 +158,28 @@ def test_thousands_of_losses_are_told_in_a_few_lines():
     assert lines[-1] == "lost: 4980 more like these, which the JSON report lists"
     assert len(lines) == 21
     assert len(lost(losses[:20])) == 20
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_twenty_thousand_damaged_chunks_cost_little_time(tmp_path, kind):
+    """Each is noted once, without a look through all that were noted before."""
+    count = 20_000
+    if kind == "mcap":
+        chunk = struct.pack("<QQQII", 0, 1, 40, 7, 0) + struct.pack("<Q", 40) + bytes(40)
+        content = unclosed(written()) + (struct.pack("<BQ", 6, len(chunk)) + chunk) * count
+    else:
+        fields = (b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", 40))
+        header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+        chunk = struct.pack("<I", len(header)) + header + struct.pack("<I", 40) + bytes(40)
+        begin = struct.pack("<I", 8) + struct.pack("<I", 4) + b"op=\x03" + struct.pack("<I", 0)
+        content = b"#ROSBAG V2.0\n" + begin + chunk * count
+    log = tmp_path / f"log.{kind}"
+    log.write_bytes(content)
+    began = time.process_time()
+    with open_log(log) as opened:
+        for channel in opened.channels():
+            for _ in opened.blocks(channel):
+                pass
+        losses = list(opened.losses)
+    assert len(losses) >= count - 1
+    assert time.process_time() - began < 10

@@ -236,6 +236,23 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
     assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
 
 
+def test_a_damaged_message_index_hides_no_channel(tmp_path):
+    """Where the index of one of two channels is damaged, the chunk is asked for both."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=1500)
+    writer.start("ros2", "test")
+    ids = [writer.register_channel(topic, "cdr", 0) for topic in ("/a", "/b")]
+    for number in range(MESSAGES):
+        writer.add_message(ids[number % 2], number, number.to_bytes(8, "little") * 5, number)
+    writer.finish()
+    content = bytearray(unclosed(buffer.getvalue()))
+    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
+    content[begin + 1 : begin + 9] = b"\xff" * 8
+    numbers, losses = read(tmp_path, bytes(content))
+    assert sorted(numbers) == list(range(MESSAGES))
+    assert losses[0].place == f"byte {begin}"
+
+
 def large(compression):
     """Return a log of one chunk that takes several blocks of any compression, and its head."""
     buffer = io.BytesIO()

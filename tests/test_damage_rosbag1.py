@@ -116,6 +116,18 @@ def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed):
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_damaged_index_data_cost_no_message(tmp_path, compression):
+    """Where the index data behind a chunk are damaged, its records are walked."""
+    path = tmp_path / "log.bag"
+    intact = written(path, compression)
+    at = intact.index(b"op=\x04", chunk_places(path)[4][0]) - 8
+    content = intact[:at] + bytes(60) + intact[at + 60 : index_place(intact)]
+    numbers, losses = read(path, content)
+    assert numbers == list(range(MESSAGES))
+    assert losses[0].place.startswith("byte ")
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
     """Of the chunk that a dying recorder was writing, the front is read."""
     path = tmp_path / "log.bag"

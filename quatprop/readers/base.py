@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
     from typing import Self
 
@@ -109,6 +109,29 @@ class Loss:
     place: str
     reason: str
     messages: int | None = None
+
+
+class Losses(list[Loss]):
+    """Losses, of which each is noted once, however often the log is read.
+
+    Examples
+    --------
+    >>> losses = Losses()
+    >>> for _ in range(2):
+    ...     losses.note(Loss("line 17", "it has 3 columns instead of 4", 1))
+    >>> len(losses)
+    1
+    """
+
+    def __init__(self, losses: Iterable[Loss] = ()) -> None:
+        super().__init__(losses)
+        self._noted = set(self)
+
+    def note(self, loss: Loss) -> None:
+        """Add a loss unless it was noted before; a damaged log may have a hundred thousand."""
+        if loss not in self._noted:
+            self._noted.add(loss)
+            self.append(loss)
 
 
 class Closing:

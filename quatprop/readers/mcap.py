@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import provenance_of
-from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, Losses, MessageBlock
 from quatprop.readers.compression import LARGE
 from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
 from quatprop.readers.mcap_metadata import recorded
@@ -65,8 +65,8 @@ class McapLog(Closing):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.losses: list[Loss] = []
-        self._told: set[Loss] = set()
+        self._lost = Losses()
+        self.losses: list[Loss] = self._lost
         try:
             with Source(path) as source:
                 magic = source.read(0, len(MAGIC))
@@ -79,7 +79,7 @@ class McapLog(Closing):
         self._ids = _by_identity(found)
         self._stated = found.counts
         for loss in found.losses:
-            self._lose(loss)
+            self._lost.note(loss)
         if self.losses and not (self._ids or self._regions):
             first = self.losses[0]
             raise DamagedLogError(path, f"nothing of it can be read; {first.place}: {first.reason}")
@@ -134,7 +134,7 @@ class McapLog(Closing):
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _total([region], ids)
-                    self._lose(Loss(region.place, content.reason, lost))
+                    self._lost.note(Loss(region.place, content.reason, lost))
                     found += lost or 0
                     continue
                 if isinstance(content, Loaded):
@@ -166,7 +166,7 @@ class McapLog(Closing):
         missing = sum(self._stated.get(one, 0) for one in ids) - told
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
-            self._lose(Loss("summary", reason, missing))
+            self._lost.note(Loss("summary", reason, missing))
 
     def _unreadable(self, error: OSError) -> UnreadableLogError:
         return UnreadableLogError(self.path, f"{error.strerror}; check the path")
@@ -181,20 +181,14 @@ class McapLog(Closing):
                 return messages
         walked = walk(data)
         if damage:
-            self._lose(Loss(region.place, damage))
+            self._lost.note(Loss(region.place, damage))
         elif walked.end < len(data):
             reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
-            self._lose(Loss(region.place, reason))
+            self._lost.note(Loss(region.place, reason))
         if walked.malformed:
-            self._lose(Loss(region.place, "too short to be messages", walked.malformed))
+            self._lost.note(Loss(region.place, "too short to be messages", walked.malformed))
         messages = at_offsets(data, walked.offsets)
         return messages.of(ids) if messages else None
-
-    def _lose(self, loss: Loss) -> None:
-        """Note a loss once, however often the log is read."""
-        if loss not in self._told:
-            self._told.add(loss)
-            self.losses.append(loss)
 
 
 def _by_identity(found: Survey) -> dict[Channel, list[int]]:

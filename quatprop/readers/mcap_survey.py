@@ -208,6 +208,8 @@ class _Scan:
         if last is not None and last.is_chunk and last.end == position:
             # It may be the chunk before whose length leads astray.
             going_on = self._found(last.start + 1, position, CHUNKS)
+            # What is damaged may be the index of another channel that it holds.
+            last.holds, last.index_length = None, 0
         if going_on is None:
             going_on = self._found(position + 1, limit, RECORDS)
         skipped_to = limit if going_on is None else going_on

@@ -71,6 +71,7 @@ class Rosbag1Log(Closing):
             self._handle.close()
             raise
         self.losses += index.losses
+        self._lost_places = {loss.place for loss in self.losses}
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
         self._channels = self._described(index)
         self._provenance = {
@@ -134,7 +135,8 @@ class Rosbag1Log(Closing):
 
     def _lose(self, place: str, reason: str, messages: int | None = None) -> None:
         # The log may be read more than once.
-        if all(loss.place != place for loss in self.losses):
+        if place not in self._lost_places:
+            self._lost_places.add(place)
             self.losses.append(Loss(place, reason, messages))
 
     def channels(self) -> list[Channel]:

@@ -227,10 +227,11 @@ def walked(file: RecordFile, at: int) -> Index:
             at = record.end
     chunks = index.chunks
     for chunk in chunks:
-        # The last chunk's index data may not all have been written.
+        # The last chunk's index data may not all have been written, those of others be damaged.
         if (
             chunk is chunks[-1]
             or chunk.loose
+            or not chunk.counts
             or not chunk.counts.keys() <= index.connections.keys()
         ):
             _survey(file, index, chunk)

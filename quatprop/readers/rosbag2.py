@@ -18,7 +18,7 @@ from quatprop.errors import (
     quoted,
 )
 from quatprop.provenance import of_all_topics, provenance_of
-from quatprop.readers.base import NO_BOUND, Channel, Closing, Loss, MessageBlock
+from quatprop.readers.base import NO_BOUND, Channel, Closing, Loss, Losses, MessageBlock
 from quatprop.readers.compression import (
     CompressionError,
     UnpackedCopy,
@@ -82,7 +82,8 @@ class Rosbag2Log(Closing):
             found = folder(path)
         except OSError as error:
             raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
-        self.losses: list[Loss] = list(found.losses)
+        self._lost = Losses(found.losses)
+        self.losses: list[Loss] = self._lost
         self._provenance = of_all_topics(found.custom)
         self._packing = found.message_compression
         if self._packing not in (None, "zstd"):
@@ -140,10 +141,7 @@ class Rosbag2Log(Closing):
         return McapLog(path)
 
     def _lose(self, part: _Part, loss: Loss) -> None:
-        told = replace(loss, place=f"{plain(part.path.name)}: {loss.place}")
-        # The log may be read more than once.
-        if told not in self.losses:
-            self.losses.append(told)
+        self._lost.note(replace(loss, place=f"{plain(part.path.name)}: {loss.place}"))
 
     def _give_up(self, part: _Part, error: Exception) -> None:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)

@@ -21,7 +21,7 @@ import numpy as np
 from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
-from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.readers.base import Channel, Closing, Loss, Losses, MessageBlock
 from quatprop.readers.mcap_regions import Source
 from quatprop.times import NS_PER_UNIT
 
@@ -86,7 +86,8 @@ class UlogLog(Closing):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.losses: list[Loss] = []
+        self._lost = Losses()
+        self.losses: list[Loss] = self._lost
         try:
             self._source = Source(path)
         except OSError as error:
@@ -96,7 +97,8 @@ class UlogLog(Closing):
         except BaseException:
             self._source.close()
             raise
-        self.losses += records.damage
+        for loss in records.damage:
+            self._lost.note(loss)
         self._offsets = np.array(records.offsets, np.int64)
         self._sizes = np.array(records.sizes, np.int64)
         self._ids = np.array(records.ids, np.int64)
@@ -173,7 +175,7 @@ class UlogLog(Closing):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self._lose(Loss(f"topic {channel.topic}", error.reason, len(places)))
+                self._lost.note(Loss(f"topic {channel.topic}", error.reason, len(places)))
                 continue
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
@@ -196,21 +198,16 @@ class UlogLog(Closing):
             data = self._source.read(base, int(offsets[-1] + sizes[-1]) + _HEAD.size - base)
         except OSError as error:
             data = b""
-            self._lose(Loss(f"byte {base}", f"it cannot be read: {error.strerror}"))
+            self._lost.note(Loss(f"byte {base}", f"it cannot be read: {error.strerror}"))
         begin = offsets - base + _HEAD.size
         ends = begin + sizes
         there = int(ends.searchsorted(len(data), "right"))
         if there < len(places):
             place = f"byte {base + len(data)}"
-            self._lose(Loss(place, "the file has become shorter", len(places) - there))
+            self._lost.note(Loss(place, "the file has become shorter", len(places) - there))
         # The id of the subscription is no part of the message.
         begin, ends = begin[:there] + 2, ends[:there]
         return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
-
-    def _lose(self, loss: Loss) -> None:
-        """Note a loss once, however often the log is read."""
-        if loss not in self.losses:
-            self.losses.append(loss)
 
     def provenance(self, topic: str) -> dict[str, Any]:  # noqa: ARG002  # of the protocol
         """Return nothing: this format has no place for it."""
