@@ -347,3 +347,18 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
 def test_every_option_of_a_side_is_tried():
     """The table above has all of them."""
     assert OF_A_SIDE.keys() == {name for name, _ in ATTITUDE_OPTIONS.values()}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compare", "-", "-"),
+        ("plot", "-", "-", "-o", "error.svg"),
+        ("plot", "-", "--reference", "-", "-o", "error.svg"),
+    ],
+)
+def test_stdin_is_one_series(words):
+    """It is empty when it has been read: it is not the log that would be to blame."""
+    result = CliRunner().invoke(cli, words, input="t_ns,qw,qx,qy,qz\n0,1,0,0,0\n1,1,0,0,0\n")
+    assert result.exit_code == 2
+    assert result.stderr.endswith("Error: stdin can be read only once; name files for the others\n")

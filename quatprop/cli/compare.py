@@ -14,7 +14,7 @@ from quatprop.cli.attitude_options import (
     attitude_selection,
     named_options,
 )
-from quatprop.cli.options import plot_option, with_options
+from quatprop.cli.options import plot_option, refuse_stdin_twice, with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
 if TYPE_CHECKING:
@@ -104,6 +104,7 @@ def command(a: str, b: str, as_json: bool, quiet: bool, plot: str | None, **chos
     from quatprop.compare import compare
     from quatprop.signals.operands import read_operand
 
+    refuse_stdin_twice(a, b)
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
     sides = [reading_of(path, side, chosen, unsound) for path, side in ((a, "a"), (b, "b"))]
     with _drawing(plot, a, b) as picture:

@@ -116,6 +116,12 @@ def with_options(options: Iterable[Option]) -> Callable[[Command], Command]:
     return decorated
 
 
+def refuse_stdin_twice(*paths: str | None) -> None:
+    """Refuse to read several series from stdin: what is read first leaves nothing."""
+    if paths.count("-") > 1:
+        raise click.UsageError("stdin can be read only once; name files for the others")
+
+
 def selection(chosen: dict[str, Any]) -> Selection:
     """Take the selection's keywords out of a command's options."""
     from dataclasses import fields

@@ -13,7 +13,13 @@ from quatprop.cli.attitude_options import (
     named_options,
 )
 from quatprop.cli.compare import ALIGNMENTS
-from quatprop.cli.options import SELECTION_OPTIONS, quiet_option, selection, with_options
+from quatprop.cli.options import (
+    SELECTION_OPTIONS,
+    quiet_option,
+    refuse_stdin_twice,
+    selection,
+    with_options,
+)
 from quatprop.cli.types import Angle, Duration, Time, TimeOffset
 
 OF_SAMPLES = ("kind", "topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
@@ -111,6 +117,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
 
     reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
     _refuse_idle(reference)
+    refuse_stdin_twice(*files, reference)
     show = _shown(chosen)
     of_reference = attitude_selection(chosen, "_ref")
     keys = ("tolerance", "align", "time_offset", "max_dt_ns")
