@@ -23,6 +23,7 @@ from quatprop.errors import (
 )
 from quatprop.readers import open_log
 from quatprop.readers.base import is_table
+from quatprop.readers.remote import without_secret
 from quatprop.sanity import Watch, log_remarks
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, attitude_candidates
@@ -95,7 +96,7 @@ def survey(path: str, kind: str | None, selection: Selection) -> Facts:
         if none is not None and not attitudes:
             raise none
         return {
-            "path": path,
+            "path": without_secret(path),
             "kind": log.kind,
             "sources": rates,
             "attitudes": attitudes,

@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,42 @@ def test_errors_name_the_address(tmp_path):
     named = pytest.raises(LogError, match=rf"^{path.as_uri()}: its bag format is version 2.1")
     with named, open_log(path.as_uri()):
         pass
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "LOG"),
+        ("propagate", "LOG", "-o", "a.csv", "--report", "-", "-v"),
+        ("batch", "LOG", "-o", "out", "--json", "-j", "1"),
+        ("plot", "LOG", "-o", "rates.html"),
+        ("plot", "LOG", "TRUTH", "--show", "attitude", "-o", "attitudes.html"),
+        ("plot", "TRUTH", "--reference", "LOG", "-o", "error.html"),
+        ("compare", "LOG", "TRUTH", "--json"),
+        ("compare", "LOG", "TRUTH"),
+        ("convert", "LOG", "converted.csv"),
+    ],
+)
+def test_no_command_shows_a_key(words, tmp_path, monkeypatch):
+    """Neither on the terminal nor in what is written is what an address carries."""
+
+    @contextmanager
+    def copied(address):
+        assert "secret" in address
+        yield near
+
+    log = "t_ns,wx,wy,wz,qw,qx,qy,qz\n0,0,0,1,1,0,0,0\n1000,0,0,1,1,0,0,0\n2000,0,0,1,1,0,0,0\n"
+    near, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    for path in (near, truth):
+        path.write_text(log)
+    monkeypatch.setattr("quatprop.readers.local_copy", copied)
+    monkeypatch.chdir(tmp_path / "temporary")
+    known = {"LOG": "s3://key:secret@logs/a.csv", "TRUTH": str(truth)}
+    result = CliRunner().invoke(cli, [known.get(word, word) for word in words])
+    assert result.exit_code == 0, result.output
+    assert "secret" not in result.output
+    for path in Path().rglob("*"):
+        assert path.is_dir() or b"secret" not in path.read_bytes(), path
 
 
 def test_no_key_is_recorded():

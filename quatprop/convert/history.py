@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
+from quatprop.readers.remote import without_secret
 from quatprop.writers import kind_of, layout_of
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def extended(
     """Return the provenance of the source, extended by what was done now."""
     before = source.provenance
     read = {
-        "path": job.log,
+        "path": without_secret(job.log),
         "kind": log.kind,
         **fingerprint,
         "name": source.name,

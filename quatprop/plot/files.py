@@ -24,6 +24,7 @@ from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
 from quatprop.plot.sketch import AttitudeSketch, RateSketch, Sketch
 from quatprop.readers import open_log
+from quatprop.readers.remote import without_secret
 from quatprop.sanity import Watch, log_remarks
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
@@ -146,10 +147,10 @@ def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
     if path == "-" and view.looks_ahead:
         raise UsageError("stdin can be read only once; relative --start and --end need a file")
     with open_log(path, view.kind) as log:
-        source = _chosen(log, view)
+        name, source = without_secret(path), _chosen(log, view)
         if isinstance(source, tuple):
-            return _see_attitudes(path, log, source[0], view, tick)
-        return _see_rates(path, log, source, view, tick)
+            return _see_attitudes(name, log, source[0], view, tick)
+        return _see_rates(name, log, source, view, tick)
 
 
 def _chosen(log: MessageLog | TableLog, view: View) -> Source | tuple[AttitudeSource]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.readers import open_log
+from quatprop.readers.remote import without_secret
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
@@ -131,4 +132,5 @@ def _read(reading: Reading) -> Operand:
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
         )
-        return Operand(reading, log.kind, source, series, check.counts, tuple(log.losses))
+        known = replace(reading, path=without_secret(reading.path))
+        return Operand(known, log.kind, source, series, check.counts, tuple(log.losses))
