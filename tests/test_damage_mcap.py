@@ -207,6 +207,20 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
     assert losses[0].place == f"byte {begin}"
 
 
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("length", [2**40, 63, 1000])
+def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
+    """Where there is no checksum, the index tells where the messages of a chunk go on."""
+    intact = written(compression=CompressionType.NONE, enable_crcs=False)
+    damaged = numbers_of_chunks(intact)[4][7]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0]) - 15
+    content = bytearray(intact)
+    content[at + 1 : at + 9] = struct.pack("<Q", length)
+    numbers, losses = read(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
+    assert numbers == without([damaged])
+    assert f"chunk at byte {chunks(intact)[4][0]}" in {loss.place for loss in losses}
+
+
 def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
     """A message whose length is wrong costs itself."""
     for closed in (True, False):

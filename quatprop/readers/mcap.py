@@ -13,7 +13,7 @@ from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogE
 from quatprop.provenance import provenance_of
 from quatprop.readers.base import Channel, Closing, Loss, Losses, MessageBlock
 from quatprop.readers.compression import LARGE
-from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk
+from quatprop.readers.mcap_messages import LATEST, at_offsets, indexed, walk, with_marks
 from quatprop.readers.mcap_metadata import recorded
 from quatprop.readers.mcap_picked import picked
 from quatprop.readers.mcap_regions import (
@@ -187,7 +187,11 @@ class McapLog(Closing):
             self._lost.note(Loss(region.place, reason))
         if walked.malformed:
             self._lost.note(Loss(region.place, "too short to be messages", walked.malformed))
-        messages = at_offsets(data, walked.offsets)
+        every = indexed(raw, region.start, region, list(region.holds or ()))
+        if walked.end < len(data) and every is not None:
+            messages = with_marks(data, walked.offsets, every)
+        else:
+            messages = at_offsets(data, walked.offsets)
         return messages.of(ids) if messages else None
 
 

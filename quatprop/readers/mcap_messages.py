@@ -207,6 +207,30 @@ def at_offsets(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
     return _anywhere(data, offsets) if messages is None else messages
 
 
+def with_marks(
+    data: Buffer, walked: NDArray[np.int64], marks: NDArray[np.int64]
+) -> Messages | None:
+    """Return the messages of a walk that damage has ended, and those behind it.
+
+    Parameters
+    ----------
+    data
+        The unpacked records of a region.
+    walked
+        Where the walk found messages, shape ``(N,)``, int64; the length of the last may be what
+        led it astray.
+    marks
+        Where messages begin by the index, shape ``(M,)``, int64, ascending.
+    """
+    behind = marks[marks > walked[-1]] if len(walked) else marks
+    # Damaged may be the last that was walked to, or the first behind it.
+    for known, later in ((walked, behind), (walked[:-1], behind), (walked, behind[1:])):
+        messages = at_offsets(data, np.concatenate([known, later])) if len(later) else None
+        if messages is not None:
+            return messages
+    return at_offsets(data, walked)
+
+
 def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
     """Return messages of one length and channel that follow each other without anything between.
 
