@@ -28,6 +28,12 @@ BLOCK = 131_072
 """Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
 
 
+def blocks(rows: int) -> Iterator[slice]:
+    """Yield slices of so many rows: what is computed of each needs no memory for all of them."""
+    for start in range(0, rows, BLOCK):
+        yield slice(start, start + BLOCK)
+
+
 @dataclass(frozen=True, slots=True)
 class GyroSeries:
     """Angular rates of the body relative to the reference, in time.

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.compare import Settings, angle_rad, compare
 from quatprop.errors import ComparisonError, UsageError
-from quatprop.series import AttitudeSeries
+from quatprop.series import BLOCK, AttitudeSeries
 
 SAMPLES = 2000
 STEP_NS = 10_000_000
@@ -330,3 +330,17 @@ def test_unknown_ways_are_refused():
         compare(A, A, Settings(align="best"))
     with pytest.raises(UsageError, match=r"^no match 'fuzzy'; choose one of 'exact', 'nearest'"):
         compare(A, A, Settings(match="fuzzy"))
+
+
+def test_long_series_are_compared_to_their_ends():
+    """Errors and signs count in every block that is computed apart, and so does the last row."""
+    rows = 2 * BLOCK + 3
+    wxyz = np.tile([2.0, 0.0, 0.0, 0.0], (rows, 1))
+    other = np.tile([-1.0, 0.0, 0.0, 0.0], (rows, 1))
+    for row, angle in ((0, 0.01), (BLOCK, 0.02), (rows - 1, 0.03)):
+        other[row] = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
+    t_ns = np.arange(rows)
+    found = compare(AttitudeSeries(t_ns, wxyz), AttitudeSeries(t_ns, other))
+    assert np.flatnonzero(found.error).tolist() == [0, BLOCK, rows - 1]
+    assert found.error[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
+    assert found.remarks[-1].startswith(f"B has the opposite sign in {rows - 3} of {rows} samples")

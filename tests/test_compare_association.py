@@ -59,6 +59,17 @@ def test_equal_stamps_are_matched_exactly():
     assert np.array_equal(pairs.b, b.wxyz[[0, 1, 3]])
 
 
+def test_series_of_the_same_stamps_are_not_copied():
+    """Two long ones fit where they fit by themselves."""
+    t_ns = EPOCH_NS + np.arange(5)
+    a, b = random_series(t_ns), random_series(t_ns, 1)
+    pairs = associate(a, b)
+    assert np.shares_memory(pairs.a, a.wxyz)
+    assert np.shares_memory(pairs.b, b.wxyz)
+    assert pairs.index.tolist() == [0, 1, 2, 3, 4]
+    assert (pairs.match, pairs.at, pairs.candidates) == ("exact", "A", 5)
+
+
 def test_other_stamps_are_interpolated_where_there_are_fewer():
     """The series with the shorter intervals is interpolated at the stamps of the other one."""
     a = spin(EPOCH_NS + 10_000_000 * np.arange(100))

@@ -19,11 +19,12 @@ from quatprop.compare.figures import (
     WindowFigures,
     drift_deg_h,
     error_figures,
+    errors_of,
     window_figures,
 )
 from quatprop.errors import ComparisonError, UsageError, quoted
 from quatprop.quaternion import IDENTITY, geodesic_angle, normalize
-from quatprop.series import AttitudeSeries
+from quatprop.series import AttitudeSeries, blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -205,16 +206,15 @@ def compare(a: AttitudeSeries, b: AttitudeSeries, settings: Settings | None = No
     )
     pairs = associated(a, b)
     alignment = align(settings.align, pairs.a, pairs.b)
-    aligned = alignment.apply(pairs.b)
-    error = geodesic_angle(pairs.a, aligned)
+    error, opposite = errors_of(pairs, alignment)
     place = partial(_place, pairs, error)
     limit = np.inf if settings.tolerance is None else settings.tolerance
     exceeded = place(int(np.argmax(error > limit))) if error.max() > limit else None
-    remarks += _signs(pairs, aligned, error)
+    remarks += _signs(pairs, opposite, error)
     cause = None
     if settings.tolerance is None or exceeded:
         cause = likely_cause(a, b, associated, settings.align, error)
-    window_ns = settings.window_ns
+    window = settings.window_ns or None
     return Comparison(
         pairs=pairs,
         alignment=alignment,
@@ -224,7 +224,7 @@ def compare(a: AttitudeSeries, b: AttitudeSeries, settings: Settings | None = No
         figures=error_figures(error),
         drift_deg_h=drift_deg_h(pairs.t_ns, error),
         worst=place(int(np.argmax(error))),
-        window=window_figures(pairs.t_ns, pairs.a, aligned, window_ns) if window_ns else None,
+        window=window and window_figures(pairs.t_ns, pairs.a, alignment.apply(pairs.b), window),
         tolerance=settings.tolerance,
         exceeded=exceeded,
         cause=cause,
@@ -259,7 +259,7 @@ def _ordered(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeS
     """Return a series of unit quaternions at rising stamps; what that took is remarked on."""
     if not len(series):
         raise ComparisonError(f"{name} has no attitudes; check what was selected")
-    length = np.sqrt((series.wxyz**2).sum(axis=1))
+    length = np.sqrt(np.einsum("ij,ij->i", series.wxyz, series.wxyz))
     (bad,) = np.nonzero(~(np.isfinite(length) & (length > 0)))
     if len(bad):
         raise ComparisonError(
@@ -268,7 +268,9 @@ def _ordered(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeS
         )
     if (off := float(np.abs(length - 1).max())) > UNIT_LENGTH:
         remarks.append(f"{name} is not of unit length, by up to {off:.2g}; normalised")
-    t_ns, wxyz = series.t_ns, normalize(series.wxyz)
+    t_ns, wxyz = series.t_ns, np.empty_like(series.wxyz)
+    for rows in blocks(len(wxyz)):
+        wxyz[rows] = normalize(series.wxyz[rows])
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
         return AttitudeSeries(t_ns, wxyz)
@@ -285,13 +287,12 @@ def _place(pairs: Pairs, error: Float64, pair: int) -> Place:
     return Place(int(pairs.t_ns[pair]), pairs.at, int(pairs.index[pair]), float(error[pair]))
 
 
-def _signs(pairs: Pairs, aligned: Float64, error: Float64) -> list[str]:
+def _signs(pairs: Pairs, opposite: int, error: Float64) -> list[str]:
     """Say where B is the same attitude with the opposite sign: a difference, but no error."""
-    opposite = (pairs.a * aligned).sum(axis=1) < 0
-    if pairs.match != "exact" or not opposite.any() or error.max() > SMALL:
+    if pairs.match != "exact" or not opposite or error.max() > SMALL:
         return []
     remark = (
-        f"B has the opposite sign in {int(opposite.sum())} of {len(pairs)} samples: q and -q are "
+        f"B has the opposite sign in {opposite} of {len(pairs)} samples: q and -q are "
         "the same attitude, so this is no error"
     )
     return [remark]

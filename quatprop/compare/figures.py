@@ -9,10 +9,14 @@ import numpy as np
 
 from quatprop.errors import ComparisonError
 from quatprop.quaternion import conjugate, geodesic_angle, multiply
+from quatprop.series import blocks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from quatprop.compare.alignment import Alignment
+    from quatprop.compare.association import Pairs
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -72,6 +76,31 @@ class WindowFigures:
     max_rad: float
     rms_rad: float
     worst_ns: int
+
+
+def errors_of(pairs: Pairs, alignment: Alignment) -> tuple[Float64, int]:
+    """Return the errors of pairs, and in how many of them the quaternions have opposite signs.
+
+    Parameters
+    ----------
+    pairs
+        What belongs together.
+    alignment
+        What brings B to A.
+
+    Returns
+    -------
+    error : ndarray
+        Geodesic angles, rad, shape ``(N,)``.
+    opposite : int
+        How many products of a pair are negative.
+    """
+    error, opposite = np.empty(len(pairs)), 0
+    for rows in blocks(len(pairs)):
+        a, b = pairs.a[rows], alignment.apply(pairs.b[rows])
+        error[rows] = geodesic_angle(a, b)
+        opposite += int(np.count_nonzero(np.einsum("ij,ij->i", a, b) < 0))
+    return error, opposite
 
 
 def error_figures(error: Float64) -> ErrorFigures:
