@@ -301,3 +301,55 @@ def test_other_message_compressions_are_refused(tmp_path):
     path = old_bag(tmp_path / "a.db3", [])
     with pytest.raises(UnsupportedLogError, match=r"packed with 'lz4' and only zstd is read; "):
         Db3Log(path, message_compression="lz4")
+
+
+@pytest.mark.parametrize("value", [b"\x17", b"17", "soon", 1.5, None])
+@pytest.mark.parametrize("column", ["timestamp", "data"])
+def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
+    """SQLite takes anything anywhere; what is no time or no bytes is no message."""
+    path = tmp_path / "log.db3"
+    database = sqlite3.connect(path)
+    database.executescript(OLD_TABLES.replace("NOT NULL)", ")").replace("INTEGER NOT NULL", ""))
+    for number in range(300):
+        row = {"timestamp": 1000 + number, "data": HEADER + bytes([number % 256])}
+        if number == 200:
+            row[column] = value
+        database.execute("INSERT INTO messages VALUES (?, 4, ?, ?)", (number, *row.values()))
+    database.commit()
+    database.close()
+    is_right = column == "data" and isinstance(value, bytes)
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        rows = rows_of(log, channel)
+        assert [stamp - 1000 for stamp, _ in rows] == [
+            number for number in range(300) if number != 200 or is_right
+        ]
+        reason = "their log times or contents are of other types"
+        assert log.losses == ([] if is_right else [Loss("topic '/imu'", reason, 1)])
+
+
+def test_every_message_before_a_malformed_page_is_read(tmp_path):
+    """Of the rows that are fetched together, those before the damage are kept."""
+    path = tmp_path / "log.db3"
+    database = sqlite3.connect(path)
+    database.executescript(OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
+    for number in range(1000):
+        data = HEADER + number.to_bytes(4, "little") * 75
+        database.execute("INSERT INTO messages VALUES (?, 4, ?, ?)", (number, number, data))
+    database.commit()
+    # Without the index of times SQLite sorts, and reads every page first.
+    database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+    database.commit()
+    database.close()
+    content = bytearray(path.read_bytes())
+    places = [content.index(HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
+    page = places[777] // 4096 * 4096
+    content[page : page + 12] = b"\xff" * 12
+    path.write_bytes(content)
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        rows = rows_of(log, channel)
+        (loss,) = log.losses
+    assert [stamp for stamp, _ in rows] == list(range(len(rows)))
+    assert len(rows) == min(k for k in range(1000) if page <= places[k] < page + 4096)
+    assert loss.reason.startswith(f"what follows message {len(rows)} cannot be read (")

@@ -164,21 +164,38 @@ class Db3Log(Closing):
             "SELECT timestamp, data FROM messages "  # noqa: S608  # only question marks go in
             f"WHERE topic_id IN ({marks}) ORDER BY timestamp, rowid"
         )
-        count, rows = 0, 64
+        count, lost, rows = 0, 0, 64
+        damage = None
+        cursor = iter(())
         try:
             cursor = self._database.execute(query, numbers)
-            while fetched := list(islice(cursor, rows)):
-                stamps, messages = zip(*fetched, strict=True)
+        except apsw.Error as error:
+            damage = error
+        while damage is None:
+            fetched: list[Any] = []
+            try:
+                # What comes before an error stays in the list.
+                fetched.extend(islice(cursor, rows))
+            except apsw.Error as error:
+                damage = error
+            if not fetched:
+                break
+            right = _of_right_types(fetched)
+            count += len(fetched)
+            lost += len(fetched) - len(right)
+            if right:
+                stamps, messages = zip(*right, strict=True)
                 fetch = _Fetch(
                     np.fromiter(stamps, np.int64, len(stamps)),
                     np.fromiter(map(len, messages), np.int64, len(messages)),
                     b"".join(messages),
                 )
                 yield fetch
-                count += len(fetched)
-                rows = min(_ROWS, max(1, _BYTES * len(fetched) // (len(fetch.data) + 1)))
-        except (apsw.Error, TypeError, OverflowError) as error:
-            self._lose(channel, f"what follows message {count} cannot be read ({error})")
+                rows = min(_ROWS, max(1, _BYTES * len(right) // (len(fetch.data) + 1)))
+        if lost:
+            self._lose(channel, "their log times or contents are of other types", lost)
+        if damage is not None:
+            self._lose(channel, f"what follows message {count} cannot be read ({damage})")
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         loss = Loss(f"topic {quoted(channel.topic)}", reason, messages)
@@ -206,6 +223,17 @@ class Db3Log(Closing):
     def close(self) -> None:
         """Close the database."""
         self._database.close()
+
+
+def _of_right_types(rows: list[Any]) -> list[Any]:
+    """Return the rows of a whole number and bytes; SQLite takes anything.
+
+    Of the digits in bytes numpy would make a number.
+    """
+    stamps, messages = zip(*rows, strict=True)
+    if set(map(type, stamps)) == {int} and set(map(type, messages)) == {bytes}:
+        return rows
+    return [row for row in rows if type(row[0]) is int and type(row[1]) is bytes]
 
 
 def _some(fetches: Iterator[_Fetch]) -> list[_Fetch]:
