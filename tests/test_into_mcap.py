@@ -2,6 +2,7 @@
 
 import json
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -233,6 +234,43 @@ def test_bytes_that_are_no_records_are_passed_over(tmp_path):
     assert len(attitudes(out)) == sum(topic == "/imu" for _, topic, *_ in kept)
 
 
+def test_the_statistics_count_messages_outside_chunks(tmp_path):
+    """They begin with the first message of the log, though attitudes begin later."""
+    log = write_mcap(tmp_path / "log.mcap", use_chunking=False)
+    with added(log, "--start", "+1s", "--end", "-1s").open("rb") as stream:
+        told = make_reader(stream).get_summary().statistics
+    every = [logged for _, logged in moments(300)]
+    assert (told.message_start_time, told.message_end_time) == (every[0], every[-1])
+
+
+def test_an_index_of_other_channels_is_made_anew(tmp_path):
+    """What a chunk's message index says and the summary does not is not copied."""
+    log = write_mcap(tmp_path / "log.mcap")
+    with log.open("rb") as stream:
+        chunk = make_reader(stream).get_summary().chunk_indexes[2]
+    (at, *_) = chunk.message_index_offsets.values()
+    data = bytearray(log.read_bytes())
+    data[at + 9 : at + 11] = (77).to_bytes(2, "little")
+    log.write_bytes(data)
+    out = tmp_path / "out.mcap"
+    assert run("propagate", log, "--into", out, "-q").exit_code in {0, 3}
+    examine(out)
+    assert messages(out, without=["/attitude"]) == messages(log)
+
+
+def test_a_definition_that_is_none_is_not_copied(tmp_path):
+    """The good one of the summary is, so that the copy can be read."""
+    log = write_mcap(tmp_path / "log.mcap", use_chunking=False)
+    data = bytearray(log.read_bytes())
+    at = data.index(b"sensor_msgs/msg/Imu") - 4
+    data[at : at + 4] = b"\xff\xff\xff\x7f"
+    log.write_bytes(data)
+    out = tmp_path / "out.mcap"
+    assert run("propagate", log, "--into", out, "-q").exit_code in {0, 3}
+    examine(out)
+    assert len(attitudes(out)) == 300
+
+
 def test_fewer_rows_are_logged_between_messages(tmp_path):
     """With --rate, an attitude is logged as long after its message as it is stamped after it."""
     out = added(write_mcap(tmp_path / "log.mcap"), "--rate", "250")
@@ -357,3 +395,24 @@ def test_log_times_never_step_back():
     times = LogTimes(iter([(np.array([10, 20, 30]), np.array([100, 90, 95]))]))
     assert times.of(np.array([10])).tolist() == [100]
     assert times.of(np.array([20, 30])).tolist() == [100, 100]
+
+
+def test_log_times_hold_no_more_than_is_needed():
+    """What lies behind is let go: a long log is not held in memory."""
+    batches = 50
+    size = 20_000
+
+    def pairs():
+        for k in range(batches):
+            stamps = np.arange(size) + k * size
+            yield stamps, stamps + 1000
+
+    times = LogTimes(pairs())
+    tracemalloc.start()
+    try:
+        for k in range(batches):
+            times.of(np.arange(size) + k * size)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < batches * size * 16 / 2

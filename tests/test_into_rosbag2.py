@@ -214,3 +214,35 @@ def test_a_database_in_write_ahead_mode_gets_no_files_beside_it(tmp_path):
     assert run("propagate", log, "--into", tmp_path / "copy", "-q").exit_code == 0
     assert run("convert", log, tmp_path / "out.csv", "-q").exit_code in {0, 2}
     assert {path.name: path.read_bytes() for path in log.iterdir()} == before
+
+
+def test_what_is_not_yet_inside_a_database_is_copied_but_not_its_log(tmp_path):
+    """A bag that was copied while it was recorded has messages beside its database."""
+    log = write_rosbag2(tmp_path / "log", StoragePlugin.SQLITE3)
+    (database,) = log.glob("*.db3")
+    with closing(sqlite3.connect(database)) as opened:
+        opened.execute("PRAGMA journal_mode=WAL")
+        opened.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (2, 7, x'07')")
+        opened.commit()
+        taken = shutil.copytree(log, tmp_path / "taken")
+    assert any(path.name.endswith("-wal") for path in taken.iterdir())
+    out = tmp_path / "copy"
+    assert run("propagate", taken, "--into", out, "-q").exit_code in {0, 3}
+    names = ["metadata.yaml", "note.txt", database.name]
+    assert sorted(path.name for path in out.iterdir()) == sorted(names)
+    with closing(sqlite3.connect(out / database.name)) as opened:
+        assert opened.execute("SELECT COUNT(*) FROM messages WHERE timestamp = 7").fetchone() == (
+            1,
+        )
+
+
+@pytest.mark.parametrize("version", [8, 9])
+def test_profiles_are_written_as_the_bag_has_them(tmp_path, version):
+    """No profiles are a list since version 9, and nothing before."""
+    log = write_rosbag2(tmp_path / "log", StoragePlugin.SQLITE3, version=version)
+    out = tmp_path / "copy"
+    assert run("propagate", log, "--into", out, "-q").exit_code == 0
+    (database,) = out.glob("*.db3")
+    with closing(sqlite3.connect(database)) as opened:
+        rows = dict(opened.execute("SELECT name, offered_qos_profiles FROM topics"))
+    assert rows["/attitude"] == rows["/imu"] == ("[]" if version == 9 else "")

@@ -85,6 +85,12 @@ def test_a_folder_that_is_not_there(log, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
+def test_a_layout_that_messages_do_not_have(log, tmp_path):
+    """It is refused as it is for a file of its own."""
+    words = refused(log, tmp_path / "copy", UsageError, layout="scalar-first")
+    assert "scalar-last" in words
+
+
 def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
     """What was begun is removed, and all files are closed."""
     for place in (

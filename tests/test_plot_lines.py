@@ -147,3 +147,14 @@ def test_points_without_neighbours_are_told():
     """A sample alone between two gaps would be no line at all."""
     drawn = Line(np.arange(6.0), np.array([1, np.nan, 2, np.nan, 3, 4]))
     assert lone_points(drawn).values.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(("to", "whole"), [(200.0, False), (560.0, True), (920.0, True)])
+def test_more_than_a_turn_between_samples_goes_from_edge_to_edge(to, whole):
+    """Where several turns lie between two samples, the line has been everywhere."""
+    for sign in (1.0, -1.0):
+        drawn = folded(Line(np.array([0.0, 1.0]), sign * np.array([170.0, to])))
+        inside = drawn.values * sign
+        middle = [-180.0, 180.0, np.nan] if whole else []
+        expected = [170.0, 180.0, np.nan, *middle, -180.0, -160.0]
+        assert inside == pytest.approx(expected, nan_ok=True)
