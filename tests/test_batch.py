@@ -186,6 +186,22 @@ def test_outputs_do_not_replace_logs(tmp_path):
     assert "this is an input of the run; choose another output" in done.stderr
 
 
+def test_outputs_do_not_replace_other_logs(tmp_path):
+    """Nor may the output of one log have the name of another log."""
+    first, other = log(tmp_path / "x" / "a.csv"), log(tmp_path / "out" / "x" / "a.csv", 2)
+    before = other.read_bytes()
+    done = run(first, other, "-o", tmp_path / "out", "--to", "csv")
+    assert done.exit_code == 2
+    assert done.stderr.endswith(f"{other}: this is an input of the run; choose another output\n")
+    assert other.read_bytes() == before
+
+
+def test_names_that_differ_in_case_only_keep_their_folders():
+    """On many disks they are one name."""
+    placed = outputs(["1/IMU.bag", "2/imu.bag"], Path("out"), ".npy")
+    assert placed == [Path("out/1/IMU.npy"), Path("out/2/imu.npy")]
+
+
 def test_what_is_there_can_be_skipped(tmp_path):
     """After an interruption only the rest is done."""
     logs = [log(tmp_path / f"{name}.csv") for name in "ab"]

@@ -7,6 +7,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.known_types import KnownTypes
 from quatprop.messages.rate_types import RATES
 from quatprop.messages.rates import rate_field_at, rate_fields, time_field_at
 from quatprop.messages.stamps import Stamp
@@ -276,3 +277,18 @@ def _attribute(value, path):
     for name in path.split("."):
         value = getattr(value, name)
     return value
+
+
+def test_what_is_inside_a_known_type_is_its_own_affair():
+    """Of known types within one another the outermost counts, and those beside it."""
+    line = "=" * 80
+    text = (
+        f"pkg/msg/Outer first\npkg/msg/Inner second\n{line}\nMSG: pkg/msg/Outer\n"
+        f"pkg/msg/Inner within\n{line}\nMSG: pkg/msg/Inner\nfloat64 x\n"
+    )
+    known = KnownTypes({"pkg/msg/Outer": "outer", "pkg/msg/Inner": "inner"})
+    root = known.root(channel_of(text, "pkg/msg/Both"), "log")
+    found = list(known.inside(root, lambda _row, _struct, _prefix: True))
+    assert [(prefix.rstrip("."), row) for prefix, row in found] == [
+        ("first", "outer"), ("second", "inner"),
+    ]  # fmt: skip

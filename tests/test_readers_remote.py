@@ -1,6 +1,7 @@
 """Logs in object stores, tried on the one that is everywhere: the local file system."""
 
 import json
+import shutil
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +38,16 @@ def test_a_log_at_an_address_is_the_log(tmp_path, temporary, name):
     assert far.read_bytes() == near.read_bytes()
     assert json.loads(report.read_text())["source"]["path"] == address
     assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
+    """What tools keep beside the files of a bag does not hinder its reading."""
+    bag = shutil.copytree(SAMPLES / "tumbling_ros2", tmp_path / "bag")
+    (bag / ".thumbnails").mkdir()
+    with local_copy(bag.as_uri()) as copy:
+        assert sorted(path.name for path in copy.iterdir()) == sorted(
+            path.name for path in (SAMPLES / "tumbling_ros2").iterdir()
+        )
 
 
 def test_what_is_not_there_is_said(tmp_path):
