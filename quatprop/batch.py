@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import time
 from collections import Counter
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from quatprop import __version__
 from quatprop.errors import QuatpropError, UsageError, plain, quoted
 from quatprop.foreign import told
 from quatprop.job import run
 from quatprop.parallel import KILLED, each
 from quatprop.readers.remote import is_address, without_secret
+from quatprop.writers.atomic import Output
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -65,12 +70,13 @@ def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
     -------
     list of Path
         ``folder/NAME.suffix`` where all logs have different names. Where some have the same, as
-        in a folder for each run, the folders below the one that all logs share are kept.
+        in a folder for each run, the folders below the one that all logs share are kept; logs
+        that differ in their own suffix alone keep that, too.
 
     Raises
     ------
     UsageError
-        A log is named twice, or two would go to the same place.
+        A log is named twice.
 
     Examples
     --------
@@ -78,6 +84,8 @@ def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
     ['out/imu.npy', 'out/gyro.npy']
     >>> [path.as_posix() for path in outputs(["a/imu.bag", "b/imu.bag"], Path("out"), ".npy")]
     ['out/a/imu.npy', 'out/b/imu.npy']
+    >>> [path.as_posix() for path in outputs(["imu.bag", "imu.csv"], Path("out"), ".npy")]
+    ['out/imu.bag.npy', 'out/imu.csv.npy']
     """
     # Links stay as they are named.
     places = [Path(os.path.abspath(_object(log))) for log in logs]  # noqa: PTH100
@@ -85,16 +93,20 @@ def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
         if count > 1:
             raise UsageError(f"{quoted(place)} is named {count} times; name each log once")
     names = [Path(_stem(place)) for place in places]
-    if len({str(name).lower() for name in names}) < len(names):
+    if any(_clashes(names)):
         folders = below_shared(places)
         names = [folder / _stem(place) for folder, place in zip(folders, places, strict=True)]
-    for name, count in Counter(str(name).lower() for name in names).items():
-        if count > 1:
-            raise UsageError(
-                f"{count} logs would go to {quoted(folder / (name + suffix))}; "
-                "propagate them apart, or rename one"
-            )
+    names = [
+        name.with_name(place.name) if clashes else name
+        for name, place, clashes in zip(names, places, _clashes(names), strict=True)
+    ]
     return [folder / f"{name}{suffix}" for name in names]
+
+
+def _clashes(names: Sequence[Path]) -> list[bool]:
+    """Tell of each name whether another is the same, on systems that do not look at case, too."""
+    counts = Counter(str(name).lower() for name in names)
+    return [counts[str(name).lower()] > 1 for name in names]
 
 
 def below_shared(places: Sequence[PurePath]) -> list[Path]:
@@ -115,6 +127,58 @@ def _stem(place: Path) -> str:
         return place.name
     packed = place.suffix.lower() in {".gz", ".zst", ".zstd", ".lz4", ".bz2", ".active"}
     return Path(place.stem).stem if packed else place.stem
+
+
+class Made:
+    """What is known of the outputs in a folder: which log and which options they came from.
+
+    Parameters
+    ----------
+    folder
+        Where the outputs are.
+    """
+
+    NAME = ".quatprop-batch.json"
+
+    def __init__(self, folder: Path) -> None:
+        self._place = folder / self.NAME
+        try:
+            known = json.loads(self._place.read_text())
+            self._known = dict(known) if isinstance(known, dict) else {}
+        except (OSError, ValueError):
+            self._known = {}
+
+    def is_fresh(self, job: Job) -> bool:
+        """Tell whether an output is there that came from this log, as it is, by these options."""
+        there = Path(job.output).exists()
+        return there and self._known.get(self._key(job)) == _origin(job)
+
+    def note(self, job: Job) -> None:
+        """Note that an output was made."""
+        self._known[self._key(job)] = _origin(job)
+
+    def write(self) -> None:
+        """Keep what is known beside the outputs."""
+        if self._known:
+            output = Output(self._place)
+            output.stream.write(json.dumps(self._known, indent=1).encode())
+            output.commit()
+
+    def _key(self, job: Job) -> str:
+        return Path(os.path.relpath(job.output, self._place.parent)).as_posix()
+
+
+def _origin(job: Job) -> str:
+    """Return a digest of what an output comes from: version, options, and the files it reads."""
+    read = [Path(name) for name in (job.log, job.q0.words, job.at) if name]
+    parts = [part for place in read for part in (sorted(place.glob("*")) or [place])]
+    files = []
+    for part in parts:
+        with suppress(OSError):
+            found = part.stat()
+            files.append((part.name, found.st_size, found.st_mtime_ns))
+    said = (__version__, replace(job, log=os.path.abspath(job.log), output=""), files)  # noqa: PTH100
+    return hashlib.sha256(repr(said).encode()).hexdigest()
 
 
 def propagated(job: Job) -> Outcome:

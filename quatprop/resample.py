@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 NS_PER_S = 1_000_000_000
 
-PIECE = 1 << 20
-"""Steady times computed at once: their products with the period fit in 64 bits."""
+PIECE = 1 << 17
+"""Times at once: memory is bounded, and products with the period of steady ones fit in 64 bits."""
 
 
 def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSeries]:
@@ -51,8 +51,8 @@ def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSerie
 class Times(Protocol):
     """The times at which attitudes are wanted."""
 
-    def up_to(self, first_ns: int, last_ns: int) -> Int64:
-        """Return the wanted times from the last call's `last_ns` on, up to and with this one.
+    def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
+        """Yield the wanted times from the last call's `last_ns` on, up to and with this one.
 
         Parameters
         ----------
@@ -77,16 +77,16 @@ class Steady:
         self._origin: int | None = None
         self._next = 0
 
-    def up_to(self, first_ns: int, last_ns: int) -> Int64:
-        """Return the next times; see :class:`Times`."""
+    def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
+        """Yield the next times; see :class:`Times`."""
         if self._origin is None:
             self._origin = first_ns
         first = max(self._next, -(-(first_ns - self._origin) * self._rate // self._per))
         # floor(k per / rate) <= t is k < (t + 1) rate / per.
         stop = max(first, -(-(last_ns - self._origin + 1) * self._rate // self._per))
         self._next = stop
-        pieces = [self._times(k, min(k + PIECE, stop)) for k in range(first, stop, PIECE)]
-        return np.concatenate([np.zeros(0, np.int64), *pieces])
+        for start in range(first, stop, PIECE):
+            yield self._times(start, min(start + PIECE, stop))
 
     def _times(self, start: int, stop: int) -> Int64:
         # The start with Python's integers; only the rest has to fit in 64 bits.
@@ -108,12 +108,13 @@ class Listed:
         self._t_ns = t_ns
         self._next = 0
 
-    def up_to(self, first_ns: int, last_ns: int) -> Int64:
-        """Return the next times; see :class:`Times`."""
+    def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
+        """Yield the next times; see :class:`Times`."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
         stop = max(first, int(np.searchsorted(self._t_ns, last_ns, side="right")))
         self._next = stop
-        return self._t_ns[first:stop]
+        for start in range(first, stop, PIECE):
+            yield self._t_ns[start : min(start + PIECE, stop)]
 
 
 def at_times(
@@ -145,8 +146,7 @@ def at_times(
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
         gyro, attitude = _after(last, block, attitudes)
         last = _tail(gyro, attitude)
-        wanted = times.up_to(first_ns, int(gyro.t_ns[-1]))
-        if len(wanted):
+        for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
             yield AttitudeSeries(wanted, _between(gyro, attitude.wxyz, wanted, method, rates))
 
 

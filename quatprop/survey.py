@@ -202,6 +202,15 @@ def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
         found = attitude_candidates(log, wanted)
     except (NoAttitudesError, NoSuchTopicError):
         return
+    except LogError as error:
+        # One topic that needs more than there is here does not hide the others.
+        topics = dict.fromkeys(one.topic for one in cast("MessageLog", log).channels())
+        if is_table(log) or selection.topic is not None or len(topics) == 1:
+            yield _unread_attitude("", selection.topic or "", error.reason)
+            return
+        for topic in topics:
+            yield from _attitudes(log, replace(selection, topic=topic))
+        return
     for candidate in found:
         try:
             source, unknown, missing = _declared(log, candidate, wanted)
@@ -210,9 +219,9 @@ def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
             continue
         except LogError as error:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
-            yield _unread_attitude(candidate, name, error.reason)
+            yield _unread_attitude(candidate.field, name, error.reason)
         except UsageError as error:
-            yield _unread_attitude(candidate, candidate.topic, str(error))
+            yield _unread_attitude(candidate.field, candidate.topic, str(error))
         else:
             yield {**facts, **dict.fromkeys(unknown), "missing": missing}
 
@@ -234,10 +243,10 @@ def _declared(
             raise error from None
 
 
-def _unread_attitude(candidate: Candidate, name: str, reason: str) -> Facts:
+def _unread_attitude(field: str, name: str, reason: str) -> Facts:
     known = dict.fromkeys((*_OF_TIME, "clock", "samples", "no_rotation", "layout",
                            "convention", "direction"))  # fmt: skip
-    told = {"source": name, "type": "", "attitude": candidate.field}
+    told = {"source": name, "type": "", "attitude": field}
     return {**known, **told, "missing": reason, "remarks": []}
 
 

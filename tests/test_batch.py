@@ -45,7 +45,7 @@ def test_each_log_gives_what_propagate_gives(tmp_path, processes):
     out = tmp_path / "out"
     done = run(*logs, "-o", out, "--to", "csv", "--method", "mean", "-j", processes)
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in out.iterdir()) == ["a.csv", "b.csv", "c.csv"]
+    assert sorted(path.name for path in out.glob("*.csv")) == ["a.csv", "b.csv", "c.csv"]
     for path in logs:
         alone = tmp_path / "alone.csv"
         CliRunner().invoke(cli, ["propagate", str(path), "-o", str(alone), "--method", "mean"])
@@ -64,7 +64,7 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
         f"Error: {bad}: no body rates found; its columns are '0', '1'; "
         "name the columns with --rate-cols and --time-col\n"
     )
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["good.parquet"]
+    assert [path.name for path in (tmp_path / "out").glob("*.parquet")] == ["good.parquet"]
 
 
 @pytest.mark.parametrize(
@@ -170,12 +170,12 @@ def test_two_logs_never_share_an_output(tmp_path):
         2,
         f"Error: '{one}' is named 2 times; name each log once\n",
     )
-    clash = run(one, other, "-o", tmp_path / "out")
-    assert clash.stderr == (
-        f"Error: 2 logs would go to '{tmp_path / 'out' / 'a.parquet'}'; propagate them apart, or "
-        "rename one\n"
-    )
     assert not (tmp_path / "out").exists()
+    assert run(one, other, "-o", tmp_path / "out", "-q").exit_code == 0
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.parquet")) == [
+        "a.csv.parquet",
+        "a.txt.parquet",
+    ]
 
 
 def test_outputs_do_not_replace_logs(tmp_path):
@@ -209,9 +209,37 @@ def test_what_is_there_can_be_skipped(tmp_path):
     before = (tmp_path / "out" / "a.parquet").stat().st_mtime_ns
     done = run(*logs, "-o", tmp_path / "out", "--skip-existing")
     assert done.stderr.splitlines()[-1] == (
-        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are there"
+        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are as they would be"
     )
     assert (tmp_path / "out" / "a.parquet").stat().st_mtime_ns == before
+
+
+def test_what_would_be_otherwise_is_not_skipped(tmp_path):
+    """Other options, another log of the same name, an output of someone else: made anew."""
+    path, out = log(tmp_path / "a.csv"), tmp_path / "out"
+    again = ("-o", out, "--skip-existing")
+
+    def skipped(*options):
+        return "1 skipped" in run(path, *again, *options).stderr
+
+    assert not skipped()
+    assert skipped()
+    assert not skipped("--method", "mean")
+    assert skipped("--method", "mean")
+    log(path, rate=3.0, samples=7)
+    assert not skipped("--method", "mean")
+    (out / ".quatprop-batch.json").write_text("nonsense")
+    assert not skipped("--method", "mean")
+    (out / "a.parquet").unlink()
+    assert not skipped("--method", "mean")
+
+
+def test_the_folder_of_outputs_is_no_file(tmp_path):
+    """Said before anything is done."""
+    path = log(tmp_path / "a.csv")
+    done = run(path, "-o", path)
+    assert done.exit_code == 2
+    assert f"-o {path} is a file; name a folder for the outputs" in done.stderr
 
 
 def test_the_reports_are_json(tmp_path):
@@ -311,7 +339,7 @@ def test_the_installed_command_runs_processes(tmp_path):
     command = [INSTALLED, "batch", *logs, "-o", tmp_path / "out", "-j", "2"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "out").iterdir())) == 3
+    assert len(list((tmp_path / "out").glob("*.parquet"))) == 3
 
 
 @pytest.mark.parametrize(

@@ -674,3 +674,19 @@ def test_a_part_that_ends_before_it_starts_is_refused(log, tmp_path):
         run("propagate", log, "-o", tmp_path / "o.csv", "--start", "+2s", "--end", "500000000"),
         "--start is 1.5 s after --end; swap them, or check units",
     )
+
+
+def test_two_outputs_do_not_share_stdout(log):
+    """CSV and JSON in one stream would be neither."""
+    refused(
+        run("propagate", log, "-o", "-", "--report", "-"),
+        "-: two outputs of the run would go to stdout; name a file for one",
+    )
+
+
+def test_an_output_is_no_address(log):
+    """Only logs are fetched; the key that an address may carry is not shown."""
+    refused(
+        run("propagate", log, "-o", "s3://key:secret@bucket/out.csv"),
+        "s3://...: outputs are files of this machine; copy them there afterwards",
+    )

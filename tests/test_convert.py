@@ -307,3 +307,14 @@ def test_the_rotation_is_the_same_in_every_representation(tmp_path, attitudes):
     run(attitudes, out, "--as", "matrix")
     found = Rotation.from_matrix(series(out)[1].reshape(-1, 3, 3)).as_quat(scalar_first=True)
     assert geodesic_angle(found, series(attitudes)[1]).max() < 1e-14
+
+
+def test_a_file_that_forgets_what_its_numbers_mean_is_remarked_on(tmp_path):
+    """A CSV of JPL quaternions reads back as Hamilton, unless it says so."""
+    path = table(tmp_path, PLAIN)
+    said = "note: the file cannot say that it is jpl body-to-ref: whoever reads it has to"
+    assert said in run(path, tmp_path / "a.csv", "--convention", "jpl").stderr
+    for out, more in (("b.csv", ["--header-comment"]), ("c.parquet", [])):
+        told = run(path, tmp_path / out, "--convention", "jpl", *more).stderr
+        assert "cannot say" not in told
+    assert "cannot say" not in run(path, tmp_path / "d.csv").stderr

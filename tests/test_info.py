@@ -1,6 +1,7 @@
 """`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +182,15 @@ def test_an_orientation_that_no_message_has_is_not_listed():
     (facts,), _ = info(SAMPLES / "tumbling.bag")
     assert [one["source"] for one in facts["sources"]] == ["/imu"]
     assert facts["attitudes"] == []
+
+
+def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypatch):
+    """What cannot be read here is said, with the way out, beside what can."""
+    copy = tmp_path / "copy.mcap"
+    into = ["propagate", str(SAMPLES / "coning.mcap"), "--into", str(copy), "-q"]
+    assert CliRunner().invoke(cli, [*into, "--message", "FrameTransform"]).exit_code == 0
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    (facts,), _ = info(copy)
+    assert [one["source"] for one in facts["sources"]] == ["/imu"]
+    ((said,),) = [[one["missing"]] for one in facts["attitudes"]]
+    assert "is encoded as protobuf, which is an extra" in said

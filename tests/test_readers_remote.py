@@ -1,8 +1,12 @@
 """Logs in object stores, tried on the one that is everywhere: the local file system."""
 
 import json
+import os
 import shutil
+import signal
 import tempfile
+import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,8 +15,8 @@ from click.testing import CliRunner
 
 from quatprop.cli import cli
 from quatprop.errors import LogError, UnreadableLogError
-from quatprop.readers import open_log
-from quatprop.readers.remote import local_copy, without_secret
+from quatprop.readers import open_log, remote
+from quatprop.readers.remote import _impatient, local_copy, without_secret
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 
@@ -114,3 +118,21 @@ def test_no_key_is_recorded():
     """An address may carry a key; what is written does not."""
     assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
     assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
+
+
+def test_a_store_that_does_not_answer_is_given_up_on():
+    """Google's is asked again for a quarter of an hour, unless the address says otherwise."""
+    assert _impatient("gs://logs/a.bag") == "gs://logs/a.bag?retry_limit_seconds=10"
+    assert _impatient("gs://logs/a.bag?x=1") == "gs://logs/a.bag?x=1&retry_limit_seconds=10"
+    assert _impatient("gs://a?retry_limit_seconds=99") == "gs://a?retry_limit_seconds=99"
+    assert _impatient("s3://logs/a.bag") == "s3://logs/a.bag"
+
+
+def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
+    """What its library does in a thread does not hold up the rest."""
+    monkeypatch.setattr(remote, "_copied", lambda *_: time.sleep(60))
+    began = time.monotonic()
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt), local_copy("s3://logs/a.bag"):
+        pass
+    assert time.monotonic() - began < 30

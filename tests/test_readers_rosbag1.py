@@ -419,3 +419,19 @@ def test_index_data_that_lie_about_a_chunk_beside_images_are_found_out(tmp_path)
     struct.pack_into("<I", content, at, offset + 1)
     path.write_bytes(content)
     assert messages(path)[0] == truth
+
+
+def test_a_bag_beside_images_may_be_cut_anywhere(tmp_path):
+    """What is before the cut is there, whatever the index of its last chunk was to say."""
+    whole = beside_images(tmp_path / "whole.bag")
+    truth = {channel.topic: rows for channel, rows in messages(whole)[0].items()}["/imu"]
+    content = whole.read_bytes()
+    path = tmp_path / "cut.bag"
+    for size in range(len(content) // 40, len(content), len(content) // 40):
+        path.write_bytes(content[:size])
+        found, losses = messages(path)
+        rows = next((rows for channel, rows in found.items() if channel.topic == "/imu"), [])
+        assert losses
+        assert rows == truth[: len(rows)]
+        # The messages of a whole chunk and of the front of the one that is cut.
+        assert len(rows) >= len(truth) * (size - 100_000) // len(content) - 9

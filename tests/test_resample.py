@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from quatprop.propagate import attitudes, propagate
 from quatprop.quaternion import geodesic_angle
-from quatprop.resample import Listed, Steady, at_times, every
+from quatprop.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries, reblock
 
 S = 1_000_000_000
@@ -99,10 +99,21 @@ def test_batches_do_not_matter(size, rate, method):
 def test_steady_times_do_not_drift():
     """The k-th of 29.97 times a second is k / 29.97 s, rounded down, after a million too."""
     steady = Steady(Fraction(2997, 100))
-    t_ns = np.concatenate([steady.up_to(5, 5 + end * S) for end in (1, 2, 33_367)])
+    pieces = [piece for end in (1, 2, 33_367) for piece in steady.up_to(5, 5 + end * S)]
+    t_ns = np.concatenate(pieces)
     expected = [5 + k * 100 * S // 2997 for k in range(len(t_ns))]
     assert t_ns.tolist() == expected
     assert len(t_ns) == 33_367 * 2997 // 100 + 1
+
+
+@pytest.mark.parametrize("times", [Steady(Fraction(10**9)), Listed(np.arange(1_000_000))])
+def test_however_many_times_come_in_pieces(times):
+    """A thousand times a sample, and memory is bounded all the same."""
+    gyro = GyroSeries(np.arange(0, 10**6, 1000), np.ones((1000, 3)))
+    propagated = [(gyro, AttitudeSeries(gyro.t_ns, np.tile([1.0, 0, 0, 0], (1000, 1))))]
+    sizes = [len(part) for part in at_times(propagated, times, method="start", rates="body")]
+    assert sum(sizes) == 10**6 - 999
+    assert max(sizes) <= PIECE
 
 
 @given(st.lists(st.integers(0, 9), max_size=8), st.integers(1, 7))

@@ -237,3 +237,14 @@ def test_what_comes_out_does_not_depend_on_batches(stamps, cuts, on_backwards):
     assert together[0] == apart[0]
     assert np.array_equal(together[1], apart[1], equal_nan=True)
     assert together[2] == apart[2]
+
+
+def test_stamps_too_far_apart_for_64_bits_are_refused():
+    """Their interval would wrap around to a few nanoseconds."""
+    ends = np.array([-(2**63) + 2, 2**63 - 1])
+    with pytest.raises(
+        TimelineError,
+        match=r"its stamps span more than 292 years, up to 9223372036854775807 ns; check "
+        r"--time-unit, the time column or --clock$",
+    ):
+        applied(Policy(), GyroSeries(ends, np.ones((2, 3))))

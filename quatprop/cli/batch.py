@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.batch import Outcome
+    from quatprop.batch import Made, Outcome
     from quatprop.job import Job
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
@@ -59,8 +59,8 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 @click.option(
     "--skip-existing",
     is_flag=True,
-    help="Leave out logs whose output is there, as after an interruption: an output is there "
-    "only when it is whole.",
+    help="Leave out logs whose output is there, as after an interruption, if it was made by the "
+    "same version from the log as it is (size and time), with the same options.",
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout: the report of each log.")
 @quiet_option
@@ -78,13 +78,23 @@ def command(logs: tuple[str, ...], **chosen: Any) -> None:
     """
     from pathlib import Path
 
+    from quatprop.batch import Made
+
     own = {name: chosen.pop(name) for name in ("folder", "processes", "dask", "skip_existing")}
     as_json, quiet = chosen.pop("as_json"), chosen.pop("quiet")
     if own["dask"] and own["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
-    jobs = _jobs(logs, Path(own["folder"]), chosen)
-    wanted = [job for job in jobs if not (own["skip_existing"] and Path(job.output).exists())]
-    done = _said(_outcomes(wanted, own["processes"], own["dask"]), wanted, quiet=quiet)
+    folder = Path(own["folder"])
+    if folder.exists() and not folder.is_dir():
+        raise click.UsageError(f"-o {own['folder']} is a file; name a folder for the outputs")
+    jobs = _jobs(logs, folder, chosen)
+    made = Made(folder)
+    wanted = [job for job in jobs if not (own["skip_existing"] and made.is_fresh(job))]
+    try:
+        found = _noted(_outcomes(wanted, own["processes"], own["dask"]), wanted, made)
+        done = _said(found, wanted, quiet=quiet)
+    finally:
+        made.write()
     if as_json:
         click.echo(json.dumps([_report(outcome) for outcome in done], indent=2))
     if not quiet:
@@ -124,6 +134,14 @@ def _outcomes(jobs: list[Job], processes: int | None, dask: str | None) -> Itera
     return on_this_machine(jobs, processes or os.cpu_count() or 1)
 
 
+def _noted(found: Iterator[Outcome], jobs: list[Job], made: Made) -> Iterator[Outcome]:
+    """Pass outcomes on, and note which outputs were made."""
+    for job, outcome in zip(jobs, found, strict=True):
+        if not outcome.error:
+            made.note(job)
+        yield outcome
+
+
 def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Outcome]:
     """Say what comes of each log as soon as it is known; errors also when asked to be quiet."""
     from quatprop.errors import plain
@@ -159,7 +177,7 @@ def _tally(done: list[Outcome], skipped: int) -> str:
     said = f"{len(done) - failed} of {len(done)} logs done"
     samples = sum(outcome.report["result"]["samples"] for outcome in done if outcome.report)
     said += f", {samples:,} samples"
-    return said + (f"; {skipped} skipped, as their outputs are there" if skipped else "")
+    return said + (f"; {skipped} skipped, as their outputs are as they would be" if skipped else "")
 
 
 def _report(outcome: Outcome) -> dict[str, Any]:

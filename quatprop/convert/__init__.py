@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import HAMILTON, Meaning, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
-from quatprop.convert.destination import opened, remarks_on
+from quatprop.convert.destination import forgotten, opened, remarks_on
 from quatprop.convert.history import extended
 from quatprop.errors import NoSamplesError, UsageError, listed, quoted
 from quatprop.into import written_kind
@@ -135,7 +135,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
             report = extended(job, log, source, check, fingerprint.result())
-            report["conversions"][-1]["remarks"] += remarks_on(singular)
+            report["conversions"][-1]["remarks"] += [*remarks_on(singular), *forgotten(job)]
             writer.commit(report)
             report_file.commit(report)
     return report

@@ -14,7 +14,7 @@ from quatprop.errors import OutputError, UsageError, listed, quoted
 from quatprop.into import open_into
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import attitude_stamps
-from quatprop.writers import WRITERS, kind_of, layout_of, open_table, open_writer
+from quatprop.writers import WRITERS, has_room, kind_of, layout_of, open_table, open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -94,5 +94,16 @@ def remarks_on(singular: int) -> list[str]:
         f"{singular} rows are within {NEAR_VERTICAL_DEG} deg of pitch +-90 deg, where yaw and roll "
         "cannot be told apart: they share the turn equally and jump from row to row; together "
         "they are still the attitude"
+    )
+    return [said]
+
+
+def forgotten(job: Conversion) -> list[str]:
+    """Return what a file that has no room to say what its numbers mean leaves to its readers."""
+    if job.meaning == HAMILTON or has_room(job.output, job.to, comment=job.comment):
+        return []
+    said = (
+        f"the file cannot say that it is {job.meaning.convention} {job.meaning.direction}: whoever "
+        "reads it has to; --header-comment, or Parquet, would"
     )
     return [said]

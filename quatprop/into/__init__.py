@@ -84,7 +84,8 @@ def written_kind(log: Log, target: str, to: str | None = None) -> str:
     if to is not None:
         raise UsageError("--into copies the log in its own format; leave --to out")
     suffixes = [suffix for known in WRITERS.values() for suffix in known.suffixes if suffix]
-    if target.lower().endswith(tuple(suffixes)) and kind_of(target) != kind:
+    packed = target.lower().endswith((".gz", ".zst", ".zstd", ".lz4", ".bz2"))
+    if packed or (target.lower().endswith(tuple(suffixes)) and kind_of(target) != kind):
         raise UsageError(
             f"{plain(target)}: a copy of {plain(log.path)} is {kind}, whatever it is called; "
             f"name it {WRITERS[kind].suffixes[0] or 'without a suffix'}"

@@ -5,19 +5,28 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+import threading
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnreadableLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from pyarrow.fs import FileSystem
 
 BLOCK_BYTES = 1 << 24
 """Bytes that are copied at a time."""
+
+PATIENCE_S = 10
+"""Seconds for which a store that does not answer is asked again."""
+
+REASON = 240
+"""Letters of what a store's library says that are shown; the rest repeats itself."""
 
 
 def is_address(path: Path | str) -> bool:
@@ -57,27 +66,57 @@ def local_copy(address: str) -> Iterator[Path]:
     UnreadableLogError
         The store does not know the address, or does not let it be read.
     """
-    from pyarrow.fs import FileSystem, FileType
-
     name = without_secret(address)
     with tempfile.TemporaryDirectory(prefix="quatprop-") as folder:
         try:
-            store, place = FileSystem.from_uri(address)
-            found = store.get_file_info(place)
-            target = Path(folder) / PurePosixPath(place).name
-            if found.type == FileType.NotFound:
-                raise UnreadableLogError(name, "there is no such object; check the address")
-            if found.type == FileType.Directory:
-                _copy_folder(store, place, target)
-            else:
-                _copy_file(store, place, target)
+            target = _interruptible(lambda: _copied(address, Path(folder)))
         except (OSError, ValueError) as error:
-            reason = " ".join(str(error).replace(address, name).split())
+            reason = shorten(str(error).replace(address, name), REASON, placeholder="...")
             raise UnreadableLogError(
                 name,
                 f"it cannot be read from its store ({reason}); check the address and access",
             ) from error
         yield target
+
+
+def _copied(address: str, folder: Path) -> Path:
+    """Copy what is at an address into a folder, and return the copy."""
+    from pyarrow.fs import FileSystem, FileType
+
+    store, place = FileSystem.from_uri(_impatient(address))
+    found = store.get_file_info(place)
+    target = folder / PurePosixPath(place).name
+    if found.type == FileType.NotFound:
+        name = without_secret(address)
+        raise UnreadableLogError(name, "there is no such object; check the address")
+    if found.type == FileType.Directory:
+        _copy_folder(store, place, target)
+    else:
+        _copy_file(store, place, target)
+    return target
+
+
+def _impatient(address: str) -> str:
+    """Return an address whose store is not asked again for a quarter of an hour, as gs:// is."""
+    if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
+        return address
+    return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={PATIENCE_S}"
+
+
+def _interruptible(work: Callable[[], Path]) -> Path:
+    """Do something that hears no Ctrl-C in a thread, so that the waiting for it does."""
+    done: Future[Path] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:  # noqa: BLE001  # it is raised where it is waited for
+            done.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    while not done.done():
+        wait([done], timeout=0.1)
+    return done.result()
 
 
 def _copy_folder(store: FileSystem, place: str, target: Path) -> None:

@@ -47,7 +47,7 @@ def picked(file: RecordFile, chunk: Chunk, wanted: AbstractSet[int]) -> Content 
         record = file.record(chunk.start)
         size = record.end - record.data
         is_plain = record.op == OP_CHUNK and record.fields.get(b"compression") == b"none"
-        if not is_plain or size < LARGE:
+        if not is_plain or size < LARGE or record.end > chunk.end:
             return None
         entries = index_offsets(file.at(record.end, min(chunk.end - record.end, size)))
     except MalformedRecordError:

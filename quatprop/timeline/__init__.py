@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 GAP_FACTOR = 10
 """A gap is an interval longer than this many median intervals, unless told otherwise."""
 
+LONGEST_NS = int(np.iinfo(np.int64).max)
+"""The longest interval that fits 64 bits."""
+
 MEDIAN_WINDOW = 65_536
 """The median interval is that of the first so many intervals: exact, and flat in memory."""
 
@@ -258,6 +261,13 @@ class Timeline:
         magnitude = np.sqrt(np.einsum("ij,ij->i", batch.rate, batch.rate))
         if not np.isfinite(magnitude.sum()):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
+        first_ns = int(t_ns[0]) if counts.first_ns is None else counts.first_ns
+        if int(t_ns[-1]) - first_ns > LONGEST_NS:
+            raise TimelineError(
+                self.path,
+                f"its stamps span more than 292 years, up to {t_ns[-1]} ns; check --time-unit, the "
+                "time column or --clock",
+            )
         if counts.last_ns is None:
             counts.first_ns = int(t_ns[0])
             intervals, ruling, ends = np.diff(t_ns), magnitude[:-1], t_ns[1:]

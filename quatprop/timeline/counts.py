@@ -117,9 +117,11 @@ def remarks(counts: Counts, policy: Policy) -> list[str]:
     """
     done = {
         "duplicates": "kept: a step of zero time turns nothing",
-        "backwards": {"drop": "dropped", "sort": "sorted"}.get(policy.on_backwards, "kept"),
+        "backwards": {"drop": "dropped", "sort": "sorted"}.get(
+            policy.on_backwards, "refused without --on-backwards drop|sort"
+        ),
         "nonfinite": {"drop": "dropped", "hold": "replaced by the rate before"}.get(
-            policy.on_nonfinite, "kept"
+            policy.on_nonfinite, "refused without --on-nonfinite drop|hold"
         ),
         "gaps": {"zero": "taken as no rotation", "split": "begun again at q0"}.get(
             policy.on_gap, "propagated across"

@@ -28,10 +28,20 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
     OutputError
         An output is an input, lies inside one, or is named twice.
     """
+    targets = [name for name in outputs if name is not None]
+    if sum(map(is_stdout, targets)) > 1:
+        raise OutputError("-", "two outputs of the run would go to stdout; name a file for one")
+    for name in targets:
+        if "://" in name:
+            # The address may carry a key.
+            raise OutputError(
+                name.partition("://")[0] + "://...",
+                "outputs are files of this machine; copy them there afterwards",
+            )
     read = [Path(os.path.realpath(name)) for name in inputs if name and Path(name).exists()]
     written: list[Path] = []
-    for name in outputs:
-        if name is None or is_stdout(name) or is_stream(name):
+    for name in targets:
+        if is_stdout(name) or is_stream(name):
             continue
         place = Path(os.path.realpath(name))
         for source in read:
