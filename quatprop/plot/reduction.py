@@ -44,8 +44,7 @@ class Reduced:
     Parameters
     ----------
     first_ns, last_ns
-        Stamps of the first and the last sample of each bin, as they arrived, shape ``(M,)``,
-        int64 ns.
+        Stamps of the first and the last sample of each bin in time, shape ``(M,)``, int64 ns.
     first, low, high, last
         Values of each trace, shape ``(traces, M)``. NaN where a sample is missing; `low` and
         `high` only where all are.
@@ -150,7 +149,7 @@ class Reduction:
 
 
 def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
-    """Join parts of one bin; earlier ones stand before later ones.
+    """Join parts of one bin; of equal stamps, what arrived first stands before what came later.
 
     Parameters
     ----------
@@ -159,30 +158,28 @@ def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
     parts
         Bins, or samples as bins of one.
     """
-    if (index[1:] < index[:-1]).any():
-        order = np.argsort(index, kind="stable")
-        index = index[order]
-        parts = Reduced(
-            parts.first_ns[order],
-            parts.last_ns[order],
-            parts.first[:, order],
-            parts.low[:, order],
-            parts.high[:, order],
-            parts.last[:, order],
-            parts.samples,
-        )
+    # Stamps of one bin lie together in both orders, and bins are in order of their stamps.
+    by_first, by_last = _rising(parts.first_ns), _rising(parts.last_ns)
+    index = index[by_first]
     starts = np.flatnonzero(np.concatenate([[True], index[1:] != index[:-1]]))
     ends = np.append(starts[1:], len(index)) - 1
     joined = Reduced(
-        parts.first_ns[starts],
-        parts.last_ns[ends],
-        parts.first[:, starts],
-        _extremes(np.minimum, np.fmin, parts.low, starts),
-        _extremes(np.maximum, np.fmax, parts.high, starts),
-        parts.last[:, ends],
+        parts.first_ns[by_first][starts],
+        parts.last_ns[by_last][ends],
+        parts.first[:, by_first][:, starts],
+        _extremes(np.minimum, np.fmin, parts.low[:, by_first], starts),
+        _extremes(np.maximum, np.fmax, parts.high[:, by_first], starts),
+        parts.last[:, by_last][:, ends],
         parts.samples,
     )
     return index[starts], joined
+
+
+def _rising(t_ns: Int64) -> slice | NDArray[np.intp]:
+    """Return what puts stamps in order; mostly they are, and nothing is copied."""
+    if (t_ns[1:] >= t_ns[:-1]).all():
+        return slice(None)
+    return np.argsort(t_ns, kind="stable")
 
 
 def _extremes(
