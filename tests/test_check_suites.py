@@ -576,7 +576,11 @@ def test_ctrl_c_ends_tidily(folder, processes):
     rows = "".join(f"{t}0000000,0.1,0.2,0.3\n" for t in range(1_000_000))
     log.write_text("t_ns,wx,wy,wz\n" + rows)
     suite = write(folder, stored("short") + stored("long", "long.csv"))
-    code = "from quatprop.cli import main; main()"
+    # Run in the background, the tests would have it ignore what interrupts it.
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from quatprop.cli import main; main()"
+    )
     command = [sys.executable, "-c", code, "check", str(suite), "--update", "-j", processes]
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
