@@ -488,6 +488,14 @@ def test_junit_has_each_case(mixed, folder):
     assert error.get("message").endswith("rest.parquet: no such file or folder; check the path")
 
 
+def test_a_place_for_junit_that_is_not_there_is_said_before_anything_runs(mixed, folder):
+    """Not after an hour of cases."""
+    result = check(mixed, "--junit", folder / "none" / "junit.xml")
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert f"there is no folder {folder / 'none'}; create it first" in result.stderr
+
+
 def test_junit_never_replaces_what_is_read(mixed, folder):
     """A mistyped --junit does not cost a log."""
     log = folder / "logs" / "spin.csv"

@@ -106,12 +106,15 @@ def command(suite: str, **asked: Any) -> None:
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | BrokenCase], junit: str | None) -> None:
     """Refuse to write over what a case reads, or over another output."""
     from quatprop.check.case import Case
+    from quatprop.writers.atomic import checked_place
     from quatprop.writers.overlap import refuse_overlap
 
     known = [case for case in cases if isinstance(case, Case)]
     inputs = [path for case in known for path in case.inputs.values()]
     references = [case.reference for case in known]
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
+    if junit is not None:
+        checked_place(junit)
 
 
 def _said(

@@ -80,7 +80,7 @@ def error_page(every: Sequence[Compared], against: str, reference: Operand) -> P
     title = f"error of {names} against {against}"
     first = every[0].found
     facts = (
-        f"geodesic angle, alignment {first.alignment.name}, {_matched(first)}",
+        f"geodesic angle, alignment {first.alignment.name}{_clock(first)}, {_matched(first)}",
         "" if several else _figures_text(first),
     )
     warnings = tuple(_warnings(every, reference))
@@ -135,6 +135,11 @@ def _figures_text(found: Comparison) -> str:
 
 def _matched(found: Comparison) -> str:
     return f"{len(found.pairs):,} {MATCHES[found.pairs.match]}"
+
+
+def _clock(found: Comparison) -> str:
+    """Return how far the reference was moved in time, if it was."""
+    return f", reference {duration_text(found.offset_ns)} later" if found.offset_ns else ""
 
 
 def _degrees(angle: float) -> str:
