@@ -1,6 +1,7 @@
 """Logs that were made to do harm: bombs, definitions that unfold without end, endless losses."""
 
 import struct
+import tempfile
 import threading
 import time
 
@@ -14,7 +15,7 @@ from test_readers_ulog import added, record
 from quatprop.cli import cli
 from quatprop.cli.words import lost
 from quatprop.errors import DamagedLogError, UsageError
-from quatprop.readers import compression, mcap, open_log, prefetch
+from quatprop.readers import mcap, open_log, prefetch
 from quatprop.readers.limits import MAX_UNPACKED, unpacked_limit
 from quatprop.readers.mcap import McapLog
 
@@ -64,7 +65,7 @@ def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_p
     """A file of kilobytes does not fill the disk, and leaves nothing there."""
     room = tmp_path / "room"
     room.mkdir()
-    monkeypatch.setattr(compression.tempfile, "tempdir", str(room))
+    monkeypatch.setattr(tempfile, "tempdir", str(room))
     monkeypatch.setenv(MAX_UNPACKED, "20M")
     log = tmp_path / "log.mcap.zst"
     log.write_bytes(zstandard.compress(written()) + BOMB * 3)

@@ -14,13 +14,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.readers.compression import (
-    MAX_SIZE,
-    CompressionError,
-    decompress,
-    file_compression,
-    unpacked_copy,
-)
+from quatprop.readers.compression import MAX_SIZE, CompressionError, decompress
+from quatprop.readers.packed_files import file_compression, unpacked_copy
 
 PACK = {
     "": bytes,

@@ -23,14 +23,15 @@ from quatprop.errors import (
 )
 from quatprop.foreign import as_errors_of
 from quatprop.readers.base import Loss
-from quatprop.readers.compression import CompressionError, file_compression, unpacked_copy
+from quatprop.readers.compression import CompressionError
+from quatprop.readers.packed_files import file_compression, unpacked_copy
 from quatprop.readers.remote import is_address, local_copy, without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.readers.base import MessageLog, TableLog
-    from quatprop.readers.compression import UnpackedCopy
+    from quatprop.readers.packed_files import UnpackedCopy
 
 HEAD_BYTES = 4096
 """How much of a file is looked at to tell its kind."""

@@ -1,4 +1,4 @@
-"""Unpacking: chunks and messages in memory, whole files into a temporary copy.
+"""Unpacking chunks and messages in memory, and streams piece by piece.
 
 What a log says about the size of its unpacked data is checked, not believed: nothing is allocated
 beyond :data:`MAX_SIZE`, and data that unpacks to another size than declared is refused.
@@ -6,23 +6,15 @@ beyond :data:`MAX_SIZE`, and data that unpacks to another size than declared is 
 
 from __future__ import annotations
 
-import os
-import tempfile
 import threading
-import weakref
 import zlib
 from contextlib import suppress
 from functools import cached_property
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
-
-from quatprop.readers.limits import too_large, unpacked_limit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from types import TracebackType
-    from typing import Self
 
     Buffer = bytes | bytearray | memoryview
 
@@ -93,7 +85,7 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
         raise CompressionError(f"it declares {size} bytes unpacked, over the limit of {MAX_SIZE}")
     try:
         unpacked = unpack(data, size)
-    except _damage(compression) as error:
+    except damage_of(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
     if len(unpacked) != size:
         raise CompressionError(f"it declares {size} bytes unpacked and holds {len(unpacked)}")
@@ -106,11 +98,11 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
         return data
     unpacked = bytearray()
     try:
-        for piece in _pieces(BytesIO(data), compression):
+        for piece in pieces(BytesIO(data), compression):
             unpacked += piece
             if len(unpacked) > MAX_SIZE:
                 raise CompressionError(f"it unpacks to more than the limit of {MAX_SIZE} bytes")
-    except _damage(compression) as error:
+    except damage_of(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
     return unpacked
 
@@ -137,8 +129,8 @@ def front(data: Buffer, compression: str, size: int) -> Buffer:
     unpacked = bytearray()
     most = min(size, MAX_SIZE)
     if compression in _UNPACK:
-        with suppress(*_damage(compression)):
-            for piece in _pieces(_Trickle(data), compression):
+        with suppress(*damage_of(compression)):
+            for piece in pieces(_Trickle(data), compression):
                 unpacked += piece
                 if len(unpacked) >= most:
                     break
@@ -227,7 +219,7 @@ _UNPACK: dict[str, Callable[[Buffer, int], Buffer]] = {
 }
 
 
-def _damage(compression: str) -> tuple[type[Exception], ...]:
+def damage_of(compression: str) -> tuple[type[Exception], ...]:
     """Return what the library of a compression raises for damaged data."""
     if compression == "zstd":
         import zstandard
@@ -237,26 +229,7 @@ def _damage(compression: str) -> tuple[type[Exception], ...]:
     return (RuntimeError, OSError, EOFError, ValueError, zlib.error)
 
 
-_MAGIC = {
-    b"\x28\xb5\x2f\xfd": "zstd",
-    b"\x04\x22\x4d\x18": "lz4",
-    b"BZh": "bz2",
-    b"\x1f\x8b": "gz",
-}
-
-
-def file_compression(head: bytes) -> str:
-    """Return how a file is packed from its first 4 bytes.
-
-    Returns
-    -------
-    str
-        ``"zstd"``, ``"lz4"``, ``"bz2"``, ``"gz"``, or ``""`` where it is not packed.
-    """
-    return next((name for magic, name in _MAGIC.items() if head.startswith(magic)), "")
-
-
-def _pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
+def pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
     """Yield the unpacked content of `file` in pieces of bounded size."""
     return _zstd_pieces(file) if compression == "zstd" else _file_pieces(file, compression)
 
@@ -293,91 +266,3 @@ def _zstd_pieces(file: BinaryIO) -> Iterator[bytes]:
                 frame = None
     if frame is not None:
         raise EOFError
-
-
-class UnpackedCopy:
-    """A file packed as a whole, unpacked into a temporary file that is always removed.
-
-    Parameters
-    ----------
-    path
-        A file packed with zstd, lz4, bz2 or gzip.
-
-    Attributes
-    ----------
-    path
-        The temporary file, with the suffix of the log inside. Where the packed file is damaged,
-        it holds what comes before the damage.
-    damage
-        Why the copy ends early, or ``""``.
-
-    Raises
-    ------
-    CompressionError
-        The file is not packed, nothing of it can be unpacked, or the copy does not fit.
-    OSError
-        The file cannot be read.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.damage = ""
-        with path.open("rb") as packed:
-            compression = file_compression(packed.read(4))
-            if not compression:
-                raise CompressionError("it is not packed with zstd, lz4, bz2 or gzip")
-            packed.seek(0)
-            handle, name = tempfile.mkstemp(prefix="quatprop-", suffix=Path(path.stem).suffix)
-            os.close(handle)
-            self.path = Path(name)
-            # Also runs when the interpreter ends, whatever the caller forgot.
-            self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
-            limit = unpacked_limit(path.stat().st_size)
-            try:
-                self._fill(_pieces(packed, compression), compression, limit)
-            except BaseException:
-                self.close()
-                raise
-
-    def _fill(self, pieces: Iterator[bytes], compression: str, limit: int) -> None:
-        """Write the pieces up to the end or the damage."""
-        with self.path.open("wb") as copy:
-            while True:
-                try:
-                    piece = next(pieces, b"")
-                except _damage(compression) as error:
-                    if copy.tell() == 0:
-                        raise CompressionError(f"its {compression} data is damaged") from error
-                    self.damage = f"its {compression} data is damaged or cut off"
-                    return
-                if not piece:
-                    return
-                if copy.tell() + len(piece) > limit:
-                    raise CompressionError(too_large(limit))
-                try:
-                    copy.write(piece)
-                    copy.flush()
-                except OSError as error:
-                    raise CompressionError(
-                        f"its unpacked copy does not fit into {self.path.parent} "
-                        f"({error.strerror}); set TMPDIR to a folder with room"
-                    ) from error
-
-    def close(self) -> None:
-        """Remove the temporary file."""
-        self._remove()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
-def unpacked_copy(path: Path) -> UnpackedCopy:
-    """Return the unpacked copy of a packed file; see :class:`UnpackedCopy`."""
-    return UnpackedCopy(path)

@@ -18,14 +18,13 @@ from quatprop.readers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.readers.compression import CompressionError
 from quatprop.readers.prefetch import ahead
 from quatprop.readers.rosbag1_index import Chunk, Content, Index, content, indexed, walked
+from quatprop.readers.rosbag1_messages import MessageColumns, indexed_messages
 from quatprop.readers.rosbag1_picked import picked
 from quatprop.readers.rosbag1_records import (
     OP_BAG_HEADER,
     OP_MESSAGE,
     MalformedRecordError,
-    MessageColumns,
     RecordFile,
-    indexed_messages,
     surviving_records,
 )
 

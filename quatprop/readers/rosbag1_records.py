@@ -14,7 +14,7 @@ from __future__ import annotations
 import struct
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -86,14 +86,6 @@ class Record:
         return self.number(b"op", 1)
 
 
-class MessageColumns(NamedTuple):
-    """Where messages lie in a chunk, shapes ``(N,)``, and when they were recorded, ns."""
-
-    starts: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    log_ns: NDArray[np.int64]
-
-
 class RecordFile:
     """Reads records from a bag, in several threads, without believing a length beyond its end.
 
@@ -160,17 +152,17 @@ def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
     MalformedRecordError
         There is none.
     """
-    header_end = _header_end(data, at)
+    header_end = header_end_of(data, at)
     if header_end + 4 > len(data):
         raise MalformedRecordError("its record is cut off")
     fields = {
-        name: bytes(data[begin:end]) for name, begin, end in _fields(data, at + 4, header_end)
+        name: bytes(data[begin:end]) for name, begin, end in fields_of(data, at + 4, header_end)
     }
     begin = origin + header_end + 4
     return Record(origin + at, begin, begin + _LENGTH.unpack_from(data, header_end)[0], fields)
 
 
-def _header_end(data: Buffer, at: int) -> int:
+def header_end_of(data: Buffer, at: int) -> int:
     """Return where the header at `at` ends; it is whole."""
     end = at + 4
     if end <= len(data):
@@ -182,13 +174,13 @@ def _header_end(data: Buffer, at: int) -> int:
 
 def data_fields(data: bytes) -> dict[bytes, bytes]:
     """Return the fields of a connection record's data, which are those of a header."""
-    return {name: data[value:end] for name, value, end in _fields(data, 0, len(data))}
+    return {name: data[value:end] for name, value, end in fields_of(data, 0, len(data))}
 
 
-def _fields(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
+def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
     """Yield name, begin and end of the value of each field of a header."""
     while at < stop:
-        end = _header_end(data, at)  # a field has its length before it as a header has
+        end = header_end_of(data, at)  # a field has its length before it as a header has
         name, equals, _ = bytes(data[at + 4 : min(end, stop)]).partition(b"=")
         if end > stop or not equals:
             raise MalformedRecordError("its header is damaged")
@@ -217,78 +209,6 @@ def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
         entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
         at = record.end
     return entries
-
-
-def indexed_messages(
-    data: NDArray[np.uint8], offsets: NDArray[np.int64], conn: int
-) -> MessageColumns | None:
-    """Find the messages of one connection that the index points to.
-
-    All headers are compared with the first, so that an index that lies is found out.
-
-    Parameters
-    ----------
-    data
-        The unpacked chunk, shape ``(B,)``.
-    offsets
-        Where the index says their records begin, shape ``(N,)``, ascending.
-    conn
-        Number of the connection.
-
-    Returns
-    -------
-    MessageColumns or None
-        None where anything there is not a message of this connection.
-    """
-    if len(offsets) == 0:
-        return None
-    first, last = int(offsets[0]), int(offsets[-1])
-    layout = _message_layout(data.data, first)
-    if layout is None or last + layout.itemsize > len(data):
-        return None
-    # An overlapping view makes the gather one copy of a few bytes for each message; what follows
-    # then works in a small array, not all over the chunk.
-    size = layout.itemsize
-    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
-    headers = every[offsets].view(layout)
-    if not (
-        (headers["length"] == size - 8).all()
-        and (headers["op"] == OP_MESSAGE).all()
-        and (headers["conn"] == conn).all()
-    ):
-        return None
-    starts = offsets + size
-    ends = starts + headers["size"]
-    if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
-        return None
-    log_ns = headers["sec"].astype(np.int64)
-    log_ns *= _NS
-    log_ns += headers["nsec"]
-    return MessageColumns(starts, ends, log_ns)
-
-
-def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
-    """Return where the fields of the message header at `at` are, relative to it."""
-    try:
-        header_end = _header_end(data, at)
-        places = {name: (begin - at, end - begin) for name, begin, end in
-                  _fields(data, at + 4, header_end)}  # fmt: skip
-        (op, op_size), (conn, conn_size), (time, time_size) = (
-            places[name] for name in (b"op", b"conn", b"time")
-        )
-    except (MalformedRecordError, KeyError):
-        return None
-    if (op_size, conn_size, time_size) != (1, 4, 8):
-        return None
-    size = header_end + 4 - at
-    return np.dtype(
-        {
-            "names": ["length", "op", "conn", "sec", "nsec", "size"],
-            "formats": ["<u4", "u1", "<u4", "<u4", "<u4", "<u4"],
-            "offsets": [0, op, conn, time, time + 4, size - 4],
-            "itemsize": size,
-        }
-    )
 
 
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:

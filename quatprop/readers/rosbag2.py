@@ -19,12 +19,8 @@ from quatprop.errors import (
 )
 from quatprop.provenance import of_all_topics, provenance_of
 from quatprop.readers.base import NO_BOUND, Channel, Closing, Loss, Losses, MessageBlock
-from quatprop.readers.compression import (
-    CompressionError,
-    UnpackedCopy,
-    file_compression,
-    unpacked_copy,
-)
+from quatprop.readers.compression import CompressionError
+from quatprop.readers.packed_files import UnpackedCopy, file_compression, unpacked_copy
 from quatprop.readers.packed_messages import is_packed, unpacked
 from quatprop.readers.rosbag2_parts import folder
 

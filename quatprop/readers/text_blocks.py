@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 import pyarrow as pa
 
 from quatprop.errors import plain
-from quatprop.readers.compression import file_compression
+from quatprop.readers.packed_files import file_compression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
