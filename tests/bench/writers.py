@@ -1,6 +1,7 @@
 """Attitudes to files: the whole writers against the libraries' own on what is ready."""
 
 import tempfile
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from quatprop.writers.mcap_messages import declared
 from quatprop.writers.messages import Message
 
 BATCH = 1 << 16
+NUMBERS = count()
+
 SLOW_SAMPLES = 100_000
 """The library's MCAP writer is timed on so many messages."""
 
@@ -28,6 +31,11 @@ def attitudes(samples: int) -> AttitudeSeries:
     wxyz = np.stack([np.cos(phase), np.sin(phase), np.cos(3 * phase), np.sin(2 * phase)], axis=1)
     wxyz += noise
     return AttitudeSeries(t_ns, wxyz / np.linalg.norm(wxyz, axis=1, keepdims=True))
+
+
+def fresh(folder: Path, suffix: str) -> Path:
+    """Return the path of a file that is not there: to replace a large one takes its time, too."""
+    return folder / f"{next(NUMBERS)}{suffix}"
 
 
 def ours(path: Path, series: AttitudeSeries, message: Message | None = None) -> None:
@@ -61,17 +69,18 @@ def measure(_folder: Path, samples: int) -> None:
         out = Path(scratch)
         _mcap(out, series)
         table = Table(f"attitudes to CSV, {samples:,} rows")
-        table.row("quatprop", median_of(5, lambda: ours(out / "a.csv", series)), samples)
-        seconds = median_of(5, lambda: pyarrow.csv.write_csv(ready, out / "b.csv"))
+        table.row("quatprop", median_of(5, lambda: ours(fresh(out, ".csv"), series)), samples)
+        seconds = median_of(5, lambda: pyarrow.csv.write_csv(ready, fresh(out, ".csv")))
         table.row("pyarrow.csv.write_csv, columns ready", seconds, samples)
         table = Table(f"attitudes to Parquet, {samples:,} rows")
-        table.row("quatprop", median_of(5, lambda: ours(out / "a.parquet", series)), samples)
+        table.row("quatprop", median_of(5, lambda: ours(fresh(out, ".parquet"), series)), samples)
         for name, options in {
             "as it comes": {},
             "zstd, no dictionary": {"compression": "zstd", "use_dictionary": False},
         }.items():
             seconds = median_of(
-                5, lambda o=options: pyarrow.parquet.write_table(ready, out / "b.parquet", **o)
+                5,
+                lambda o=options: pyarrow.parquet.write_table(ready, fresh(out, ".parquet"), **o),
             )
             table.row(f"pyarrow write_table, {name}", seconds, samples)
 
@@ -79,12 +88,12 @@ def measure(_folder: Path, samples: int) -> None:
 def _mcap(out: Path, series: AttitudeSeries) -> None:
     table = Table(f"attitudes to MCAP, {len(series):,} messages, zstd")
     for name in ("QuaternionStamped", "FrameTransform"):
-        seconds = median_of(5, lambda name=name: ours(out / "a.mcap", series, Message(name)))
+        seconds = median_of(5, lambda name=name: ours(fresh(out, ".mcap"), series, Message(name)))
         table.row(f"quatprop, {name}", seconds, len(series))
     few = AttitudeSeries(series.t_ns[:SLOW_SAMPLES], series.wxyz[:SLOW_SAMPLES])
     told = declared(Message())
     messages = [row.tobytes() for row in told.encoder.encode(few, out)]
     stamps = few.t_ns.tolist()
     schema = (told.schema_name, told.schema_encoding, told.schema)
-    seconds = median_of(3, lambda: with_mcap(out / "b.mcap", stamps, messages, schema))
+    seconds = median_of(3, lambda: with_mcap(fresh(out, ".mcap"), stamps, messages, schema))
     table.row("mcap Writer, messages ready", seconds, len(few))
