@@ -246,8 +246,19 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     >>> float(geodesic_angle([1, 0, 0, 0], [-1, 0, 0, -1e-12]))
     2e-12
     """
-    between = multiply(conjugate(p), q)
-    return np.asarray(2 * np.arctan2(_length(between[..., 1:]), np.abs(between[..., 0])))
+    pw, px, py, pz = _components(p)
+    qw, qx, qy, qz = _components(q)
+    # p* q, with its terms in pairs: of equal attitudes each pair, and so the angle, is exactly 0.
+    vector = np.stack(
+        [
+            (pw * qx - px * qw) - (py * qz - pz * qy),
+            (pw * qy - py * qw) - (pz * qx - px * qz),
+            (pw * qz - pz * qw) - (px * qy - py * qx),
+        ],
+        axis=-1,
+    )
+    scalar = pw * qw + px * qx + py * qy + pz * qz
+    return np.asarray(2 * np.arctan2(_length(vector), np.abs(scalar)))
 
 
 def _array(values: ArrayLike) -> Float64:

@@ -211,3 +211,10 @@ def test_geodesic_angle_does_not_depend_on_the_frame():
     angle = geodesic_angle(p, q)
     assert close(geodesic_angle(multiply(r, p), multiply(r, q)), angle, 4e-15)
     assert close(geodesic_angle(multiply(p, r), multiply(q, r)), angle, 4e-15)
+
+
+def test_equal_attitudes_are_no_angle_apart():
+    """Exactly none, whatever their length and sign: a file against itself passes any tolerance."""
+    q = np.random.default_rng(4).normal(size=(10_000, 4))
+    assert geodesic_angle(q, q).max() == 0.0
+    assert geodesic_angle(q, -q).max() == 0.0
