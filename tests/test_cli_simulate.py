@@ -46,6 +46,8 @@ def test_the_command_writes_to_stdout():
     ("arguments", "sentence"),
     [
         (["--rate", "fast"], "'fast' is not a number"),
+        (["--rate", "1e12"], "Invalid value for '--rate': a rate is above 0 and at most 1e9 Hz"),
+        (["--rate", "0"], "Invalid value for '--rate': a rate is above 0 and at most 1e9 Hz"),
         (["--start", "+10s"], "'+10s' is not absolute; write RFC 3339 or ns"),
         (["--start", "noon"], "'noon' is not a time"),
         (

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from quatprop.cli.types import Duration, Numbers
+from quatprop.cli.types import MAX_RATE, Duration, Numbers
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -192,6 +192,8 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.run import simulate, truth_beside
 
     _refuse_idle(options["motion"])
+    if not 0 < options["sample_rate"] <= MAX_RATE:
+        raise click.BadParameter("a rate is above 0 and at most 1e9 Hz", param_hint="'--rate'")
     if options["samples"] is not None and options["duration"] is not None:
         raise click.UsageError("--samples and --duration say the same thing; give one of them")
     samples = options["samples"] or samples_in(
