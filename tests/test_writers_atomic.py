@@ -1,5 +1,6 @@
 """Nothing half-written, and one clear sentence for every place that cannot be written to."""
 
+import gc
 import os
 import re
 import stat
@@ -12,6 +13,7 @@ import pytest
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, kind_of, open_writer
+from quatprop.writers.aside import Aside
 from quatprop.writers.atomic import Replacement, replacing
 
 FOLDERS = ("rosbag2", "rosbag2-mcap")
@@ -272,3 +274,25 @@ def test_a_folder_replaces_nothing(tmp_path, make):
     with pytest.raises(OutputError, match=words):
         Replacement(target, folder=True)
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_signal_while_a_file_is_made_leaves_nothing(tmp_path):
+    """Between making a file aside and knowing of it, the end of the run removes it all the same."""
+
+    def interrupted(path):
+        path.touch()
+        raise SystemExit(143)
+
+    with pytest.raises(SystemExit):
+        Aside(tmp_path / "out.csv", interrupted)
+    gc.collect()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_put_in_its_place_stays(tmp_path):
+    """Letting go of a file aside does not reach what has left its place."""
+    aside = Aside(tmp_path / "out.csv", Path.touch)
+    aside.path.replace(tmp_path / "out.csv")
+    aside.remove()
+    aside.remove()
+    assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]

@@ -10,6 +10,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import weakref
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -42,6 +43,8 @@ class Aside(Generic[T]):
         _sweep(place)
         while True:
             self.path = place.with_name(f"{_start(place)}{secrets.token_hex(4)}.part")
+            # A signal may end the run between any two steps: what was made goes then, too.
+            self._removal = weakref.finalize(self, _remove, self.path)
             self.made = make(self.path)
             self._lock = _locked(self.path, wait=True)
             # Another run may have swept it away before the lock was ours.
@@ -50,7 +53,7 @@ class Aside(Generic[T]):
 
     def remove(self) -> None:
         """Remove what is there, if it is, and let go of it; harmless the second time."""
-        _remove(self.path)
+        self._removal()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
