@@ -150,12 +150,15 @@ class Made:
 
     def is_fresh(self, job: Job) -> bool:
         """Tell whether an output is there that came from this log, as it is, by these options."""
-        there = Path(job.output).exists()
-        return there and self._known.get(self._key(job)) == _origin(job)
+        known = self._known.get(self._key(job))
+        return Path(job.output).exists() and known is not None and known == origin(job)
 
-    def note(self, job: Job) -> None:
-        """Note that an output was made."""
-        self._known[self._key(job)] = _origin(job)
+    def note(self, job: Job, came_from: str | None) -> None:
+        """Note that an output was made, and from what: its :func:`origin` before it was."""
+        if came_from is None:
+            self._known.pop(self._key(job), None)
+        else:
+            self._known[self._key(job)] = came_from
 
     def write(self) -> None:
         """Keep what is known beside the outputs."""
@@ -168,8 +171,13 @@ class Made:
         return Path(os.path.relpath(job.output, self._place.parent)).as_posix()
 
 
-def _origin(job: Job) -> str:
-    """Return a digest of what an output comes from: version, options, and the files it reads."""
+def origin(job: Job) -> str | None:
+    """Return a digest of what an output comes from: version, options, and the files it reads.
+
+    None for what may change unseen, as a log in an object store.
+    """
+    if is_address(job.log):
+        return None
     read = [Path(name) for name in (job.log, job.q0.words, job.at) if name]
     parts = [part for place in read for part in (sorted(place.glob("*")) or [place])]
     files = []

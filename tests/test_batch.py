@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop import batch
-from quatprop.batch import below_shared, on_a_cluster, outputs
+from quatprop.batch import below_shared, on_a_cluster, outputs, propagated
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
@@ -220,7 +220,7 @@ def test_what_would_be_otherwise_is_not_skipped(tmp_path):
     again = ("-o", out, "--skip-existing")
 
     def skipped(*options):
-        return "1 skipped" in run(path, *again, *options).stderr
+        return "nothing to do" in run(path, *again, *options).stderr
 
     assert not skipped()
     assert skipped()
@@ -232,6 +232,33 @@ def test_what_would_be_otherwise_is_not_skipped(tmp_path):
     assert not skipped("--method", "mean")
     (out / "a.parquet").unlink()
     assert not skipped("--method", "mean")
+
+
+def test_a_log_that_changes_while_it_is_read_is_not_the_one_that_was(tmp_path, monkeypatch):
+    """What was noted is the log before the run, so the next run does it again."""
+    path, out = log(tmp_path / "a.csv"), tmp_path / "out"
+
+    def changing(job):
+        outcome = propagated(job)
+        log(path, rate=5.0, samples=9)
+        return outcome
+
+    with monkeypatch.context() as patched:
+        patched.setattr(batch, "propagated", changing)
+        run(path, "-o", out, "-j", 1, "-q")
+    done = run(path, "-o", out, "--skip-existing")
+    assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 9 samples"
+
+
+def test_a_log_at_an_address_is_never_skipped(tmp_path):
+    """Nobody here sees whether it has changed; and when nothing is left to do, that is said."""
+    path, out = log(tmp_path / "a.csv"), tmp_path / "out"
+    for _ in range(2):
+        done = run(path.as_uri(), "-o", out, "--skip-existing")
+        assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"
+    run(path, "-o", out, "-q")
+    done = run(path, "-o", out, "--skip-existing")
+    assert done.stderr == "nothing to do: all 1 outputs are as they would be\n"
 
 
 def test_the_folder_of_outputs_is_no_file(tmp_path):

@@ -135,10 +135,14 @@ def _outcomes(jobs: list[Job], processes: int | None, dask: str | None) -> Itera
 
 
 def _noted(found: Iterator[Outcome], jobs: list[Job], made: Made) -> Iterator[Outcome]:
-    """Pass outcomes on, and note which outputs were made."""
-    for job, outcome in zip(jobs, found, strict=True):
+    """Pass outcomes on, and note which outputs were made, and from what."""
+    from quatprop.batch import origin
+
+    # Looked at before anything runs: a log that changes meanwhile is not the one that was read.
+    before = [origin(job) for job in jobs]
+    for job, came_from, outcome in zip(jobs, before, found, strict=True):
         if not outcome.error:
-            made.note(job)
+            made.note(job, came_from)
         yield outcome
 
 
@@ -173,6 +177,8 @@ def _line(outcome: Outcome, width: int) -> str:
 
 
 def _tally(done: list[Outcome], skipped: int) -> str:
+    if not done:
+        return f"nothing to do: all {skipped} outputs are as they would be"
     failed = sum(bool(outcome.error) for outcome in done)
     said = f"{len(done) - failed} of {len(done)} logs done"
     samples = sum(outcome.report["result"]["samples"] for outcome in done if outcome.report)
