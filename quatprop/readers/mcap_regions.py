@@ -19,7 +19,6 @@ from quatprop.readers.limits import CHECKSUMS, checksums_matter, too_large, unpa
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import TracebackType
     from typing import Self
 
     from quatprop.readers.compression import Buffer
@@ -87,12 +86,7 @@ class Source:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
 
