@@ -20,6 +20,7 @@ from quatprop.errors import (
     NoSuchTopicError,
     UndeclaredError,
     UsageError,
+    plain,
 )
 from quatprop.readers import open_log
 from quatprop.readers.base import is_table
@@ -221,7 +222,8 @@ def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
             yield _unread_attitude(candidate.field, name, error.reason)
         except UsageError as error:
-            yield _unread_attitude(candidate.field, candidate.topic, str(error))
+            reason = str(error).removeprefix(f"{plain(log.path)}: ")
+            yield _unread_attitude(candidate.field, candidate.topic, reason)
         else:
             yield {**facts, **dict.fromkeys(unknown), "missing": missing}
 

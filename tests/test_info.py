@@ -194,3 +194,10 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     assert [one["source"] for one in facts["sources"]] == ["/imu"]
     ((said,),) = [[one["missing"]] for one in facts["attitudes"]]
     assert "is encoded as protobuf, which is an extra" in said
+
+
+def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
+    """The sentence stands under the log's name and does not repeat it."""
+    (facts,), _ = info(shared_logs / "irregular" / "tilt_laser.bag")
+    (said,) = [one["missing"] for one in facts["attitudes"] if one["source"] == "/tf"]
+    assert said.startswith("topic '/tf' has the transforms '/tilt_axis:/camera', ")
