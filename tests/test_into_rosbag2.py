@@ -212,7 +212,7 @@ def test_a_database_in_write_ahead_mode_gets_no_files_beside_it(tmp_path):
     before = {path.name: path.read_bytes() for path in log.iterdir()}
     assert run("info", log).exit_code == 0
     assert run("propagate", log, "--into", tmp_path / "copy", "-q").exit_code == 0
-    assert run("convert", log, tmp_path / "out.csv", "-q").exit_code in {0, 2}
+    run("plot", log, "-o", tmp_path / "rates.png", "-q")
     assert {path.name: path.read_bytes() for path in log.iterdir()} == before
 
 
