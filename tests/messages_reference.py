@@ -108,7 +108,9 @@ def flat(value):
     if isinstance(value, dict):
         value = list(value.values())
     if isinstance(value, list):
-        return [number for item in value for number in np.atleast_1d(flat(item)).tolist()]
+        # Python's own numbers: an array of integers below and above 2**63 would be of floats.
+        parts = [flat(item) for item in value]
+        return [one for part in parts for one in (part if isinstance(part, list) else [part])]
     return value
 
 

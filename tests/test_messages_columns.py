@@ -216,3 +216,9 @@ def test_columns_do_not_change_with_the_buffer(gap):
     (x,) = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log").columns(replace(block, data=data))
     data[:] = 0
     assert x.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+def test_the_reference_keeps_integers_of_64_bits():
+    """It is what columns are held against, so it must not round."""
+    value = {"f0": {"f0": [7_758_176_404_715_800_194, 15_308_084_094_301_570_617]}}
+    assert look_up(value, "f0") == value["f0"]["f0"]
