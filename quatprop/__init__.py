@@ -59,9 +59,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
-    from quatprop.job import Job, run
-    from quatprop.propagate import attitudes
-    from quatprop.readers import open_log
+    from quatprop.formats import open_log
+    from quatprop.kinematics.propagate import attitudes
+    from quatprop.pipeline.job import Job, run
     from quatprop.selection import Selection
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Policy
@@ -83,13 +83,13 @@ __version__ = "0.1.0"
 _HOME = {
     "AttitudeSeries": "quatprop.series",
     "GyroSeries": "quatprop.series",
-    "Job": "quatprop.job",
+    "Job": "quatprop.pipeline.job",
     "Policy": "quatprop.timeline",
     "QuatpropError": "quatprop.errors",
     "Selection": "quatprop.selection",
-    "attitudes": "quatprop.propagate",
-    "open_log": "quatprop.readers",
-    "run": "quatprop.job",
+    "attitudes": "quatprop.kinematics.propagate",
+    "open_log": "quatprop.formats",
+    "run": "quatprop.pipeline.job",
 }
 
 

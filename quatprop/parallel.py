@@ -33,7 +33,7 @@ def workers(asked: int, items: int) -> int:
     return min(asked, items, most)
 
 
-def each(
+def map_processes(
     work: Callable[[Item], Result],
     items: Sequence[Item],
     processes: int,

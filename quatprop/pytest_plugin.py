@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 OPTION = "--quatprop-suite"
 
 
-class NotAsItWas(Exception):  # noqa: N818  # its name is what pytest shows
+class RegressionFailure(Exception):  # noqa: N818  # its name is what pytest shows
     """A case that failed, or could not be judged; its words are the outcome's."""
 
 
@@ -86,19 +86,19 @@ class CaseItem(pytest.Item):
 
         Raises
         ------
-        NotAsItWas
+        RegressionFailure
             It failed, or could not be judged.
         """
         from quatprop.check.judge import judge, settled
 
         outcome = settled(self.case, judge, self.pin)
         if outcome.verdict != "pass":
-            raise NotAsItWas("; ".join(filter(None, [outcome.figure, outcome.reason])))
+            raise RegressionFailure("; ".join(filter(None, [outcome.figure, outcome.reason])))
         self.add_report_section("call", "quatprop", "\n".join([outcome.figure, *outcome.notes]))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Say why in words; what is no outcome is shown with its traceback."""
-        if isinstance(excinfo.value, NotAsItWas):
+        if isinstance(excinfo.value, RegressionFailure):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from test_containers_ulog import SYNC, added, data, gyro, record
+from test_containers_ulog import write as write_ulog
 from test_messages_json import imu
 from test_messages_protobuf import FOXGLOVE, described, made, stamp_file
-from test_readers_ulog import SYNC, added, data, gyro, record
-from test_readers_ulog import write as write_ulog
 
 
 def write_message_logs(folder, samples):

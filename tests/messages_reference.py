@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from quatprop.containers.base import Channel, MessageBlock
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, steps
-from quatprop.readers.base import Channel, MessageBlock
 
 if TYPE_CHECKING:
     from random import Random

@@ -59,7 +59,7 @@ def test_pandas_is_not_imported(tmp_path, name, kind):
     pytest.importorskip("pandas")
     code = (
         "import sys\n"
-        "from quatprop.job import Job, run\n"
+        "from quatprop.pipeline.job import Job, run\n"
         "run(Job(sys.argv[1], sys.argv[2], to=sys.argv[3]))\n"
         "print('pandas' in sys.modules)"
     )

@@ -19,8 +19,8 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.quaternion import geodesic_angle
-from quatprop.readers import open_log
+from quatprop.formats import open_log
+from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.lookup import attitude_at, first_orientation

@@ -11,15 +11,15 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
-from quatprop import batch
-from quatprop.batch import below_shared, on_a_cluster, outputs, propagated
+from quatprop.batch import run as batch
+from quatprop.batch.run import below_shared, on_a_cluster, outputs, propagated
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, UsageError
-from quatprop.foreign import TRACEBACK
-from quatprop.job import Job
 from quatprop.parallel import workers
+from quatprop.pipeline.job import Job
+from quatprop.third_party_errors import TRACEBACK
 
 INSTALLED = Path(sys.executable).with_name("quatprop")
 HEADER = "t_ns,wx,wy,wz\n"
@@ -346,8 +346,8 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         jobs.append(job)
         raise LogError(job.log, "that is all")
 
-    monkeypatch.setattr("quatprop.job.run", record)
-    monkeypatch.setattr("quatprop.batch.run", record)
+    monkeypatch.setattr("quatprop.pipeline.job.run", record)
+    monkeypatch.setattr("quatprop.batch.run.run", record)
     value, beside = EVERY_LOG[option], WITH.get(option, ())
     said = [option] if value is None else [option, value]
     out = tmp_path / "a.parquet"

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from quatprop.check.measure import measured
 from quatprop.cli import cases, cli, compare, propagate
-from quatprop.foreign import TRACEBACK
+from quatprop.third_party_errors import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from quatprop.cli import cli
 from quatprop.cli.attitude_options import ATTITUDE_OPTIONS
 from quatprop.cli.compare import ALIGNMENTS, MATCHES
-from quatprop.compare import alignment, association
+from quatprop.comparison import alignment, association
 from quatprop.errors import LogError
 
 FIRST_NS = 1_700_000_000_000_000_000
@@ -327,7 +327,7 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
         if len(asked) == 2:
             raise LogError("here", "that is all")
 
-    monkeypatch.setattr("quatprop.signals.operands.read_operand", read)
+    monkeypatch.setattr("quatprop.signals.compared_series.read_operand", read)
     monkeypatch.setattr("quatprop.plot.run.read_operand", read)
     monkeypatch.chdir(tmp_path)
     (command, suffix, place), (given, where, expected) = side, OF_A_SIDE[option]

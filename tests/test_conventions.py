@@ -7,8 +7,8 @@ shares a formula with the code. Each pitfall test fails when its pitfall is put 
 import numpy as np
 import pytest
 
-from quatprop.propagate import TILE, attitudes
-from quatprop.quaternion import exp, geodesic_angle, multiply, rotate, rotation_matrix
+from quatprop.kinematics.propagate import TILE, attitudes
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate, rotation_matrix
 
 SECOND = 1_000_000_000
 QUARTER = np.pi / 2

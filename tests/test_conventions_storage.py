@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from quatprop.cli import cli
 from quatprop.conventions import REPRESENTATIONS, Meaning, Signs, euler_zyx
 from quatprop.errors import UsageError
-from quatprop.quaternion import exp, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 
 BODY_TO_REF = np.array([[81, -76, 48], [84, 87, -4], [-32, 36, 111]]) / 121
 

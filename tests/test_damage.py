@@ -19,10 +19,10 @@ from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli import cli
+from quatprop.containers.base import Channel
 from quatprop.errors import LogError, SchemaError
+from quatprop.formats import open_log
 from quatprop.messages.definitions import message_type
-from quatprop.readers import open_log
-from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
 

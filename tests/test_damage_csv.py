@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop.cli import cli
+from quatprop.containers.base import Loss
 from quatprop.errors import UnsupportedLogError
-from quatprop.readers.base import Loss
-from quatprop.readers.csv import CsvLog
 from quatprop.selection import Selection
+from quatprop.tables.csv.log import CsvLog
 
 HEADER = "t_ns,wx,wy,wz\n"
 CUT = "it has no line end, and its last cell was cut off"

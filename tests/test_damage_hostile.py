@@ -9,15 +9,17 @@ import pytest
 import zstandard
 from click.testing import CliRunner
 from mcap.writer import Writer
+from test_containers_ulog import added, record
 from test_damage_mcap import MESSAGES, read, unclosed, written
-from test_readers_ulog import added, record
 
 from quatprop.cli import cli
-from quatprop.cli.words import lost
+from quatprop.cli.summary import lost
+from quatprop.containers import prefetch
+from quatprop.containers.limits import MAX_UNPACKED, unpacked_limit
+from quatprop.containers.mcap import log as mcap
+from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError, UsageError
-from quatprop.readers import mcap, open_log, prefetch
-from quatprop.readers.limits import MAX_UNPACKED, unpacked_limit
-from quatprop.readers.mcap import McapLog
+from quatprop.formats import open_log
 
 SIZE = 1 << 24
 MESSAGE = struct.pack("<BQHIQQ", 5, 22 + 8, 1, 0, 10**9, 10**9) + bytes(8)

@@ -8,8 +8,8 @@ import pytest
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from quatprop.readers.base import Loss
-from quatprop.readers.mcap import McapLog
+from quatprop.containers.base import Loss
+from quatprop.containers.mcap.log import McapLog
 
 MESSAGES = 400
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)

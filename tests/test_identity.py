@@ -12,29 +12,23 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from pyarrow import feather, parquet
-from test_readers_ulog import added, gyro, write
+from test_containers_ulog import added, gyro, write
 
 from quatprop.conditioning import Conditioning
-from quatprop.job import Job, run
-from quatprop.readers import (
-    arrow,
-    csv,
-    db3,
-    joined,
-    jsonl,
-    mcap_survey,
-    numpy_table,
-    prefetch,
-    rosbag1_index,
-    text_blocks,
-    ulog,
-)
-from quatprop.readers import open_log as opened
+from quatprop.containers import coalesce, prefetch, ulog
+from quatprop.containers.mcap import survey as mcap_survey
+from quatprop.containers.rosbag1 import index as rosbag1_index
+from quatprop.containers.rosbag2 import db3
+from quatprop.formats import open_log as opened
+from quatprop.pipeline.job import Job, run
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
+from quatprop.tables import arrow, jsonl, numpy_table
+from quatprop.tables.csv import log as csv
+from quatprop.tables.csv import text_blocks
 
 QUATPROP = Path(sys.executable).with_name("quatprop")
 SAMPLES = 70_000
@@ -85,7 +79,7 @@ CUTS = {
         (jsonl, "blocks"): partial(text_blocks.blocks, size=1 << 12),
         (arrow, "BATCH_ROWS"): 999,
         (numpy_table, "BATCH_ROWS"): 999,
-        (joined, "ENOUGH_MESSAGES"): 10,
+        (coalesce, "ENOUGH_MESSAGES"): 10,
         (db3, "_FETCHES"): 1,
         (ulog, "BLOCK"): 501,
         (ulog, "_WINDOW"): 70_001,
@@ -97,7 +91,7 @@ CUTS = {
         (jsonl, "blocks"): partial(text_blocks.blocks, size=1 << 26),
         (arrow, "BATCH_ROWS"): 1 << 22,
         (numpy_table, "BATCH_ROWS"): 1 << 22,
-        (joined, "ENOUGH_MESSAGES"): 1 << 20,
+        (coalesce, "ENOUGH_MESSAGES"): 1 << 20,
         (db3, "_FETCHES"): 1 << 10,
         (ulog, "BLOCK"): 1 << 20,
         (mcap_survey, "_STRETCH"): 1 << 28,

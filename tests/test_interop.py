@@ -20,8 +20,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quatprop.convert import Conversion, convert
-from quatprop.quaternion import geodesic_angle
+from quatprop.conversion import Conversion, convert
+from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
 

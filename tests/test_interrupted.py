@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fuzz_logs import write_logs
 
-from quatprop.readers import open_log
+from quatprop.formats import open_log
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
 from quatprop.simulate.gyroscope import Gyroscope
@@ -141,7 +141,7 @@ def rows_after(logs, tmp_path, name, change):
     with open_log(log) as opened:
         whole = np.concatenate([one.rate for one in choose(opened, Selection()).batches()])
     code = (
-        "import sys; from quatprop.readers import open_log; from quatprop.errors import LogError\n"
+        "import sys; from quatprop.formats import open_log; from quatprop.errors import LogError\n"
         "from quatprop.selection import Selection; from quatprop.signals.rates import choose\n"
         "import os\n"
         "try:\n"

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 
 from quatprop.cli import cli
 from quatprop.into.log_times import LogTimes
-from quatprop.writers.mcap_contents import Contents
+from quatprop.writers.mcap.contents import Contents
 
 FORMS = {
     "zstd": {},

@@ -8,8 +8,8 @@ from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli import cli
-from quatprop.readers import open_log
-from quatprop.readers.rosbag1_records import RecordFile, index_offsets, walked_records
+from quatprop.containers.rosbag1.records import RecordFile, index_offsets, walked_records
+from quatprop.formats import open_log
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 Form = Writer.CompressionFormat

@@ -14,10 +14,10 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quatprop.cli import cli
+from quatprop.formats import open_log
 from quatprop.into.rosbag2 import Added
 from quatprop.into.rosbag2_metadata import extended
-from quatprop.readers import open_log
-from quatprop.writers.messages import Message
+from quatprop.writers.messages.kinds import Message
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]

@@ -8,11 +8,11 @@ import pytest
 from into_logs import write_bag, write_mcap, write_rosbag2
 
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
+from quatprop.formats import open_log
 from quatprop.into import open_into
 from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.rosbag1_copy import BagCopy
-from quatprop.readers import open_log
-from quatprop.writers.messages import Message
+from quatprop.writers.messages.kinds import Message
 
 OPEN = Path("/proc/self/fd")
 
@@ -94,7 +94,7 @@ def test_a_layout_that_messages_do_not_have(log, tmp_path):
 def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
     """What was begun is removed, and all files are closed."""
     for place in (
-        "quatprop.writers.mcap_file.McapFile.__init__",
+        "quatprop.writers.mcap.file.McapFile.__init__",
         "quatprop.into.rosbag1.BagFile",
         "quatprop.into.sqlite.SqlitePart._insert",
     ):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from messages_reference import Encoder, block_of, channel_of
 
+from quatprop.containers.base import Channel
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text
-from quatprop.readers.base import Channel
 
 MIXED = Struct(
     "pkg/msg/T",

@@ -11,6 +11,7 @@ from mcap.writer import Writer
 from messages_reference import block_of
 from rosbags.typesys import Stores, get_typestore
 
+from quatprop.containers.base import Channel
 from quatprop.errors import (
     AmbiguousTopicError,
     MessageError,
@@ -18,12 +19,11 @@ from quatprop.errors import (
     SchemaError,
     UndeclaredError,
 )
+from quatprop.formats import open_log
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.orientations import orientation_fields
 from quatprop.messages.rates import rate_fields, time_field_at
 from quatprop.messages.values import ValueDecoder
-from quatprop.readers import open_log
-from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose

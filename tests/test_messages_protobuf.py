@@ -7,10 +7,10 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from mcap.writer import Writer
 
+from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
+from quatprop.formats import open_log
 from quatprop.messages.rates import rate_fields
-from quatprop.readers import open_log
-from quatprop.readers.base import Channel
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose

@@ -5,10 +5,10 @@ import pytest
 from px4_messages import write_mcap, zeros
 
 from quatprop.errors import SchemaError
-from quatprop.job import Job, run
-from quatprop.propagate import attitudes, propagate
-from quatprop.quaternion import exp, geodesic_angle
-from quatprop.readers import open_log
+from quatprop.formats import open_log
+from quatprop.kinematics.propagate import attitudes, propagate
+from quatprop.kinematics.quaternion import exp, geodesic_angle
+from quatprop.pipeline.job import Job, run
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose

@@ -5,13 +5,13 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from quatprop.containers.base import Channel, MessageBlock
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.known_types import KnownTypes
 from quatprop.messages.rate_types import RATES
 from quatprop.messages.rates import rate_field_at, rate_fields, time_field_at
 from quatprop.messages.stamps import Stamp
-from quatprop.readers.base import Channel, MessageBlock
 
 HEADER = Stamp(("header.stamp.sec", "header.stamp.nanosec"), "s")
 

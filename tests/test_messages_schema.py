@@ -6,6 +6,7 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.definitions import NUMBERS, message_type
@@ -23,7 +24,6 @@ from quatprop.messages.schema import (
     steps,
     structs,
 )
-from quatprop.readers.base import Channel
 
 RULE = "=" * 80
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr")

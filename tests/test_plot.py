@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop.cli import cli
+from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
 from quatprop.plot.files import View, see
 from quatprop.plot.picture import instant_text, picture
-from quatprop.quaternion import exp, multiply
 
 T0 = 1_700_000_000_000_000_000
 STEP = 10_000_000

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quatprop.errors import SeriesError, UsageError
-from quatprop.increments import METHODS
-from quatprop.propagate import TILE, attitudes, propagate
-from quatprop.quaternion import exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.propagate import TILE, attitudes, propagate
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.series import BLOCK, GyroSeries
 
 SECOND = 1_000_000_000

@@ -13,8 +13,8 @@ from mcap.writer import Writer as McapWriter
 
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
+from quatprop.formats import open_log
 from quatprop.provenance import Fingerprint, fingerprint
-from quatprop.readers import open_log
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.writers import WRITERS, has_room, open_writer

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop.quaternion import (
+from quatprop.kinematics.quaternion import (
     IDENTITY,
     conjugate,
     exp,

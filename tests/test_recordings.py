@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from conftest import SHARED_LOGS
 
 from quatprop.cli import cli
-from quatprop.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import geodesic_angle
 
 TOLERANCE_RAD = 1e-12
 METHODS = ("start", "end", "mean", "coning")

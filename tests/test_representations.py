@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler_zyx, from_matrices
-from quatprop.quaternion import geodesic_angle
-from quatprop.readers import open_log
+from quatprop.formats import open_log
+from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.lookup import stamps_in
 from quatprop.writers import WRITERS, open_table

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.propagate import attitudes, propagate
-from quatprop.quaternion import geodesic_angle
-from quatprop.resample import PIECE, Listed, Steady, at_times, every
+from quatprop.kinematics.propagate import attitudes, propagate
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries, reblock
 
 S = 1_000_000_000

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from quatprop.conventions.layout import LAYOUTS
-from quatprop.convert import Conversion, convert
+from quatprop.conversion import Conversion, convert
 from quatprop.errors import NotRotationsError
-from quatprop.readers import READERS, open_log
+from quatprop.formats import READERS, open_log
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.writers import WRITERS, open_writer

@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quatprop.job import Job, run
+from quatprop.pipeline.job import Job, run
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 NOT_GENERATED = {".gitattributes", "README.md", "demo.sh", "generate.py"}

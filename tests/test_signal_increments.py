@@ -5,10 +5,10 @@ import pytest
 
 from quatprop.conditioning import conditioned
 from quatprop.errors import SeriesError
-from quatprop.increments import METHODS
-from quatprop.propagate import propagate
-from quatprop.quaternion import conjugate, exp, geodesic_angle, log, multiply
-from quatprop.resample import Listed, at_times
+from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.propagate import propagate
+from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
+from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
 from quatprop.timeline import OBSERVE, Policy, Timeline
 from quatprop.timeline.counts import remarks

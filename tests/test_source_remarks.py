@@ -6,11 +6,11 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import UsageError
-from quatprop.job import Job, run
-from quatprop.readers import open_log
+from quatprop.formats import open_log
+from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.survey import survey
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
-from quatprop.survey import survey
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 IMU = "sensor_msgs/msg/Imu"

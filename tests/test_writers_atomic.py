@@ -13,8 +13,8 @@ import pytest
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, kind_of, open_writer
-from quatprop.writers.aside import Aside
 from quatprop.writers.atomic import Replacement, replacing
+from quatprop.writers.temp_files import Aside
 
 FOLDERS = ("rosbag2", "rosbag2-mcap")
 KINDS = tuple(kind for kind in WRITERS if kind not in FOLDERS)

@@ -15,9 +15,9 @@ from ruamel.yaml import YAML
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, open_writer
-from quatprop.writers.messages import MESSAGES, Message
-from quatprop.writers.ros_messages import Encoder
-from quatprop.writers.ros_types import ros1_types
+from quatprop.writers.messages.kinds import MESSAGES, Message
+from quatprop.writers.messages.ros_messages import Encoder
+from quatprop.writers.messages.ros_types import ros1_types
 
 ROS = [name for name, known in MESSAGES.items() if known.is_ros]
 KINDS = [kind for kind, known in WRITERS.items() if known.messages]

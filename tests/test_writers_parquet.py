@@ -9,7 +9,7 @@ import pytest
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.arrow import GROUP
+from quatprop.writers.tables.arrow import GROUP
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from quatprop.check.lock import Pin
-    from quatprop.compare import Settings
-    from quatprop.job import Job
-    from quatprop.signals.operands import Reading
+    from quatprop.comparison import Settings
+    from quatprop.pipeline.job import Job
+    from quatprop.signals.compared_series import Reading
 
 Verdict = Literal["pass", "fail", "error"]
 

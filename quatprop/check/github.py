@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.check.words import tally
+from quatprop.check.summary import tally
 from quatprop.errors import OutputError, plain
 
 if TYPE_CHECKING:

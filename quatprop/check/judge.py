@@ -22,9 +22,9 @@ from quatprop.check.measure import (
 )
 from quatprop.check.reference import differing_provenance, read_reference
 from quatprop.errors import LogError, QuatpropError, plain, quoted
-from quatprop.foreign import told
-from quatprop.quaternion import geodesic_angle
-from quatprop.signals.operands import read_operand
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.signals.compared_series import read_operand
+from quatprop.third_party_errors import as_user_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,7 +61,7 @@ def settled(
     except QuatpropError as error:
         outcome = Outcome(case.name, "error", str(error))
     except Exception as error:
-        if (sentence := told(error)) is None:
+        if (sentence := as_user_error(error)) is None:
             raise
         outcome = Outcome(case.name, "error", str(sentence))
     return replace(outcome, seconds=time.perf_counter() - began, line=case.line)

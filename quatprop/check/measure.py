@@ -8,11 +8,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from quatprop.compare import compare
+from quatprop.comparison import compare
 from quatprop.errors import ComparisonError
-from quatprop.job import run
-from quatprop.quaternion import geodesic_angle
-from quatprop.signals.operands import Reading, read_operand
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.pipeline.job import run
+from quatprop.signals.compared_series import Reading, read_operand
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class Measured:
     series
         The attitudes that it wrote.
     report
-        What the run says of itself: that of :func:`quatprop.job.run`.
+        What the run says of itself: that of :func:`quatprop.pipeline.job.run`.
     """
 
     series: AttitudeSeries

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import OutputError, QuatpropError, plain, quoted
-from quatprop.report import CONVENTION
-from quatprop.signals.operands import Reading, read_operand
+from quatprop.pipeline.report import CONVENTION
+from quatprop.signals.compared_series import Reading, read_operand
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
     from quatprop.check.case import Case
     from quatprop.check.lock import Pin
     from quatprop.check.measure import Measured
-    from quatprop.signals.operands import Operand
+    from quatprop.signals.compared_series import Operand
 
 MARK = "check"
 """Key of the provenance that makes a file a stored reference."""

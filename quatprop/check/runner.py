@@ -10,7 +10,7 @@ from quatprop.check.case import BrokenCase, Case, Outcome
 from quatprop.check.judge import judge, settled
 from quatprop.check.lock import write_lock
 from quatprop.check.update import update
-from quatprop.parallel import KILLED, each
+from quatprop.parallel import KILLED, map_processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -64,7 +64,7 @@ def outcomes(
     """
     pairs = [(case, pins.get(case.name)) for case in cases]
     work = partial(_outcome, updating=updating)
-    yield from each(work, pairs, processes, _killed, record)
+    yield from map_processes(work, pairs, processes, _killed, record)
 
 
 def _outcome(pair: tuple[Case | BrokenCase, Pin | None], *, updating: bool) -> Outcome:

@@ -65,9 +65,9 @@ class Commands(click.Group):
         except (click.ClickException, click.Abort, click.exceptions.Exit):
             raise
         except Exception as error:
-            from quatprop.foreign import told
+            from quatprop.third_party_errors import as_user_error
 
-            if (sentence := told(error)) is None:
+            if (sentence := as_user_error(error)) is None:
                 raise
             raise Unusable(str(sentence)) from error
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.batch import Made, Outcome
-    from quatprop.job import Job
+    from quatprop.batch.run import BatchManifest, Outcome
+    from quatprop.pipeline.job import Job
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -78,7 +78,7 @@ def command(logs: tuple[str, ...], **chosen: Any) -> None:
     """
     from pathlib import Path
 
-    from quatprop.batch import Made
+    from quatprop.batch.run import BatchManifest
 
     own = {name: chosen.pop(name) for name in ("folder", "processes", "dask", "skip_existing")}
     as_json, quiet = chosen.pop("as_json"), chosen.pop("quiet")
@@ -88,7 +88,7 @@ def command(logs: tuple[str, ...], **chosen: Any) -> None:
     if folder.exists() and not folder.is_dir():
         raise click.UsageError(f"-o {own['folder']} is a file; name a folder for the outputs")
     jobs = _jobs(logs, folder, chosen)
-    made = Made(folder)
+    made = BatchManifest(folder)
     wanted = [job for job in jobs if not (own["skip_existing"] and made.is_fresh(job))]
     try:
         found = _noted(_outcomes(wanted, own["processes"], own["dask"]), wanted, made)
@@ -110,7 +110,7 @@ command.params += SHARED
 
 def _jobs(logs: Sequence[str], folder: Path, chosen: dict[str, Any]) -> list[Job]:
     """Return one job for each log, with outputs that replace nothing that is read."""
-    from quatprop.batch import outputs
+    from quatprop.batch.run import outputs
     from quatprop.writers import WRITERS
     from quatprop.writers.overlap import refuse_overlap
 
@@ -127,16 +127,16 @@ def _jobs(logs: Sequence[str], folder: Path, chosen: dict[str, Any]) -> list[Job
 
 
 def _outcomes(jobs: list[Job], processes: int | None, dask: str | None) -> Iterator[Outcome]:
-    from quatprop.batch import on_a_cluster, on_this_machine
+    from quatprop.batch.run import on_a_cluster, on_this_machine
 
     if dask is not None:
         return on_a_cluster(jobs, dask)
     return on_this_machine(jobs, processes or os.cpu_count() or 1)
 
 
-def _noted(found: Iterator[Outcome], jobs: list[Job], made: Made) -> Iterator[Outcome]:
+def _noted(found: Iterator[Outcome], jobs: list[Job], made: BatchManifest) -> Iterator[Outcome]:
     """Pass outcomes on, and note which outputs were made, and from what."""
-    from quatprop.batch import origin
+    from quatprop.batch.run import origin
 
     # Looked at before anything runs: a log that changes meanwhile is not the one that was read.
     before = [origin(job) for job in jobs]
@@ -163,7 +163,7 @@ def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Out
 
 def _line(outcome: Outcome, width: int) -> str:
     """Return what came of one log in a line, and what is to be said of it beneath."""
-    from quatprop.cli.words import lost
+    from quatprop.cli.summary import lost
     from quatprop.errors import plain
     from quatprop.times import duration_text
 

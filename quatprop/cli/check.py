@@ -121,7 +121,7 @@ def _said(
     found: Iterable[Outcome], cases: Sequence[Case | BrokenCase], *, speaks: bool
 ) -> list[Outcome]:
     """Say what comes of each case as soon as it is known."""
-    from quatprop.check.words import line, tally
+    from quatprop.check.summary import line, tally
     from quatprop.errors import plain
 
     width = max(len(plain(case.name)) for case in cases)

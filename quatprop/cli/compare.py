@@ -20,16 +20,16 @@ from quatprop.cli.types import Angle, Duration, TimeOffset
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from quatprop.compare import Settings
+    from quatprop.comparison import Settings
     from quatprop.plot.errors import ErrorPicture
-    from quatprop.signals.operands import Reading
+    from quatprop.signals.compared_series import Reading
 
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
-"""Those of :mod:`quatprop.compare.alignment`; spelled out to keep help quick."""
+"""Those of :mod:`quatprop.comparison.alignment`; spelled out to keep help quick."""
 
 MATCHES = ("exact", "nearest", "interpolate")
-"""Those of :mod:`quatprop.compare.association`."""
+"""Those of :mod:`quatprop.comparison.association`."""
 
 
 @click.command(no_args_is_help=True)
@@ -100,9 +100,9 @@ def command(a: str, b: str, as_json: bool, quiet: bool, plot: str | None, **chos
     read or compared; 3: as 0, but some of A or B was left out.
     """
     from quatprop import __version__
-    from quatprop.cli.comparison_words import comparison
-    from quatprop.compare import compare
-    from quatprop.signals.operands import read_operand
+    from quatprop.cli.comparison_summary import comparison
+    from quatprop.comparison import compare
+    from quatprop.signals.compared_series import read_operand
 
     refuse_stdin_twice(a, b)
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
@@ -137,7 +137,7 @@ def _drawing(plot: str | None, a: str, b: str) -> AbstractContextManager[ErrorPi
 
 def settings_of(chosen: dict[str, Any]) -> Settings:
     """Return how to compare, from the options that are left when both sides have theirs."""
-    from quatprop.compare import Settings
+    from quatprop.comparison import Settings
 
     chosen["min_matched"] /= 100
     return Settings(**chosen)
@@ -145,7 +145,7 @@ def settings_of(chosen: dict[str, Any]) -> Settings:
 
 def reading_of(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
     """Take the options of one side out of a command's."""
-    from quatprop.signals.operands import Reading
+    from quatprop.signals.compared_series import Reading
 
     kind = chosen.pop(f"kind_{side}")
     selected = attitude_selection(chosen, f"_{side}")

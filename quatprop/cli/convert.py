@@ -76,9 +76,9 @@ def command(**chosen: Any) -> None:
     quatprop convert flight.bag vicon.tum -t /vicon/auk/auk
     quatprop convert attitude.csv - --as euler-zyx --euler-unit deg
     """
-    from quatprop.cli import words
+    from quatprop.cli import summary as words
     from quatprop.conventions import Meaning
-    from quatprop.convert import Conversion, convert
+    from quatprop.conversion import Conversion, convert
 
     quiet = chosen.pop("quiet")
     unit, representation = chosen.pop("euler_unit"), chosen.pop("representation")

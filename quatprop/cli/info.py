@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
-from quatprop.cli.words import lost
+from quatprop.cli.summary import lost
 from quatprop.errors import plain
 
 TIMED = {
@@ -46,7 +46,7 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     the option that says it.
     """
     from quatprop.errors import QuatpropError
-    from quatprop.survey import survey
+    from quatprop.pipeline.survey import survey
 
     kind = chosen.pop("kind")
     wanted = selection(chosen)

@@ -26,7 +26,7 @@ KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
     *("parquet", "feather", "npy", "npz", "jsonl", "csv"),
 )
-"""The keys of :data:`quatprop.readers.READERS`; spelled out so that help imports no reader."""
+"""The keys of :data:`quatprop.formats.READERS`; spelled out so that help imports no reader."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")

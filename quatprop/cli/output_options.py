@@ -9,7 +9,7 @@ import click
 from quatprop.cli.options import LAYOUTS
 
 if TYPE_CHECKING:
-    from quatprop.writers.messages import Message
+    from quatprop.writers.messages.kinds import Message
 
 KINDS = (
     "csv",
@@ -29,7 +29,7 @@ KINDS = (
 """The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
 
 MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage", "FrameTransform", "PoseInFrame")
-"""The keys of :data:`quatprop.writers.messages.MESSAGES`."""
+"""The keys of :data:`quatprop.writers.messages.kinds.MESSAGES`."""
 
 output_kind_option = click.option(
     "--to",
@@ -79,7 +79,7 @@ OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OP
 
 def message(chosen: dict[str, Any]) -> Message | None:
     """Take what attitudes are written as out of a command's options; None if nothing was said."""
-    from quatprop.writers.messages import Message
+    from quatprop.writers.messages.kinds import Message
 
     kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
     if kind is None and topic is None and frames is None:

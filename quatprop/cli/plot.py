@@ -108,12 +108,12 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
     quatprop plot old.parquet new.parquet -o attitude.svg
     quatprop plot attitude.csv -o report.html --reference truth.csv --tol 0.1deg
     """
-    from quatprop.cli import words
-    from quatprop.compare import Settings
+    from quatprop.cli import summary as words
+    from quatprop.comparison import Settings
     from quatprop.errors import plain
     from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
-    from quatprop.signals.operands import Reading
+    from quatprop.signals.compared_series import Reading
 
     reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
     _refuse_idle(reference)

@@ -23,7 +23,7 @@ from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from quatprop.job import Job
+    from quatprop.pipeline.job import Job
     from quatprop.plot.propagation import PropagationPicture
 
 
@@ -161,8 +161,8 @@ def command(**chosen: Any) -> None:
     table, or - for CSV on stdin. N samples give N attitudes; the first is --q0. Say where they go:
     to a file of their own with -o, or into a copy of LOG with --into.
     """
-    from quatprop.cli import words
-    from quatprop.job import run
+    from quatprop.cli import summary as words
+    from quatprop.pipeline.job import run
 
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
@@ -191,8 +191,8 @@ def job_of(chosen: dict[str, Any]) -> Job:
     """Return what the options ask for; in the context of the command, whose options they are."""
     from quatprop.conditioning import Conditioning
     from quatprop.conventions.layout import layout_named
-    from quatprop.job import Job
-    from quatprop.start import Start
+    from quatprop.pipeline.initial_attitude import Start
+    from quatprop.pipeline.job import Job
     from quatprop.timeline import Policy
 
     # What is drawn of a job is no part of it.

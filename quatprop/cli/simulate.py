@@ -186,7 +186,7 @@ def command(out: str, **options: Any) -> None:
     quatprop simulate coning.mcap --motion coning --rate 200 --duration 1m
     quatprop simulate rest.bag --motion rest --noise 1e-4 --bias 0.01,0,0
     """
-    from quatprop.cli.words import progress
+    from quatprop.cli.summary import progress
     from quatprop.simulate.gyroscope import Gyroscope, samples_in
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside

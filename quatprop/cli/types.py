@@ -132,7 +132,7 @@ class Angle(ParamType):
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
         """Return the angle in rad."""
-        from quatprop.compare import angle_rad
+        from quatprop.comparison import angle_rad
         from quatprop.errors import UsageError
 
         if isinstance(value, float):

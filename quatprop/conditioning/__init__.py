@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.conditioning.rest import AT_REST, REST_WINDOW_NS, quietest, windows_of
+from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, quietest, windows_of
 from quatprop.errors import UsageError, quoted
-from quatprop.quaternion import normalize, rotation_matrix
+from quatprop.kinematics.quaternion import normalize, rotation_matrix
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS, Representation, euler_zyx
 from quatprop.errors import UsageError, listed, quoted
-from quatprop.quaternion import conjugate
+from quatprop.kinematics.quaternion import conjugate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -94,7 +94,7 @@ class Meaning:
             return f"JPL, ij = -k: v_{target} = q v_{source} q* in its product"
         return f"Hamilton, ij = k: v_{target} = q v_{source} q*"
 
-    def restated(self, wxyz: Float64) -> Float64:
+    def converted(self, wxyz: Float64) -> Float64:
         """Return attitudes in these terms, or numbers in these terms as attitudes.
 
         Conjugation is its own inverse, so one function goes both ways, without rounding.
@@ -111,7 +111,7 @@ class Meaning:
 
         Examples
         --------
-        >>> Meaning("jpl", "ref-to-body").restated(np.array([0.6, 0.8, 0.0, 0.0])).tolist()
+        >>> Meaning("jpl", "ref-to-body").converted(np.array([0.6, 0.8, 0.0, 0.0])).tolist()
         [0.6, 0.8, 0.0, 0.0]
         """
         return conjugate(wxyz) if self.is_conjugate else wxyz

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.quaternion import exp, log, normalize, rotation_matrix
+from quatprop.kinematics.quaternion import exp, log, normalize, rotation_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -11,11 +11,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError, listed, plain, quoted
+from quatprop.formats import open_log
 from quatprop.into.log_times import LogTimes
-from quatprop.readers import open_log
 from quatprop.writers import WRITERS, kind_of, layout_of
 from quatprop.writers.atomic import is_stdout
-from quatprop.writers.messages import Message
+from quatprop.writers.messages.kinds import Message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import Log, MessageLog, TableLog
+    from quatprop.containers.base import Log, MessageLog, TableLog
     from quatprop.writers.base import AttitudeWriter
 
     Int64 = NDArray[np.int64]

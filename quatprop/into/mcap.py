@@ -10,10 +10,10 @@ from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.topics import refuse_taken
 from quatprop.writers.atomic import Output, reported
 from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.mcap import METADATA
-from quatprop.writers.mcap_contents import encoded
-from quatprop.writers.mcap_file import McapFile
-from quatprop.writers.mcap_messages import declared
+from quatprop.writers.mcap.attitudes import METADATA
+from quatprop.writers.mcap.contents import encoded
+from quatprop.writers.mcap.file import McapFile
+from quatprop.writers.mcap.messages import declared
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import MessageLog
     from quatprop.into import Addition
-    from quatprop.readers.base import MessageLog
     from quatprop.series import AttitudeSeries
-    from quatprop.writers.messages import Message
+    from quatprop.writers.messages.kinds import Message
 
 _CHUNK_BYTES = 1 << 17
 """Small chunks: each stands between those of its own time."""

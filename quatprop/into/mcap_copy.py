@@ -14,20 +14,27 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
 
+from quatprop.containers.mcap.messages import at_offsets, walk
+from quatprop.containers.mcap.regions import (
+    CHUNK_HEAD,
+    INDEX_HEAD,
+    RECORD,
+    RegionError,
+    Source,
+    load,
+)
+from quatprop.containers.mcap.summary import MAGIC, MALFORMED, Content, Survey, read_footer
+from quatprop.containers.mcap.survey import survey
 from quatprop.errors import DamagedLogError, UnreadableLogError
-from quatprop.readers.mcap_messages import at_offsets, walk
-from quatprop.readers.mcap_regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, Source, load
-from quatprop.readers.mcap_summary import MAGIC, MALFORMED, Content, Survey, read_footer
-from quatprop.readers.mcap_survey import survey
-from quatprop.writers.mcap_contents import Contents
+from quatprop.writers.mcap.contents import Contents
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.readers.mcap_messages import Messages
-    from quatprop.readers.mcap_regions import Region
-    from quatprop.writers.mcap_file import McapFile
+    from quatprop.containers.mcap.messages import Messages
+    from quatprop.containers.mcap.regions import Region
+    from quatprop.writers.mcap.file import McapFile
 
 _PIECE = 1 << 20
 _NAMES = 1 << 16

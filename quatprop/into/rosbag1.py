@@ -9,17 +9,17 @@ from quatprop.into.rosbag1_copy import BagCopy
 from quatprop.into.topics import refuse_taken
 from quatprop.writers.atomic import Output, refuse_streams, reported
 from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.ros_messages import Encoder
-from quatprop.writers.ros_types import ros1_types
-from quatprop.writers.rosbag1_file import BagFile
+from quatprop.writers.messages.ros_messages import Encoder
+from quatprop.writers.messages.ros_types import ros1_types
+from quatprop.writers.rosbag1.file import BagFile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
+    from quatprop.containers.base import MessageLog
     from quatprop.into import Addition
-    from quatprop.readers.base import MessageLog
     from quatprop.series import AttitudeSeries
 
 _CHUNK_BYTES = 1 << 17

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import DamagedLogError, UnreadableLogError
-from quatprop.readers.compression import CompressionError
-from quatprop.readers.rosbag1_index import content, indexed, walked
-from quatprop.readers.rosbag1_records import (
+from quatprop.containers.compression import CompressionError
+from quatprop.containers.rosbag1.index import content, indexed, walked
+from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
     MalformedRecordError,
@@ -23,7 +22,8 @@ from quatprop.readers.rosbag1_records import (
     index_offsets,
     walked_records,
 )
-from quatprop.writers import rosbag1_records as records
+from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.writers.rosbag1 import records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.rosbag1_index import Chunk
-    from quatprop.readers.rosbag1_records import Record
-    from quatprop.writers.rosbag1_file import BagFile
+    from quatprop.containers.rosbag1.index import Chunk
+    from quatprop.containers.rosbag1.records import Record
+    from quatprop.writers.rosbag1.file import BagFile
 
     Indexes = dict[int, NDArray[np.void]]
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import OutputError, UnsupportedLogError, plain
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
 from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.rosbag2_metadata import extended
 from quatprop.into.topics import refuse_taken
-from quatprop.readers.rosbag2_parts import folder
 from quatprop.writers.atomic import Replacement, reported
 from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.ros_messages import Encoder
+from quatprop.writers.messages.ros_messages import Encoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import MessageLog
     from quatprop.into import Addition
-    from quatprop.readers.base import MessageLog
     from quatprop.series import AttitudeSeries
 
     Int64 = NDArray[np.int64]

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
 
-from quatprop.writers.ros_types import ros2_types
+from quatprop.writers.messages.ros_types import ros2_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from quatprop.into.rosbag2 import Added
-    from quatprop.writers.messages import Message
+    from quatprop.writers.messages.kinds import Message
 
 _ROOT = "rosbag2_bagfile_information"
 

@@ -6,8 +6,8 @@ import sqlite3
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
-from quatprop.readers.db3 import not_yet_inside, read_only
-from quatprop.writers.ros_types import ros2_types
+from quatprop.containers.rosbag2.db3 import not_yet_inside, read_only
+from quatprop.writers.messages.ros_types import ros2_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.writers.messages import Message
+    from quatprop.writers.messages.kinds import Message
 
 _STEP = 1 << 12
 """Pages that are copied at a time."""

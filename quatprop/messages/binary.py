@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.placement import Placement
     from quatprop.messages.plan import Plan
-    from quatprop.readers.base import Channel, MessageBlock
 
 PACKED = ("ros1", "ulog")
 """Encodings without alignment."""

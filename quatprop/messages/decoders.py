@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import Channel, MessageBlock
+    from quatprop.containers.base import Channel, MessageBlock
 
 DECODERS: Final[dict[str, str]] = {
     "cdr": "quatprop.messages.binary:BinaryDecoder",

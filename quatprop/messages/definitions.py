@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces.typing import FieldDesc, Typesdict
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type
-    from quatprop.readers.base import Channel
 
 NUMBERS: Mapping[str, Primitive] = {
     "bool": Primitive("b1"),

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Struct
-    from quatprop.readers.base import Channel
 
 Row = TypeVar("Row")
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from quatprop.containers.base import Channel
     from quatprop.conventions.layout import Layout
-    from quatprop.readers.base import Channel
 
 COMPONENTS = 4
 """Numbers in a quaternion."""

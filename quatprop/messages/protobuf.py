@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as Paths
     from pathlib import Path
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Steps, Type
-    from quatprop.readers.base import Channel
 
 NUMBERS: Mapping[int, Primitive] = {
     1: Primitive("f8"),  # double

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Struct, Type
-    from quatprop.readers.base import Channel
 
 AXES = 3
 """Numbers in a rate."""

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.placement import Placement
-    from quatprop.readers.base import Channel, MessageBlock
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]

@@ -26,8 +26,8 @@ from quatprop.messages.schema import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type
-    from quatprop.readers.base import Channel
 
 NUMBERS: Mapping[str, Primitive] = {
     "int8_t": Primitive("i1"),

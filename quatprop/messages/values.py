@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.schema import Steps, Type
-    from quatprop.readers.base import Channel, MessageBlock
 
 
 @dataclass(frozen=True, slots=True)

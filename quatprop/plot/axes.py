@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from quatprop.plot.accumulators import MINUS, NORM_ERROR
 from quatprop.plot.lines import TURN, lone_points
 from quatprop.plot.palette import ALARM, PAPER, SHADE, colour_of, stroke_of
-from quatprop.plot.sketch import MINUS, NORM_ERROR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

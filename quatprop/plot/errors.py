@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quatprop.compare.figures import FIGURES
+from quatprop.comparison.statistics import FIGURES
 from quatprop.errors import plain
+from quatprop.plot.accumulators import ERROR, Sketch
 from quatprop.plot.names import lost_text, names_of
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
-from quatprop.plot.sketch import ERROR, Sketch
 from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.timeline import GAP_FACTOR
 from quatprop.times import duration_text
@@ -21,9 +21,9 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.compare import Comparison, Place
+    from quatprop.comparison import Comparison, Place
     from quatprop.plot.picture import Picture
-    from quatprop.signals.operands import Operand
+    from quatprop.signals.compared_series import Operand
 
 MATCHES = {
     "exact": "pairs of equal stamps",

@@ -11,7 +11,7 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog, TableLog
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.timeline.counts import Counts

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning import Conditioning, condition
+from quatprop.containers.remote import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
     LogError,
@@ -19,13 +20,12 @@ from quatprop.errors import (
     UsageError,
     plain,
 )
+from quatprop.formats import open_log
+from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.plot.accumulators import AttitudeSketch, RateSketch, Sketch
 from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_from
 from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
-from quatprop.plot.sketch import AttitudeSketch, RateSketch, Sketch
-from quatprop.readers import open_log
-from quatprop.readers.remote import without_secret
-from quatprop.sanity import Watch, log_remarks
 from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import Loss, MessageLog, TableLog
+    from quatprop.containers.base import Loss, MessageLog, TableLog
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.timeline.counts import Counts
@@ -64,7 +64,7 @@ class View:
     Parameters
     ----------
     kind
-        A key of :data:`quatprop.readers.READERS`; None: told by content and suffix.
+        A key of :data:`quatprop.formats.READERS`; None: told by content and suffix.
     show
         One of :data:`SHOWS`; None: the rates of a file that has some, else its attitudes.
     rates, attitudes
@@ -189,7 +189,7 @@ def _see_rates(
 ) -> Seen:
     part = Conditioning(start=view.start, end=view.end)
     batches, done = condition(source.batches, part, UNITS[source.unit])
-    sketch, watch = RateSketch(source.unit, UNITS[source.unit]), Watch()
+    sketch, watch = RateSketch(source.unit, UNITS[source.unit]), RateChecks()
     counts = _counted(sketch.passing(watch.passing(batches)), path, tick)
     if not counts.used:
         raise NoSamplesError(path, source.name, done["outside"])

@@ -10,7 +10,7 @@ from quatprop.errors import plain
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.readers.base import Loss
+    from quatprop.containers.base import Loss
 
 NOTES = 3
 """Warnings that stand below a picture; a report has all of them."""

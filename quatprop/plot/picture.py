@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.plot.accumulators import Quantity
     from quatprop.plot.lines import Line
     from quatprop.plot.reduction import Reduced
-    from quatprop.plot.sketch import Quantity
 
     Float64 = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from quatprop.plot.accumulators import AttitudeSketch, RateSketch
 from quatprop.plot.names import names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Part, instant_text, picture
-from quatprop.plot.sketch import AttitudeSketch, RateSketch
 from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.times import duration_text
 
@@ -75,7 +75,7 @@ class PropagationPicture:
         Parameters
         ----------
         report
-            The report of :func:`quatprop.job.run`.
+            The report of :func:`quatprop.pipeline.job.run`.
         """
         limit_ns = report["counts"]["gap_limit_ns"]
         attitudes = self._attitudes.reduced()

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from quatprop.compare import Settings, compare
+from quatprop.comparison import Settings, compare
 from quatprop.plot.errors import Compared, error_page
 from quatprop.plot.files import View, see
 from quatprop.plot.names import lost_text, names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile
-from quatprop.signals.operands import Reading, read_operand
+from quatprop.signals.compared_series import Reading, read_operand
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from quatprop.plot.files import Seen
-    from quatprop.signals.operands import Operand
+    from quatprop.signals.compared_series import Operand
 
     Tick = Callable[[int], None]
 

@@ -36,9 +36,9 @@ from quatprop.signals.transforms import TransformReading, chosen_frames
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
     from quatprop.messages.orientations import FoundOrientation
-    from quatprop.readers.base import Channel, MessageLog
     from quatprop.signals.attitude_source import Rows
     from quatprop.signals.channel_values import Reading
 
@@ -192,4 +192,4 @@ def _message_rows(
     """Yield the attitudes that a channel stores in the order `order` and means as `meaning`."""
     places = [order.index(part) for part in range(4)]
     for t_ns, stored in timed_values(log, channel, reading):
-        yield t_ns, meaning.restated(stored[:, places])
+        yield t_ns, meaning.converted(stored[:, places])

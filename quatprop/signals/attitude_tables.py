@@ -9,17 +9,17 @@ import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import NoAttitudesError, UsageError, plain, quoted
-from quatprop.readers.attitude_columns import choose_quaternion
-from quatprop.readers.rotation_columns import OPTION, choose_rotation
 from quatprop.signals.attitude_source import BY_NAME, AttitudeSource, meaning_of, recorded_in
 from quatprop.signals.channel_values import ABSENT
+from quatprop.tables.matching.attitude_columns import choose_quaternion
+from quatprop.tables.matching.rotation_columns import OPTION, choose_rotation
 
 if TYPE_CHECKING:
+    from quatprop.containers.base import TableLog, TimedColumns
     from quatprop.conventions import Meaning
-    from quatprop.readers.attitude_columns import QuaternionColumns
-    from quatprop.readers.base import TableLog, TimedColumns
-    from quatprop.readers.rotation_columns import RotationColumns
     from quatprop.signals.attitude_source import AttitudeSelection, Rows
+    from quatprop.tables.matching.attitude_columns import QuaternionColumns
+    from quatprop.tables.matching.rotation_columns import RotationColumns
 
 
 def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSource:
@@ -137,7 +137,7 @@ def _quaternion_rows(log: TableLog, timed: TimedColumns, meaning: Meaning) -> Ro
         wxyz = numbers[:, :4]
         for absent in numbers[:, 4:].T:
             wxyz[absent == ABSENT] = np.nan
-        yield t_ns, meaning.restated(wxyz)
+        yield t_ns, meaning.converted(wxyz)
 
 
 def _rotation_rows(log: TableLog, rotation: RotationColumns, meaning: Meaning) -> Rows:
@@ -147,4 +147,4 @@ def _rotation_rows(log: TableLog, rotation: RotationColumns, meaning: Meaning) -
         # What is not finite is told later, row by row.
         with np.errstate(invalid="ignore", over="ignore"):
             wxyz = form.attitudes(values)
-        yield t_ns, meaning.restated(wxyz)
+        yield t_ns, meaning.converted(wxyz)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
+from quatprop.containers.base import is_table
 from quatprop.errors import AmbiguousTopicError, UsageError, listed, plain, quoted
-from quatprop.readers.base import is_table
 from quatprop.signals.attitude_messages import Candidate, of_messages
 from quatprop.signals.attitude_source import AttitudeSelection, AttitudeSource
 from quatprop.signals.attitude_tables import of_table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog, TableLog
 
 __all__ = [
     "AttitudeSelection",

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from quatprop.containers.base import Loss
+from quatprop.containers.coalesce import joined
+from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.rates import time_field_at
-from quatprop.readers.base import Loss
-from quatprop.readers.joined import joined
-from quatprop.readers.merge import Columns, in_time
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.stamps import Stamp
-    from quatprop.readers.base import Channel, MessageBlock, MessageLog
     from quatprop.selection import Selection
 
     Int64 = NDArray[np.int64]
@@ -155,7 +155,7 @@ def stamps_logged(
 
 def _timed(log: MessageLog, channel: Channel, reading: Reading) -> Iterator[Columns]:
     batches = (_kept(log, channel, reading, block) for block in joined(log.blocks(channel)))
-    return in_time([batches])
+    return merge_by_time([batches])
 
 
 def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: Selection) -> Clock:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from quatprop.containers.base import is_table
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
-from quatprop.quaternion import conjugate, exp, log, multiply, normalize
-from quatprop.readers import open_log
-from quatprop.readers.base import is_table
+from quatprop.formats import open_log
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
 from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rates import choose
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.readers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog, TableLog
     from quatprop.series import AttitudeSeries
     from quatprop.signals.rates import Source
 

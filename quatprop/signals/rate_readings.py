@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, quoted
-from quatprop.readers.merge import Columns
 from quatprop.signals.channel_values import FieldReading, Groups, rows
 from quatprop.times import NS_PER_UNIT
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.rate_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
-    from quatprop.readers.base import Channel, MessageBlock, MessageLog
     from quatprop.signals.channel_values import Clock, Reading
 
 MAX_SPACING_NS = NS_PER_UNIT["s"]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from quatprop.containers.base import is_table
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -24,7 +25,6 @@ from quatprop.errors import (
     quoted,
 )
 from quatprop.messages.rates import rate_field_at, rate_fields
-from quatprop.readers.base import is_table
 from quatprop.series import GyroSeries
 from quatprop.signals.channel_values import channels_of, clock_of, stamps_logged, timed_values
 from quatprop.signals.rate_readings import rate_reading
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel, MessageLog, TableLog
     from quatprop.messages.rate_types import RateField
-    from quatprop.readers.base import Channel, MessageLog, TableLog
     from quatprop.selection import Selection
     from quatprop.signals.channel_values import Clock
 

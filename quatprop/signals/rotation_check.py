@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import NotRotationsError
-from quatprop.quaternion import normalize
+from quatprop.kinematics.quaternion import normalize
 from quatprop.series import AttitudeSeries
 
 if TYPE_CHECKING:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from quatprop.containers.coalesce import joined
+from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, NoSamplesError, UsageError, listed, plain, quoted
 from quatprop.messages.transforms import TransformDecoder
-from quatprop.readers.joined import joined
-from quatprop.readers.merge import Columns
 
 if TYPE_CHECKING:
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.transforms import Frames
-    from quatprop.readers.base import Channel, MessageBlock, MessageLog
     from quatprop.signals.channel_values import Clock
 
 

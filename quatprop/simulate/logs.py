@@ -83,9 +83,9 @@ class LogFormat:
 
 
 LOGS: Mapping[str, LogFormat] = {
-    "csv": LogFormat((".csv",), "quatprop.writers.csv:CsvTable", table=True),
+    "csv": LogFormat((".csv",), "quatprop.writers.tables.csv:CsvTable", table=True),
     "parquet": LogFormat(
-        (".parquet", ".pq"), "quatprop.writers.parquet:ParquetTable", ("zstd",), table=True
+        (".parquet", ".pq"), "quatprop.writers.tables.parquet:ParquetTable", ("zstd",), table=True
     ),
     "mcap": LogFormat((".mcap",), "quatprop.simulate.mcap:McapLog", ("zstd", "lz4", "none")),
     "bag": LogFormat((".bag",), "quatprop.simulate.rosbag1:Rosbag1Log", ("none", "lz4", "bz2")),

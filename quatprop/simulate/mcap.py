@@ -8,8 +8,8 @@ from quatprop.simulate.imu import TOPIC, cdr_messages
 from quatprop.simulate.logs import LogWriter
 from quatprop.simulate.ros import IMU, arrival_ns
 from quatprop.writers.atomic import Output, reported
-from quatprop.writers.mcap_file import McapFile
-from quatprop.writers.ros_types import ros2_types
+from quatprop.writers.mcap.file import McapFile
+from quatprop.writers.messages.ros_types import ros2_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Hamilton products of the truth, in whatever precision their factors have.
 
-Not those of :mod:`quatprop.quaternion`: a truth that shares code with what it is to judge would
-share its mistakes.
+Not those of :mod:`quatprop.kinematics.quaternion`: a truth that shares code with what it is to
+judge would share its mistakes.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ from quatprop.simulate.imu import TOPIC, ros1_messages
 from quatprop.simulate.logs import LogWriter
 from quatprop.simulate.ros import IMU, arrival_ns
 from quatprop.writers.atomic import Output, refuse_streams, reported
-from quatprop.writers.ros_types import ros1_types
-from quatprop.writers.rosbag1_file import BagFile
+from quatprop.writers.messages.ros_types import ros1_types
+from quatprop.writers.rosbag1.file import BagFile
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

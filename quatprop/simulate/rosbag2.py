@@ -9,8 +9,8 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from quatprop.simulate.imu import TOPIC, cdr_messages
 from quatprop.simulate.logs import LogWriter
 from quatprop.simulate.ros import IMU, arrival_ns
-from quatprop.writers.ros_types import ros2_types
-from quatprop.writers.rosbag2_folder import BagFolder
+from quatprop.writers.messages.ros_types import ros2_types
+from quatprop.writers.rosbag2.folder import BagFolder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -20,7 +20,7 @@ from quatprop.conventions.layout import layout_named
 from quatprop.errors import OutputError, UsageError, listed, quoted
 from quatprop.writers.atomic import is_stdout, is_stream
 from quatprop.writers.base import AttitudeTable
-from quatprop.writers.messages import Message
+from quatprop.writers.messages.kinds import Message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -71,33 +71,44 @@ def _ros(suffixes: tuple[str, ...], opener: str) -> Format:
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": Format((".csv",), "quatprop.writers.csv:CsvTable", table=True, text=True, comments=True),
-    "tsv": Format((".tsv",), "quatprop.writers.csv:TsvTable", table=True, text=True, comments=True),
+    "csv": Format(
+        (".csv",), "quatprop.writers.tables.csv:CsvTable", table=True, text=True, comments=True
+    ),
+    "tsv": Format(
+        (".tsv",), "quatprop.writers.tables.csv:TsvTable", table=True, text=True, comments=True
+    ),
     "jsonl": Format(
-        (".jsonl", ".ndjson"), "quatprop.writers.jsonl:JsonLinesTable", table=True, text=True
+        (".jsonl", ".ndjson"), "quatprop.writers.tables.jsonl:JsonLinesTable", table=True, text=True
     ),
     "parquet": Format(
-        (".parquet", ".pq"), "quatprop.writers.parquet:ParquetTable", table=True, room=True
+        (".parquet", ".pq"), "quatprop.writers.tables.parquet:ParquetTable", table=True, room=True
     ),
     "feather": Format(
-        (".feather", ".arrow"), "quatprop.writers.feather:FeatherTable", table=True, room=True
+        (".feather", ".arrow"),
+        "quatprop.writers.tables.feather:FeatherTable",
+        table=True,
+        room=True,
     ),
-    "npy": Format((".npy",), "quatprop.writers.npy:NpyTable", table=True),
-    "npz": Format((".npz",), "quatprop.writers.npy:NpzTable", table=True, room=True),
+    "npy": Format((".npy",), "quatprop.writers.tables.npy:NpyTable", table=True),
+    "npz": Format((".npz",), "quatprop.writers.tables.npy:NpzTable", table=True, room=True),
     "tum": Format(
         (".tum",),
-        "quatprop.writers.tum:attitudes",
+        "quatprop.writers.tables.tum:attitudes",
         text=True,
         comments=True,
         layout="scalar-last",
     ),
     "euroc": Format(
-        (), "quatprop.writers.euroc:attitudes", text=True, comments=True, layout="scalar-first"
+        (),
+        "quatprop.writers.tables.euroc:attitudes",
+        text=True,
+        comments=True,
+        layout="scalar-first",
     ),
-    "mcap": _ros((".mcap",), "quatprop.writers.mcap:McapAttitudes"),
-    "bag": _ros((".bag",), "quatprop.writers.rosbag1:Rosbag1Attitudes"),
-    "rosbag2": _ros(("",), "quatprop.writers.rosbag2:SqliteAttitudes"),
-    "rosbag2-mcap": _ros((), "quatprop.writers.rosbag2:McapFolderAttitudes"),
+    "mcap": _ros((".mcap",), "quatprop.writers.mcap.attitudes:McapAttitudes"),
+    "bag": _ros((".bag",), "quatprop.writers.rosbag1.attitudes:Rosbag1Attitudes"),
+    "rosbag2": _ros(("",), "quatprop.writers.rosbag2.attitudes:SqliteAttitudes"),
+    "rosbag2-mcap": _ros((), "quatprop.writers.rosbag2.attitudes:McapFolderAttitudes"),
 }
 """Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
 

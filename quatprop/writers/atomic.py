@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError
-from quatprop.writers.aside import Aside
+from quatprop.writers.temp_files import Aside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

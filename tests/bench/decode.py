@@ -10,7 +10,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
-from quatprop.readers import open_log
+from quatprop.formats import open_log
 from quatprop.selection import Selection
 from quatprop.signals.rates import choose
 

@@ -9,7 +9,7 @@ from ahrs.filters import AngularRate
 from scipy.spatial.transform import Rotation
 from table import Table, best_of
 
-from quatprop.propagate import attitudes
+from quatprop.kinematics.propagate import attitudes
 
 SLOW_SAMPLES = 20_000
 """Loops of microseconds a sample are timed on so many."""

@@ -13,8 +13,8 @@ from table import Table, median_of
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.mcap_messages import declared
-from quatprop.writers.messages import Message
+from quatprop.writers.mcap.messages import declared
+from quatprop.writers.messages.kinds import Message
 
 BATCH = 1 << 16
 NUMBERS = count()

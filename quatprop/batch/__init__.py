@@ -1,0 +1,1 @@
+"""Many logs with the same settings, in processes or on a cluster."""

@@ -1,0 +1,280 @@
+"""What two attitude series differ by and are not to be blamed for: frames.
+
+A and B may be relative to different reference frames, and be attitudes of different body frames
+that are fixed to each other: q_A = r q_B m. Here r turns coordinates of B's reference into
+coordinates of A's, on the left; m turns coordinates of A's body into coordinates of B's, on the
+right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import ComparisonError, UsageError, listed, quoted
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+
+ALIGNMENTS = ("none", "first", "mean", "mount")
+"""How B may be turned before it is compared."""
+
+MIN_MOTIONS = 10
+"""Fewer relative rotations do not make a mounting believable."""
+
+MAX_MOTIONS = 20_000
+"""About so many are taken from a long recording."""
+
+MIN_TURN = np.radians(0.1)
+"""RMS relative rotation, rad, below which there is no motion that could show a mounting."""
+
+MAX_TURN = np.radians(150.0)
+"""Larger relative rotations are left out: near half a turn their axes change sign."""
+
+MIN_EXCITATION = 0.02
+"""Least rotation about the second axis, as a share of that about the first."""
+
+MAX_STD = np.radians(5.0)
+"""Standard deviation, rad, above which a mounting is none."""
+
+WAY_OUT = "choose --align mean, or a longer part of the recording"
+"""What to do where the motion shows no mounting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """How a mounting was found from relative rotations, and how well.
+
+    Parameters
+    ----------
+    motions
+        How many relative rotations.
+    turn_rad
+        Their RMS angle, rad.
+    singular_values
+        Roots of the singular values of the fit: RMS sin(angle/2) about the three principal axes
+        that A and B have in common, largest first. Two have to be well above zero.
+    std_rad
+        Standard deviation of the mounting about its least certain axis, rad, from the residual.
+    """
+
+    motions: int
+    turn_rad: float
+    singular_values: list[float]
+    std_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Rotations that bring B to A: q_A = r q_B m.
+
+    Parameters
+    ----------
+    name
+        One of :data:`ALIGNMENTS`.
+    reference
+        r, wxyz, shape ``(4,)``: B's reference -> A's reference, multiplied on the left.
+    mount
+        m, wxyz, shape ``(4,)``: A's body -> B's body, multiplied on the right.
+    mounting
+        How m was found, where it was.
+    """
+
+    name: str
+    reference: Float64
+    mount: Float64
+    mounting: Mounting | None = None
+
+    def apply(self, b: Float64) -> Float64:
+        """Return r q_B m for attitudes wxyz, shape ``(N, 4)``."""
+        return multiply(multiply(self.reference, b), self.mount)
+
+
+def align(name: str, a: Float64, b: Float64) -> Alignment:
+    """Return the rotations that bring B to A.
+
+    Parameters
+    ----------
+    name
+        ``"none"``; ``"first"``: r makes the first attitudes the same; ``"mean"``: r is the least
+        squares fit over all; ``"mount"``: m from the relative rotations, then r as for mean.
+    a, b
+        Unit quaternions wxyz at the same times, shape ``(N, 4)``.
+
+    Raises
+    ------
+    ComparisonError
+        The motion does not show a mounting.
+    UsageError
+        No such alignment.
+    """
+    match name:
+        case "none":
+            return Alignment(name, IDENTITY, IDENTITY)
+        case "first":
+            return Alignment(name, multiply(a[0], conjugate(b[0])), IDENTITY)
+        case "mean":
+            return Alignment(name, mean_rotation(multiply(a, conjugate(b))), IDENTITY)
+        case "mount":
+            mount, mounting = find_mounting(a, b)
+            reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
+            return Alignment(name, reference, mount, mounting)
+        case _:
+            raise UsageError(f"no alignment {quoted(name)}; choose one of {listed(ALIGNMENTS)}")
+
+
+def mean_rotation(q: Float64) -> Float64:
+    """Return the rotation nearest to many in the chordal sense.
+
+    Parameters
+    ----------
+    q
+        Unit quaternions wxyz, shape ``(N, 4)``; their signs do not matter.
+
+    Returns
+    -------
+    ndarray
+        wxyz with w >= 0, shape ``(4,)``.
+
+    References
+    ----------
+    Markley, Cheng, Crassidis and Oshman, "Averaging quaternions", J. Guidance 30(4), 2007: the
+    eigenvector of the largest eigenvalue of sum q q^T.
+    """
+    _, vectors = np.linalg.eigh(q.T @ q)
+    mean = vectors[:, -1]
+    return np.asarray(mean * np.copysign(1.0, mean[0]))
+
+
+def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
+    """Solve the hand-eye problem: how body A sits in body B, from rotations both went through.
+
+    With q_A = r q_B m, rotations from sample i to j are a = m* b m: the same angle about axes
+    that m turns into each other, whatever r is. Their vector parts are fitted by least squares.
+
+    Parameters
+    ----------
+    a, b
+        Unit quaternions wxyz at the same times, shape ``(N, 4)``.
+
+    Returns
+    -------
+    mount : ndarray
+        m, wxyz, shape ``(4,)``: A's body -> B's body.
+    mounting : Mounting
+        How well it is known.
+
+    Raises
+    ------
+    ComparisonError
+        Too little motion, or motion about one axis only.
+
+    References
+    ----------
+    Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", IEEE
+    Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
+    Kabsch's solution by singular values.
+    """
+    found: tuple[Float64, Mounting] | None = None
+    for stride in _strides(len(a)):
+        mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
+        if found is None or mounting.std_rad < found[1].std_rad:
+            found = mount, mounting
+    if found is None:
+        raise ComparisonError(
+            f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
+            f"attitudes; {WAY_OUT}"
+        )
+    _refuse_unexcited(found[1])
+    return found
+
+
+def _strides(samples: int) -> list[int]:
+    """Return over how many samples to try rotations: powers of two.
+
+    Short ones drown in noise and long ones in drift; which is best shows in the residual.
+    """
+    return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
+
+
+def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, Mounting]:
+    """Return the mounting from relative rotations, of which so many do not overlap."""
+    usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
+    x, y = in_a[usable, 1:], in_b[usable, 1:]
+    if len(x) < MIN_MOTIONS:
+        return IDENTITY, Mounting(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
+    mount, excited = _kabsch(x, y)
+    # Overlapping rotations repeat each other.
+    information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
+    residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
+    std = np.sqrt(residual / information) if information else np.inf
+    singular_values = np.sqrt(excited).tolist()
+    return mount, Mounting(len(x), _rms_angle(in_a[usable]), singular_values, float(std))
+
+
+def _relative(q: Float64, stride: int) -> Float64:
+    """Return q[i]* q[i + stride] with w >= 0, for as many i as there is something to learn from."""
+    start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
+    step = multiply(conjugate(q[start]), q[start + stride])
+    return np.asarray(step * np.where(step[:, :1] < 0, -1.0, 1.0))
+
+
+def _rms_angle(q: Float64) -> float:
+    angle = geodesic_angle(IDENTITY, q)
+    return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
+
+
+def _kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    """Return the rotation m with y = m x m* in the least squares sense, and what excites it.
+
+    The latter are the singular values of the mean of y x^T, shape ``(3,)``: of noise in x and y
+    nothing is left in them, as it would be in those of x alone.
+    """
+    left, excited, right = np.linalg.svd(y.T @ x / len(x))
+    flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
+    return from_matrix((left * flip) @ right), excited
+
+
+def from_matrix(matrix: Float64) -> Float64:
+    """Return the quaternion of a rotation matrix, wxyz with w >= 0, shape ``(4,)``.
+
+    References
+    ----------
+    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance
+    23(6), 2000: an eigenvector, good for every angle and nearest to what is not quite orthogonal.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
+    symmetric = np.array(
+        [
+            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
+        ]
+    )
+    _, vectors = np.linalg.eigh(symmetric)
+    return np.asarray(vectors[:, -1] * np.copysign(1.0, vectors[0, -1]))
+
+
+def _refuse_unexcited(mounting: Mounting) -> None:
+    first, second, _ = mounting.singular_values
+    if mounting.turn_rad < MIN_TURN:
+        raise ComparisonError(
+            f"the body turns by {np.degrees(mounting.turn_rad):.2g} deg only, which shows no "
+            f"mounting; {WAY_OUT}"
+        )
+    if second < MIN_EXCITATION * first:
+        raise ComparisonError(
+            f"the body turns about one axis only (about the second by {second / first:.2%} of the "
+            f"first), so the mounting about it cannot be told; {WAY_OUT}"
+        )
+    if mounting.std_rad > MAX_STD:
+        raise ComparisonError(
+            f"the mounting cannot be told better than to {np.degrees(mounting.std_rad):.2g} deg: A "
+            f"and B hardly turn together, or about one axis only; {WAY_OUT}"
+        )

@@ -1,0 +1,232 @@
+"""Which attitudes of two series belong together in time, and attitudes between samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from quatprop.errors import ComparisonError, UsageError, listed, quoted
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+Side = Literal["A", "B"]
+
+MATCHES = ("exact", "nearest", "interpolate")
+"""How attitudes can be brought together: equal stamps, the nearest sample, slerp."""
+
+MIN_PAIRS = 2
+"""Fewer pairs have neither a drift nor an alignment that could be judged."""
+
+GAP_INTERVALS = 10
+"""An interval this many times the median one is a gap: nothing is interpolated across it."""
+
+FAR = np.iinfo(np.int64).max
+"""Median interval of a series that has no interval."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Attitudes of A and B at the same times.
+
+    Parameters
+    ----------
+    t_ns
+        When, shape ``(N,)``, int64 ns, in A's clock.
+    a, b
+        Attitudes body -> reference, wxyz, shape ``(N, 4)``.
+    index
+        Which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64.
+    at
+        That series: ``"A"`` or ``"B"``.
+    match
+        One of :data:`MATCHES`.
+    max_dt_ns
+        How far a sample was allowed to be from its partner, ns; 0 for equal stamps.
+    candidates
+        How many could have been matched at best: samples in the time that both series cover, of
+        the one that has fewer.
+    """
+
+    t_ns: Int64
+    a: Float64
+    b: Float64
+    index: Int64
+    at: Side
+    match: str
+    max_dt_ns: int
+    candidates: int
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+def associate(
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    *,
+    match: str | None = None,
+    max_dt_ns: int | None = None,
+    min_matched: float = 0.5,
+) -> Pairs:
+    """Bring two series together in time.
+
+    The pairs are at the stamps of the series with the longer intervals; the other one is looked
+    up or interpolated there.
+
+    Parameters
+    ----------
+    a, b
+        The series, in rising order of their stamps, in one clock.
+    match
+        One of :data:`MATCHES`. None: exact where at least half of the samples that could have
+        equal stamps do; else nearest if `max_dt_ns` is given, and interpolate if not.
+    max_dt_ns
+        How far a sample may be from its partner, for interpolation from both neighbours, ns.
+        None: half the median interval for nearest, ten for interpolate, of the series looked up.
+    min_matched
+        Share of the samples in the time that both cover that must be matched, 0 to 1.
+
+    Raises
+    ------
+    ComparisonError
+        Fewer than two pairs, or fewer than `min_matched`.
+    UsageError
+        No such way to match.
+    """
+    if match is None:
+        exact = _exact(a, b)
+        if exact.candidates and 2 * len(exact) >= exact.candidates:
+            return _enough(exact, a, b, min_matched)
+        match = "interpolate" if max_dt_ns is None else "nearest"
+    if match not in MATCHES:
+        raise UsageError(f"no match {quoted(match)}; choose one of {listed(MATCHES)}")
+    if match == "exact":
+        return _enough(_exact(a, b), a, b, min_matched)
+    at: Side = "B" if interval_ns(b) > interval_ns(a) else "A"
+    sparse, dense = (b, a) if at == "B" else (a, b)
+    if max_dt_ns is None:
+        max_dt_ns = _reach(dense, match)
+    find = _nearest if match == "nearest" else _interpolated
+    index, found = find(dense, sparse.t_ns, max_dt_ns)
+    looked_up, kept = found, sparse.wxyz[index]
+    pairs = Pairs(
+        t_ns=sparse.t_ns[index],
+        a=kept if at == "A" else looked_up,
+        b=looked_up if at == "A" else kept,
+        index=index,
+        at=at,
+        match=match,
+        max_dt_ns=max_dt_ns,
+        candidates=_candidates(a, b),
+    )
+    return _enough(pairs, a, b, min_matched)
+
+
+def interval_ns(series: AttitudeSeries) -> int:
+    """Return the median interval of a series, ns; :data:`FAR` where there is none."""
+    if len(series) < MIN_PAIRS:
+        return FAR
+    return int(np.median(np.diff(series.t_ns)))
+
+
+def slerp(series: AttitudeSeries, t_ns: Int64) -> Float64:
+    """Return the attitudes of a series at times within it: a constant rate between samples.
+
+    Parameters
+    ----------
+    series
+        At least two attitudes, in rising order of their stamps.
+    t_ns
+        Times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued.
+
+    Returns
+    -------
+    ndarray
+        Unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's.
+    """
+    before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
+    start, stop = series.t_ns[before], series.t_ns[before + 1]
+    fraction = (t_ns - start) / (stop - start)
+    first = series.wxyz[before]
+    step = multiply(conjugate(first), series.wxyz[before + 1])
+    # q and -q are the same attitude: the step is the shorter way round.
+    step *= np.where(step[:, :1] < 0, -1.0, 1.0)
+    between = multiply(first, exp(fraction[:, None] * log(step)))
+    between[t_ns == stop] = series.wxyz[before + 1][t_ns == stop]
+    return normalize(between)
+
+
+def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
+    """Return the series with `offset_ns` added to its stamps."""
+    return replace(series, t_ns=series.t_ns + offset_ns)
+
+
+def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
+    if np.array_equal(a.t_ns, b.t_ns):
+        every = np.arange(len(a))  # as it is mostly: nothing needs to be sorted or copied
+        return Pairs(a.t_ns, a.wxyz, b.wxyz, every, "A", "exact", 0, len(a))
+    t_ns, in_a, in_b = np.intersect1d(a.t_ns, b.t_ns, assume_unique=True, return_indices=True)
+    return Pairs(t_ns, a.wxyz[in_a], b.wxyz[in_b], in_a, "A", "exact", 0, _candidates(a, b))
+
+
+def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
+    """Return how many samples lie in the common time, of the series that has fewer there."""
+    start, stop = max(a.t_ns[0], b.t_ns[0]), min(a.t_ns[-1], b.t_ns[-1])
+    return min(int(((s.t_ns >= start) & (s.t_ns <= stop)).sum()) for s in (a, b))
+
+
+def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:
+    """Return which times have a sample near enough, and those samples."""
+    after = np.clip(np.searchsorted(dense.t_ns, t_ns), 0, len(dense) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(dense.t_ns[before] - t_ns) <= np.abs(dense.t_ns[after] - t_ns)
+    nearest = np.where(nearer, before, after)
+    (index,) = np.nonzero(np.abs(dense.t_ns[nearest] - t_ns) <= max_dt_ns)
+    return index, dense.wxyz[nearest[index]]
+
+
+def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:
+    """Return which times have neighbours near enough on both sides, and attitudes there."""
+    if len(dense) < MIN_PAIRS:
+        return np.empty(0, np.int64), np.empty((0, 4))
+    before = np.clip(np.searchsorted(dense.t_ns, t_ns, side="right") - 1, 0, len(dense) - 1)
+    after = np.minimum(np.searchsorted(dense.t_ns, t_ns, side="left"), len(dense) - 1)
+    behind, ahead = t_ns - dense.t_ns[before], dense.t_ns[after] - t_ns
+    inside = (behind >= 0) & (ahead >= 0)
+    (index,) = np.nonzero(inside & (behind <= max_dt_ns) & (ahead <= max_dt_ns))
+    return index, slerp(dense, t_ns[index])
+
+
+def _reach(dense: AttitudeSeries, match: str) -> int:
+    interval = interval_ns(dense)
+    if interval == FAR:
+        return 0
+    return GAP_INTERVALS * interval if match == "interpolate" else (interval + 1) // 2
+
+
+def _enough(pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float) -> Pairs:
+    needed = max(MIN_PAIRS, int(np.ceil(min_matched * pairs.candidates)))
+    if len(pairs) >= needed:
+        return pairs
+    spans = (
+        f"A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from {b.t_ns[0]} to {b.t_ns[-1]} ns; see "
+        "--time-offset"
+    )
+    if not pairs.candidates:
+        raise ComparisonError(f"A and B have no time in common: {spans}")
+    within = f" within {duration_text(pairs.max_dt_ns)}" if pairs.max_dt_ns else ""
+    raise ComparisonError(
+        f"only {len(pairs)} of {pairs.candidates} samples in the common time have a partner "
+        f"({pairs.match}{within}) and at least {needed} must; {spans}, --match, --max-dt and "
+        "--min-matched"
+    )

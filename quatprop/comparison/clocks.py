@@ -1,0 +1,221 @@
+"""How far two clocks are apart, from the motion that both series saw.
+
+The angular speed of a rigid body is the same in every frame, so it can be correlated before
+anything is aligned. Both series are sampled by slerp at one lattice; a normalised
+cross-correlation over all lags finds the sample, least squares from there the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.association import interval_ns, slerp
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import geodesic_angle
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
+
+    Float64 = NDArray[np.float64]
+
+MIN_POINTS = 16
+"""Fewer points of a lattice say nothing about a delay."""
+
+MAX_POINTS = 1 << 20
+"""Longer series are sampled more coarsely."""
+
+MAX_FITTED = 100_000
+"""Points of the fit: more do not make it better than the clocks are steady."""
+
+MIN_CORRELATION = 0.5
+"""Below this the two speeds are not the same motion."""
+
+MAX_RUNNER_UP = 0.98
+"""A second peak of this share of the first is as good: the motion repeats itself."""
+
+MIN_VARIATION = 1e-6
+"""Relative spread of a speed that counts as varying: rounding of constant spins is below it."""
+
+ROUNDS = 20
+"""Fits at most; each lands closer to the peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """What has to be added to B's stamps.
+
+    Parameters
+    ----------
+    ns
+        The offset, ns.
+    correlation
+        Of the angular speeds at that offset, 1 at best.
+    runner_up
+        The next best correlation outside the peak: how easily it could be another offset.
+    std_ns
+        Standard deviation of the offset, ns, if what does not correlate is white noise.
+    """
+
+    ns: int
+    correlation: float
+    runner_up: float
+    std_ns: float
+
+
+def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
+    """Return what must be added to B's stamps so that B turns when A turns.
+
+    The clocks may have different epochs: every lag is tried at which the shorter series overlaps
+    by half.
+
+    Raises
+    ------
+    ComparisonError
+        The series are too short, turn at a constant speed, do not correlate, or do so equally
+        well at several offsets.
+
+    References
+    ----------
+    Knapp and Carter, "The generalized correlation method for estimation of time delay", IEEE
+    Trans. ASSP 24(4), 1976. The variance is that of the least squares fit.
+    """
+    step = _step_ns(a, b)
+    speed_a, speed_b = _speeds(a, step), _speeds(b, step)
+    for name, speed in (("A", speed_a), ("B", speed_b)):
+        if speed.std() <= MIN_VARIATION * speed.mean():
+            raise ComparisonError(
+                f"{name} turns at a constant speed, which shows no time offset; say it with "
+                "--time-offset DUR"
+            )
+    correlation = _correlations(speed_a, speed_b)
+    peak = int(np.argmax(correlation))
+    best = float(correlation[peak])
+    if best < MIN_CORRELATION:
+        raise ComparisonError(
+            f"the angular speeds of A and B correlate at no time offset (at best {best:.2f}); "
+            "either it is not the same motion, or say the offset with --time-offset DUR"
+        )
+    runner_up = _beside(correlation, peak)
+    if runner_up > MAX_RUNNER_UP * best:
+        raise ComparisonError(
+            f"the motion repeats itself: its angular speed correlates {best:.4f} at one time "
+            f"offset and {runner_up:.4f} at another; say the offset with --time-offset DUR"
+        )
+    lag = peak - (len(speed_b) - 1)
+    coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
+    return _refined(a, b, coarse, step, runner_up)
+
+
+def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
+    spans = [int(series.t_ns[-1]) - int(series.t_ns[0]) for series in (a, b)]
+    step = max(interval_ns(a), interval_ns(b), max(spans) // MAX_POINTS)
+    if min(spans) < MIN_POINTS * step:
+        raise ComparisonError(
+            f"a time offset can be found from {MIN_POINTS} intervals or more, and one of the "
+            "series is shorter; say the offset with --time-offset DUR"
+        )
+    return step
+
+
+def _speeds(series: AttitudeSeries, step: int) -> Float64:
+    """Return the angles turned over each step of a series, rad."""
+    return _turned(series, int(series.t_ns[0]), int(series.t_ns[-1]), step)
+
+
+def _turned(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
+    lattice = slerp(series, np.arange(start, stop + 1, step, dtype=np.int64))
+    return geodesic_angle(lattice[:-1], lattice[1:])
+
+
+def _correlations(x: Float64, y: Float64) -> Float64:
+    """Return Pearson's correlation at every lag from -(len(y) - 1) to len(x) - 1.
+
+    It is taken over the overlap; where that is too short, or one of the two does not vary there,
+    it is 0. A positive lag means that y has to come later.
+    """
+    x, y = x - x.mean(), y - y.mean()
+    lags = np.arange(-(len(y) - 1), len(x))
+    x_slice = np.maximum(lags, 0), np.minimum(len(x), lags + len(y))
+    y_slice = x_slice[0] - lags, x_slice[1] - lags
+    count = x_slice[1] - x_slice[0]
+    size = 1 << int(len(x) + len(y) - 1).bit_length()
+    product = np.fft.irfft(np.fft.rfft(x, size) * np.fft.rfft(y[::-1], size), size)
+    products = product[: len(lags)]
+    sum_x, sum_y = _sums(x, x_slice), _sums(y, y_slice)
+    power_x = _sums(x**2, x_slice) - sum_x**2 / count
+    power_y = _sums(y**2, y_slice) - sum_y**2 / count
+    enough = count >= max(MIN_POINTS, min(len(x), len(y)) // 2)
+    varies = (power_x > _least(x)) & (power_y > _least(y))
+    correlation = np.zeros(len(lags))
+    np.divide(
+        products - sum_x * sum_y / count,
+        np.sqrt(np.maximum(power_x, 0) * np.maximum(power_y, 0)),
+        out=correlation,
+        where=enough & varies,
+    )
+    return correlation
+
+
+def _sums(values: Float64, span: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Float64:
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return np.asarray(total[span[1]] - total[span[0]])
+
+
+def _least(values: Float64) -> float:
+    """Return the power below which a window does not vary: nothing but rounding is left."""
+    return MIN_VARIATION * float((values**2).sum())
+
+
+def _beside(correlation: Float64, peak: int) -> float:
+    """Return the highest correlation outside the peak, whose feet are the nearest minima."""
+    left = peak
+    while left > 0 and correlation[left - 1] < correlation[left]:
+        left -= 1
+    right = peak
+    while right < len(correlation) - 1 and correlation[right + 1] < correlation[right]:
+        right += 1
+    outside = np.concatenate([correlation[:left], correlation[right + 1 :]])
+    return float(outside.max(initial=0.0))
+
+
+def _refined(
+    a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int, runner_up: float
+) -> ClockOffset:
+    """Return the offset at the top of the peak, by least squares, each round from the last one's.
+
+    A's speed is fitted by B's, its slope and a constant; the share of the slope is what B has
+    still to be moved by.
+    """
+    for _ in range(ROUNDS):
+        speed_a, early, here, late = _around(a, b, offset, step)
+        # Moved to a later time, B shows what it showed before.
+        slope = (early - late) / 2
+        design = np.stack([here - here.mean(), slope - slope.mean()], axis=1)
+        target = speed_a - speed_a.mean()
+        (share, slope_share), *_ = np.linalg.lstsq(design, target, rcond=None)
+        move = round(float(np.clip(-slope_share / share, -1, 1)) * step)
+        offset += move
+        if abs(move) <= 1:
+            break
+    residual = target - design @ [share, slope_share]
+    correlation = float(np.corrcoef(speed_a, here)[0, 1])
+    variance = (residual**2).mean() / (share**2 * (design[:, 1] ** 2).sum())
+    return ClockOffset(offset, correlation, runner_up, step * float(np.sqrt(variance)))
+
+
+def _around(
+    a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """Return the speed of A, and those of B a step ahead of the same times, at them, behind."""
+    start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset + step)
+    stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset - step, start + MAX_FITTED * step)
+    speed_a = _turned(a, start, stop, step)
+    speed_b = _turned(b, start - offset - step, stop - offset + step, step)
+    points = min(len(speed_a), len(speed_b) - 2)
+    behind, here, ahead = (speed_b[shift : shift + points] for shift in range(3))
+    return speed_a[:points], ahead, here, behind

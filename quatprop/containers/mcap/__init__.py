@@ -1,0 +1,1 @@
+"""MCAP files: records, chunks and indexes, whole or damaged."""

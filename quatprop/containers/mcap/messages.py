@@ -1,0 +1,333 @@
+"""The messages of one unpacked stretch of an MCAP file, located all at once.
+
+Where messages begin is taken from the message index, and checked; where there is no index, or it
+does not agree with the records, the records are walked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.mcap.regions import (
+    CHANNEL,
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    RECORD,
+    SCHEMA,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.mcap.regions import Region
+
+LATEST = int(np.iinfo(np.int64).max)
+"""The last nanosecond that fits int64, in the year 2262."""
+
+_MESSAGE_HEAD = np.dtype(
+    {
+        "names": ["opcode", "length", "channel", "log", "publish", "front", "back"],
+        "formats": ["u1", "<u8", "<u2", "<i8", "<i8", "<u8", "<u8"],
+        # front and back lie over opcode, length and channel: messages that agree in both agree
+        # in all three, which is one comparison less.
+        "offsets": [0, 1, 9, 15, 23, 0, 3],
+    }
+)
+_HEAD = _MESSAGE_HEAD.itemsize
+_FIXED = _HEAD - RECORD.size
+_LONG_RUN = 16
+"""Equal lengths in a row after which more of the same are looked for in bulk."""
+
+
+@dataclass(slots=True)
+class Walk:
+    """What walking over records found.
+
+    Parameters
+    ----------
+    offsets
+        Where each message record begins, shape ``(N,)``, int64.
+    definitions
+        Opcode, begin and end of the content of each schema and channel.
+    end
+        Where the walk ended: after the last record that is whole and not to stop at.
+    malformed
+        Message records too short to be messages.
+    """
+
+    offsets: NDArray[np.int64]
+    definitions: list[tuple[int, int, int]] = field(default_factory=list)
+    end: int = 0
+    malformed: int = 0
+
+
+def walk(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk:
+    """Follow the records of `data` by their lengths.
+
+    Parameters
+    ----------
+    data
+        Records, one after another.
+    stop_at
+        Opcodes to stop at; no record has opcode 0.
+    """
+    found = Walk(np.empty(0, np.int64))
+    parts: list[NDArray[np.int64]] = []
+    single: list[int] = []
+    size = len(data)
+    position = run = 0
+    previous = -1
+    while position + RECORD.size <= size:
+        opcode, length = RECORD.unpack_from(data, position)
+        end = position + RECORD.size + length
+        if end > size or opcode in stop_at:
+            break
+        if opcode != MESSAGE:
+            if opcode in {SCHEMA, CHANNEL}:
+                found.definitions.append((opcode, position + RECORD.size, end))
+        elif length < _FIXED:
+            found.malformed += 1
+        else:
+            single.append(position)
+            run = run + 1 if length == previous else 0
+            previous = length
+            if run >= _LONG_RUN:
+                more = _run(data, end, length)
+                stride = end - position
+                parts += (np.array(single), end + stride * np.arange(more))
+                single = []
+                end += stride * more
+                run = 0
+        position = end
+    found.offsets = np.concatenate([*parts, np.array(single, np.int64)])
+    found.end = position
+    return found
+
+
+def _run(data: Buffer, position: int, length: int) -> int:
+    """Return how many message records of one length follow each other from `position`."""
+    stride = RECORD.size + length
+    possible = (len(data) - position) // stride
+    done, ask = 0, 64
+    while done < possible:
+        ask = min(4 * ask, possible - done)
+        head = np.ndarray(
+            (ask,), _MESSAGE_HEAD, data, offset=position + done * stride, strides=(stride,)
+        )
+        same = (head["opcode"] == MESSAGE) & (head["length"] == length)
+        if not same.all():
+            return done + int(same.argmin())
+        done += ask
+    return done
+
+
+@dataclass(slots=True)
+class Messages:
+    """Where messages are in their buffer, and when they were recorded and published.
+
+    Parameters
+    ----------
+    starts, ends
+        Begin and end of each message, shape ``(N,)``, int64.
+    log_ns, publish_ns
+        Log and publish time, shape ``(N,)``, int64 ns; times after the year 2262, which only
+        fit 64 bits without a sign, are its last nanosecond.
+    channels
+        Channel ids, shape ``(N,)``, or the one id of all messages.
+    """
+
+    starts: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    log_ns: NDArray[np.int64]
+    publish_ns: NDArray[np.int64]
+    channels: NDArray[np.uint16] | int
+
+    def of(self, ids: Sequence[int]) -> Messages:
+        """Return the messages of some channels."""
+        if isinstance(self.channels, int):
+            wanted = np.full(len(self.starts), self.channels in ids)
+        else:
+            wanted = _is_one_of(self.channels, ids)
+        return Messages(
+            self.starts[wanted],
+            self.ends[wanted],
+            self.log_ns[wanted],
+            self.publish_ns[wanted],
+            self.channels if isinstance(self.channels, int) else self.channels[wanted],
+        )
+
+    def __len__(self) -> int:
+        return len(self.starts)
+
+    def are_all_of(self, ids: Sequence[int]) -> bool:
+        """Return whether no message is of another channel."""
+        if isinstance(self.channels, int):
+            return self.channels in ids
+        return bool(_is_one_of(self.channels, ids).all())
+
+    def counts(self) -> dict[int, int]:
+        """Return how many messages each channel has."""
+        if isinstance(self.channels, int):
+            return {self.channels: len(self.starts)}
+        ids, counts = np.unique(self.channels, return_counts=True)
+        return dict(zip(ids.tolist(), counts.tolist(), strict=True))
+
+
+def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.bool_]:
+    # For a few ids this is several times quicker than np.isin.
+    found = np.zeros(len(channels), np.bool_)
+    for one in ids:
+        found |= channels == one
+    return found
+
+
+def at_offsets(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
+    """Return the messages at ascending offsets, or None where an offset is not a message's.
+
+    Parameters
+    ----------
+    data
+        The unpacked records of a region.
+    offsets
+        Where message records begin, shape ``(N,)``, int64.
+    """
+    if len(offsets) == 0:
+        return Messages(offsets, offsets, offsets, offsets, 0)
+    if offsets[0] < 0 or max(offsets[0], offsets[-1]) > len(data) - _HEAD:
+        return None
+    messages = _evenly_spaced(data, offsets)
+    return _anywhere(data, offsets) if messages is None else messages
+
+
+def with_marks(
+    data: Buffer, walked: NDArray[np.int64], marks: NDArray[np.int64]
+) -> Messages | None:
+    """Return the messages of a walk that damage has ended, and those behind it.
+
+    Parameters
+    ----------
+    data
+        The unpacked records of a region.
+    walked
+        Where the walk found messages, shape ``(N,)``, int64; the length of the last may be what
+        led it astray.
+    marks
+        Where messages begin by the index, shape ``(M,)``, int64, ascending.
+    """
+    behind = marks[marks > walked[-1]] if len(walked) else marks
+    # Damaged may be the last that was walked to, or the first behind it.
+    for known, later in ((walked, behind), (walked[:-1], behind), (walked, behind[1:])):
+        messages = at_offsets(data, np.concatenate([known, later])) if len(later) else None
+        if messages is not None:
+            return messages
+    return at_offsets(data, walked)
+
+
+def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
+    """Return messages of one length and channel that follow each other without anything between.
+
+    That is the usual chunk, and cheap: only the first and last offset are taken from the index,
+    the records themselves prove the others.
+    """
+    count, first = len(offsets), int(offsets[0])
+    _, length = RECORD.unpack_from(data, first)
+    stride = RECORD.size + length
+    if int(offsets[-1]) != first + (count - 1) * stride or first + count * stride > len(data):
+        return None
+    head = np.ndarray((count,), _MESSAGE_HEAD, data, offset=first, strides=(stride,))
+    front, back = head["front"], head["back"]
+    if not ((front == front[0]).all() and (back == back[0]).all()):
+        return None
+    if head["opcode"][0] != MESSAGE or length < _FIXED:
+        return None
+    starts = np.arange(first + _HEAD, first + _HEAD + count * stride, stride)
+    return Messages(
+        starts,
+        starts + (length - _FIXED),
+        _clamped(head["log"]),
+        _clamped(head["publish"]),
+        int(head["channel"][0]),
+    )
+
+
+def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
+    """Return the messages at ascending offsets that may have others between them."""
+    if (offsets[1:] <= offsets[:-1]).any():
+        return None
+    # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
+    # records begin anywhere.
+    every = np.ndarray((len(data) - _HEAD + 1,), f"V{_HEAD}", data, strides=(1,))
+    head = every[offsets].view(_MESSAGE_HEAD)
+    length = head["length"]
+    # A length below the minimum wraps to a very large one, as it has no sign.
+    if (head["opcode"] != MESSAGE).any() or (length - _FIXED > len(data)).any():
+        return None
+    ends = offsets + length.astype(np.int64) + RECORD.size
+    if ends[-1] > len(data) or (ends[:-1] > offsets[1:]).any():
+        return None
+    return Messages(
+        offsets + _HEAD, ends, _clamped(head["log"]), _clamped(head["publish"]), head["channel"]
+    )
+
+
+def _clamped(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return 64-bit stamps without sign, seen as signed ones, cut at the largest signed one."""
+    stamps = stamps.copy()
+    if stamps.min() < 0:
+        stamps[stamps < 0] = LATEST
+    return stamps
+
+
+def indexed(
+    raw: Buffer, origin: int, region: Region, ids: Sequence[int]
+) -> NDArray[np.int64] | None:
+    """Return the offsets that the message indexes of some channels list.
+
+    Parameters
+    ----------
+    raw
+        Bytes of the file that hold the message indexes of the region.
+    origin
+        Where they begin in the file.
+    region
+        Says where each index is.
+    ids
+        The channels.
+
+    Returns
+    -------
+    ndarray or None
+        Shape ``(N,)``, int64; None where there is no index or it is damaged.
+    """
+    if not region.index_length or region.holds is None:
+        return None
+    parts = []
+    for channel in ids:
+        if channel in region.holds:
+            part = _index_entries(raw, region.holds[channel] - origin, channel)
+            if part is None:
+                return None
+            parts.append(part)
+    if len(parts) == 1:
+        return parts[0]
+    return np.sort(np.concatenate([*parts, np.empty(0, np.int64)]))
+
+
+def _index_entries(raw: Buffer, at: int, channel: int) -> NDArray[np.int64] | None:
+    if at < 0 or at + INDEX_HEAD.size > len(raw):
+        return None
+    opcode, length, of_channel, size = INDEX_HEAD.unpack_from(raw, at)
+    begin = at + INDEX_HEAD.size
+    if (opcode, of_channel) != (MESSAGE_INDEX, channel) or size + 6 > length or size % INDEX_ENTRY:
+        return None
+    if begin + size > len(raw):
+        return None
+    return np.frombuffer(raw, "<i8", size // 8, begin)[1::2]

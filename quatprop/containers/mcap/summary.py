@@ -1,0 +1,195 @@
+"""What the summary at the end of an MCAP file says."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+
+from quatprop.checksum import crc32
+from quatprop.containers.base import Loss
+from quatprop.containers.compression import MAX_SIZE
+from quatprop.containers.mcap.messages import LATEST
+from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.mcap.regions import Source
+
+MAGIC = b"\x89MCAP0\r\n"
+"""How every MCAP file begins and ends."""
+_FOOTER, _CHUNK_INDEX, _STATISTICS = 2, 8, 11
+_FOOTER_FIELDS = struct.Struct("<QQI")
+_TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
+_CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
+
+
+@dataclass(slots=True)
+class Survey:
+    """What a file holds.
+
+    Parameters
+    ----------
+    regions
+        Where its messages are, in order of the file.
+    channels, schemas
+        The records by their ids.
+    counts
+        Messages of each channel id, where the file states them.
+    losses
+        What could not be read.
+    """
+
+    regions: list[Region] = field(default_factory=list)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    counts: dict[int, int] | None = None
+    losses: list[Loss] = field(default_factory=list)
+
+    def define(self, opcode: int, content: Buffer, place: str) -> None:
+        """Take a schema or channel record; the first of an id stands."""
+        try:
+            if opcode == SCHEMA:
+                schema = records.Schema.read(Content(content))
+                self.schemas.setdefault(schema.id, schema)
+            else:
+                channel = records.Channel.read(Content(content))
+                self.channels.setdefault(channel.id, channel)
+        except MALFORMED:
+            what = "schema" if opcode == SCHEMA else "channel"
+            self.losses.append(Loss(f"{what} {place}", "it is damaged"))
+
+    def is_defined(self, channel: int) -> bool:
+        """Return whether a channel and its schema are known."""
+        if channel not in self.channels:
+            return False
+        schema = self.channels[channel].schema_id
+        return schema == 0 or schema in self.schemas
+
+
+class Content(ReadDataStream):
+    """The content of one record; refuses lengths that lead outside."""
+
+    def __init__(self, content: Buffer) -> None:
+        super().__init__(BytesIO(content))
+        self._size = len(content)
+
+    def read(self, length: int) -> bytes:
+        """Return the next bytes."""
+        if length > self._size - self.count:
+            raise EndOfFile
+        return super().read(length)
+
+
+MALFORMED = (EndOfFile, ValueError, struct.error)
+"""What reading a record that is damaged raises."""
+
+
+@dataclass(frozen=True, slots=True)
+class Footer:
+    """Where the data section ends and the summary begins (0: there is none), and its CRC."""
+
+    data_end: int
+    summary_start: int
+    footer_start: int
+    crc: int
+
+
+def read_footer(source: Source) -> Footer | None:
+    """Return the footer, or None where the file does not end with one."""
+    start = source.size - _TAIL
+    tail = source.read(start, _TAIL) if start >= len(MAGIC) else b""
+    if not tail.endswith(MAGIC) or RECORD.unpack_from(tail) != (_FOOTER, _FOOTER_FIELDS.size):
+        return None
+    summary_start, _, crc = _FOOTER_FIELDS.unpack_from(tail, RECORD.size)
+    if not len(MAGIC) <= summary_start <= start:
+        summary_start = 0
+    return Footer(summary_start or start, summary_start, start, crc)
+
+
+@dataclass(slots=True)
+class Summary:
+    """What the summary section says.
+
+    Parameters
+    ----------
+    found
+        Channels, schemas and counts.
+    chunks
+        The chunks by where they are.
+    is_complete
+        Whether all channels of the file are in it.
+    """
+
+    found: Survey = field(default_factory=Survey)
+    chunks: dict[int, Region] = field(default_factory=dict)
+    is_complete: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.found.channels or self.chunks)
+
+
+def read_summary(source: Source, footer: Footer) -> Summary:
+    """Return the summary, or an empty one where there is none or it is damaged."""
+    size = footer.footer_start - footer.summary_start
+    if footer.summary_start == 0 or size > MAX_SIZE:
+        return Summary()
+    # The CRC covers the footer up to itself.
+    data = source.read(footer.summary_start, size + RECORD.size + _FOOTER_FIELDS.size - 4)
+    if footer.crc not in {0, crc32(data)}:
+        return Summary()
+    summary = Summary()
+    statistics = None
+    try:
+        for opcode, content in _records(memoryview(data)[:size]):
+            if opcode in {SCHEMA, CHANNEL}:
+                summary.found.define(opcode, content, "in the summary")
+            elif opcode == _CHUNK_INDEX:
+                region = _indexed_chunk(content, footer.data_end)
+                summary.chunks[region.start] = region
+            elif opcode == _STATISTICS:
+                statistics = records.Statistics.read(Content(content))
+    except MALFORMED:
+        return Summary()
+    if summary.found.losses:
+        return Summary()
+    if statistics is None:
+        summary.is_complete = bool(summary.found.channels)
+        return summary
+    summary.is_complete = statistics.channel_count == len(summary.found.channels)
+    if sum(statistics.channel_message_counts.values()) == statistics.message_count:
+        summary.found.counts = statistics.channel_message_counts
+    return summary
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of each record of the summary."""
+    position = 0
+    while position < len(data):
+        opcode, length = RECORD.unpack_from(data, position)
+        position += RECORD.size
+        if length > len(data) - position:
+            raise EndOfFile
+        yield opcode, data[position : position + length]
+        position += length
+
+
+def _indexed_chunk(content: memoryview, data_end: int) -> Region:
+    """Return the chunk that a chunk index record describes.
+
+    A file has as many of these as chunks, so this is not left to the library.
+    """
+    first, _, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
+    begin = _CHUNK_INDEX_HEAD.size
+    holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
+    (index_length,) = struct.unpack_from("<Q", content, begin + map_size)
+    if start < len(MAGIC) or length < RECORD.size or start + length + index_length > data_end:
+        raise EndOfFile
+    return Region(start, length, True, min(first, LATEST), index_length, holds or None)

@@ -1,0 +1,240 @@
+"""ROS 1 bags, format 2.0: indexed or not, whole or cut off, plain, bz2 or lz4."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rosbags.typesys.msg import normalize_msgtype
+
+from quatprop.containers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.containers.compression import CompressionError
+from quatprop.containers.prefetch import prefetch
+from quatprop.containers.rosbag1.index import Chunk, Content, Index, content, indexed, walked
+from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages
+from quatprop.containers.rosbag1.picked import picked
+from quatprop.containers.rosbag1.records import (
+    OP_BAG_HEADER,
+    OP_MESSAGE,
+    MalformedRecordError,
+    RecordFile,
+    surviving_records,
+)
+from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
+from quatprop.provenance import METADATA_KEY, provenance_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
+_VERSION = "2.0"
+_LAST = int(np.iinfo(np.int64).max)
+
+
+class Rosbag1Log(Closing):
+    """A ROS 1 bag.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    OSError
+        It is missing or not permitted.
+    UnsupportedLogError
+        It is of another format version, or encrypted.
+    DamagedLogError
+        It has no bag header.
+    """
+
+    kind = "bag"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses: list[Loss] = []
+        self._handle = path.open("rb")
+        try:
+            self._file = RecordFile(self._handle)
+            index = self._index()
+        except BaseException:
+            self._handle.close()
+            raise
+        self.losses += index.losses
+        self._lost_places = {loss.place for loss in self.losses}
+        self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
+        self._channels = self._described(index)
+        self._provenance = {
+            fields[b"topic"].decode(errors="replace"): fields[METADATA_KEY].decode(errors="replace")
+            for fields in index.connections.values()
+            if fields.keys() >= {b"topic", METADATA_KEY}
+        }
+
+    def _index(self) -> Index:
+        """Check what the bag says about itself and find its chunks."""
+        line = self._file.at(0, 64).partition(b"\n")[0] + b"\n"
+        magic = _MAGIC.fullmatch(line)
+        if magic is None:
+            raise DamagedLogError(self.path, "it does not begin like a ROS 1 bag; check --from")
+        version = magic[1].decode()
+        if version != _VERSION:
+            raise UnsupportedLogError(
+                self.path,
+                f"its bag format is version {version} and only {_VERSION} is read; "
+                "migrate it with `rosbag fix`",
+            )
+        try:
+            header = self._file.record(len(line))
+            encryptor = header.fields.get(b"encryptor", b"")
+            has_header = header.op == OP_BAG_HEADER
+        except MalformedRecordError:
+            has_header = False
+        if not has_header:
+            raise DamagedLogError(self.path, "its bag header is damaged; try `rosbag reindex`")
+        if encryptor:
+            raise UnsupportedLogError(
+                self.path,
+                f"it is encrypted with {quoted(encryptor.decode(errors='replace'))}; "
+                "decrypt it with `rosbag decrypt`",
+            )
+        return indexed(self._file, header) or walked(self._file, header.end)
+
+    def _described(self, index: Index) -> dict[int, Channel]:
+        """Return the channel of each connection."""
+        channels = {}
+        for conn, fields in index.connections.items():
+            if fields.keys() >= {b"topic", b"type", b"message_definition"}:
+                channels[conn] = Channel(
+                    topic=fields[b"topic"].decode(errors="replace"),
+                    type_name=normalize_msgtype(fields[b"type"].decode(errors="replace")),
+                    encoding="ros1",
+                    schema_encoding="ros1msg",
+                    schema=fields[b"message_definition"],
+                )
+        totals = self._totals()
+        for conn in totals.keys() - channels.keys():
+            self._lose(f"connection {conn}", "its connection record is missing", totals[conn])
+        return channels
+
+    def _totals(self) -> Counter[int]:
+        """Return how many messages each connection has."""
+        totals: Counter[int] = Counter()
+        for chunk in self._chunks:
+            totals.update(chunk.counts)
+        return totals
+
+    def _lose(self, place: str, reason: str, messages: int | None = None) -> None:
+        # The log may be read more than once.
+        if place not in self._lost_places:
+            self._lost_places.add(place)
+            self.losses.append(Loss(place, reason, messages))
+
+    def channels(self) -> list[Channel]:
+        """Return every channel, in order of topic, with its number of messages."""
+        totals = self._totals()
+        counts: Counter[Channel] = Counter()
+        for conn, channel in self._channels.items():
+            counts[channel] += totals[conn]
+        found = (replace(channel, count=count) for channel, count in counts.items())
+        return sorted(found, key=lambda channel: (channel.topic, channel.type_name))
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, chunk after chunk, in order of their start."""
+        wanted = {conn for conn, found in self._channels.items() if found == channel}
+        chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
+        bounds = [*(chunk.start_ns for chunk in chunks[1:]), _LAST]
+        self._file.restart()
+        load = partial(self._messages, wanted)
+        # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
+        packed = chunks and self._is_packed(chunks[0])
+        with closing(prefetch(load, chunks) if packed else (load(one) for one in chunks)) as found:
+            for chunk, bound, (data, messages, damage) in zip(chunks, bounds, found, strict=False):
+                expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
+                missing = expected - len(messages.starts)
+                if damage or missing > 0:
+                    self._lose(chunk.place, damage or "it has fewer messages than it says", missing)
+                if len(messages.starts):
+                    yield MessageBlock(data, *messages, messages.log_ns, bound)
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as its connection may say; empty where it does not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return provenance_of(self._provenance, topic, self.path)
+
+    def _is_packed(self, chunk: Chunk) -> bool:
+        try:
+            return self._file.record(chunk.start).fields.get(b"compression", b"none") != b"none"
+        except MalformedRecordError:
+            return False
+
+    def _messages(
+        self, wanted: set[int], chunk: Chunk
+    ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
+        """Read a chunk and find the messages of some connections in it; say what is damaged."""
+        part = picked(self._file, chunk, wanted)
+        if part is not None and (few := _indexed(part, chunk, wanted)) is not None:
+            return part.data, few, ""
+        try:
+            self._file.unpacks(0)
+            loaded = content(self._file, chunk)
+            self._file.unpacks(0 if chunk.loose else len(loaded.data))
+        except (MalformedRecordError, CompressionError) as error:
+            loaded = Content(np.empty(0, np.uint8), {}, str(error))
+        if not loaded.damage:
+            found = _indexed(loaded, chunk, wanted)
+            if found is not None:
+                return loaded.data, found, ""
+        return loaded.data, *_walked(loaded, wanted)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._handle.close()
+
+
+def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns | None:
+    """Find messages by the index data; None where they do not hold what they promise."""
+    parts = []
+    for conn in wanted & chunk.counts.keys():
+        entries = content.entries.get(conn)
+        if entries is None or len(entries) != chunk.counts[conn]:
+            return None
+        offsets = entries["offset"].astype(np.int64)
+        # Index data are in order of time; records of one time are in order of writing.
+        if not (offsets[1:] > offsets[:-1]).all():
+            offsets.sort()
+        part = indexed_messages(content.data, offsets, conn)
+        if part is None:
+            return None
+        parts.append(part)
+    if len(parts) == 1:
+        return parts[0]
+    starts, ends, log_ns = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    order = np.argsort(starts)
+    return MessageColumns(starts[order], ends[order], log_ns[order])
+
+
+def _walked(content: Content, wanted: set[int]) -> tuple[MessageColumns, str]:
+    """Find messages record by record; say why there may be more, or ``""``."""
+    records, damage = surviving_records(content.data, content.marks)
+    rows = [
+        (record.data, record.end, record.time(b"time"))
+        for record in records
+        if record.op == OP_MESSAGE and record.number(b"conn") in wanted
+    ]
+    columns = np.array(rows, np.int64).reshape(-1, 3).T
+    damage = content.damage or damage
+    return MessageColumns(*(np.ascontiguousarray(column) for column in columns)), damage

@@ -1,0 +1,273 @@
+"""ROS 1 bag format 2.0: records, and the messages of a chunk as columns.
+
+A bag is a sequence of records: a header of ``name=value`` fields, then data, each with its length
+before it. A chunk is a record whose data are records again, and is followed by index data that
+say where in it the messages of each connection are.
+
+References
+----------
+ROS wiki, "Bags/Format/2.0".
+"""
+
+from __future__ import annotations
+
+import struct
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.limits import too_large, unpacked_limit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import BinaryIO
+
+    from numpy.typing import NDArray
+
+    Buffer = bytes | memoryview
+
+OP_MESSAGE = 2
+OP_BAG_HEADER = 3
+OP_INDEX_DATA = 4
+OP_CHUNK = 5
+OP_CHUNK_INFO = 6
+OP_CONNECTION = 7
+
+MAX_HEADER = 1 << 20
+"""Bytes that a record header may have; real ones have less than a thousand."""
+
+_HEAD = 512
+"""Bytes that are read for a header before its length is known."""
+
+INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
+
+_LENGTH = struct.Struct("<I")
+_NS = 1_000_000_000
+
+
+class MalformedRecordError(ValueError):
+    """Bytes that are not a record; caught by the readers, which know the place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Where a record is and what its header says.
+
+    Parameters
+    ----------
+    start, data, end
+        Where the record begins, where its data begin, and where it ends.
+    fields
+        The values of its header.
+    """
+
+    start: int
+    data: int
+    end: int
+    fields: dict[bytes, bytes]
+
+    def number(self, name: bytes, size: int = 4) -> int:
+        """Return an unsigned number of `size` bytes from the header."""
+        value = self.fields.get(name, b"")
+        if len(value) != size:
+            raise MalformedRecordError(f"its field {name.decode()} is missing or damaged")
+        return int.from_bytes(value, "little")
+
+    def time(self, name: bytes) -> int:
+        """Return a time from the header, ns."""
+        both = self.number(name, 8)
+        return (both & 0xFFFFFFFF) * _NS + (both >> 32)
+
+    @property
+    def op(self) -> int:
+        """What kind of record it is."""
+        return self.number(b"op", 1)
+
+
+class RecordFile:
+    """Reads records from a bag, in several threads, without believing a length beyond its end.
+
+    Parameters
+    ----------
+    file
+        The open bag.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._lock = threading.Lock()
+        self.size = file.seek(0, 2)
+        self._unpacked = 0
+        self._limit = unpacked_limit(self.size)
+
+    def unpacks(self, size: int) -> None:
+        """Count bytes that were unpacked since the bag was opened, or read again.
+
+        Raises
+        ------
+        MalformedRecordError
+            There were more already than a file may have.
+        """
+        if self._unpacked > self._limit:
+            raise MalformedRecordError(too_large(self._limit))
+        self._unpacked += size
+
+    def restart(self) -> None:
+        """Count anew: a bag may be read more than once."""
+        self._unpacked = 0
+
+    def at(self, start: int, size: int) -> bytes:
+        """Return `size` bytes, fewer at the end of the file."""
+        start = min(start, self.size)
+        try:
+            with self._lock:
+                self._file.seek(start)
+                return self._file.read(min(size, self.size - start))
+        except OSError as error:
+            # A worn card fails at one place; the rest of the bag is still good.
+            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+
+    def record(self, start: int) -> Record:
+        """Return the record at `start`; it may end beyond the file.
+
+        Raises
+        ------
+        MalformedRecordError
+            There is none.
+        """
+        head = self.at(start, _HEAD)
+        size = int.from_bytes(head[:4], "little") + 8
+        if size > MAX_HEADER:
+            raise MalformedRecordError("there is no record")
+        return record_at(head if size <= len(head) else self.at(start, size), 0, start)
+
+
+def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
+    """Return the record at `at` of a buffer that begins at `origin`; its data may be beyond it.
+
+    Raises
+    ------
+    MalformedRecordError
+        There is none.
+    """
+    header_end = header_end_of(data, at)
+    if header_end + 4 > len(data):
+        raise MalformedRecordError("its record is cut off")
+    fields = {
+        name: bytes(data[begin:end]) for name, begin, end in fields_of(data, at + 4, header_end)
+    }
+    begin = origin + header_end + 4
+    return Record(origin + at, begin, begin + _LENGTH.unpack_from(data, header_end)[0], fields)
+
+
+def header_end_of(data: Buffer, at: int) -> int:
+    """Return where the header at `at` ends; it is whole."""
+    end = at + 4
+    if end <= len(data):
+        end += _LENGTH.unpack_from(data, at)[0]
+    if end > len(data):
+        raise MalformedRecordError("its record is cut off")
+    return end
+
+
+def data_fields(data: bytes) -> dict[bytes, bytes]:
+    """Return the fields of a connection record's data, which are those of a header."""
+    return {name: data[value:end] for name, value, end in fields_of(data, 0, len(data))}
+
+
+def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
+    """Yield name, begin and end of the value of each field of a header."""
+    while at < stop:
+        end = header_end_of(data, at)  # a field has its length before it as a header has
+        name, equals, _ = bytes(data[at + 4 : min(end, stop)]).partition(b"=")
+        if end > stop or not equals:
+            raise MalformedRecordError("its header is damaged")
+        yield name, at + 5 + len(name), end
+        at = end
+
+
+def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
+    """Return the index entries of each connection from the records that follow a chunk.
+
+    What is not index data, or not whole, ends the reading: its messages are then found by
+    walking the chunk.
+    """
+    entries: dict[int, NDArray[np.void]] = {}
+    at = 0
+    while at < len(data):
+        try:
+            record = record_at(data, at)
+            if record.op != OP_INDEX_DATA or record.number(b"ver") != 1:
+                break
+            conn, count = record.number(b"conn"), record.number(b"count")
+        except MalformedRecordError:
+            break
+        if record.end - record.data != count * INDEX_ENTRY.itemsize or record.end > len(data):
+            break
+        entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
+        at = record.end
+    return entries
+
+
+def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
+    """Yield the records of an unpacked chunk, one after another.
+
+    Raises
+    ------
+    MalformedRecordError
+        The chunk is damaged there, or ends within a record.
+    """
+    at = 0
+    while at < len(data):
+        record = _whole_record(data.data, at, len(data))
+        yield record
+        at = record.end
+
+
+def surviving_records(
+    data: NDArray[np.uint8], marks: NDArray[np.int64]
+) -> tuple[list[Record], str]:
+    """Return the records of an unpacked chunk that may be damaged, and what is, or ``""``.
+
+    Parameters
+    ----------
+    data
+        The chunk, shape ``(B,)``.
+    marks
+        Where records begin by what the index data say, shape ``(N,)``, ascending. They are not
+        believed before the records themselves; behind damage they tell where to go on.
+    """
+    found: list[Record] = []
+    try:
+        found.extend(walked_records(data))
+    except MalformedRecordError as error:
+        others = _marked(data, marks)
+        return max(found, others, key=len), str(error)
+    return found, ""
+
+
+def _marked(data: NDArray[np.uint8], marks: NDArray[np.int64]) -> list[Record]:
+    """Follow records by their lengths, none of which leads beyond a mark."""
+    records: list[Record] = []
+    at = 0
+    while at < len(data):
+        after = int(marks.searchsorted(at, "right"))
+        limit = min(int(marks[after]), len(data)) if after < len(marks) else len(data)
+        try:
+            records.append(_whole_record(data.data, at, limit))
+            at = records[-1].end
+        except MalformedRecordError:
+            at = limit
+    return records
+
+
+def _whole_record(data: memoryview, at: int, limit: int) -> Record:
+    record = record_at(data, at)
+    if record.end > limit:
+        raise MalformedRecordError("a record in it is damaged or cut off")
+    if record.op == OP_MESSAGE:
+        record.number(b"conn")
+        record.time(b"time")
+    return record

@@ -1,0 +1,143 @@
+"""Where the records of a ROS 1 bag go on behind damage.
+
+Every record has a field ``op`` in its header. Where one is found, the header around it is looked
+for; it is believed where its fields and lengths fit into each other, or where it leads to others.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.containers.rosbag1.records import (
+    INDEX_ENTRY,
+    OP_CHUNK,
+    OP_CHUNK_INFO,
+    OP_CONNECTION,
+    OP_INDEX_DATA,
+    OP_MESSAGE,
+    MalformedRecordError,
+    data_fields,
+    record_at,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
+    from quatprop.containers.rosbag1.records import Record, RecordFile
+
+CHUNKS = frozenset({OP_CHUNK})
+"""What is looked for where the messages of a plain chunk would be found too."""
+
+RECORDS = frozenset({OP_MESSAGE, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION})
+"""What is looked for elsewhere."""
+
+COMPRESSIONS = (b"none", b"bz2", b"lz4")
+
+_OP = b"\x04\0\0\0op="
+_WINDOW = 1 << 22
+_REACH = 1 << 10
+"""Bytes of a header that may stand before the field that tells its kind."""
+
+_TRIES = 50_000
+"""Places looked at before the search is given up."""
+
+_CHAIN = 2
+"""Messages that follow each other and are believed for that."""
+
+
+def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> int | None:
+    """Return where the first record that is one beyond doubt begins.
+
+    Parameters
+    ----------
+    file
+        The bag.
+    start, stop
+        Where it may begin.
+    kinds
+        Values of ``op`` that it may have.
+
+    Returns
+    -------
+    int or None
+        None where there is no such record.
+    """
+    tries = _TRIES
+    for found in _ops(file, start, stop + _REACH, kinds):
+        record = _around(file, found, start)
+        if record is not None and record.start < stop and _is_believed(file, record):
+            return record.start
+        tries -= 1
+        if tries == 0:
+            break
+    return None
+
+
+def is_chunk(record: Record) -> bool:
+    """Tell whether what the header of a chunk says fits together."""
+    try:
+        size = record.number(b"size")
+    except MalformedRecordError:
+        return False
+    compression = record.fields.get(b"compression")
+    length = record.end - record.data
+    return compression in COMPRESSIONS and (compression != b"none" or size == length)
+
+
+def _ops(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> Iterator[int]:
+    """Yield where fields are that tell the kind of a record."""
+    for begin in range(start, min(stop, file.size), _WINDOW):
+        window = file.at(begin, min(_WINDOW + len(_OP), stop - begin))
+        at = window.find(_OP)
+        while 0 <= at < len(window) - len(_OP):
+            if window[at + len(_OP)] in kinds:
+                yield begin + at
+            at = window.find(_OP, at + 1)
+
+
+def _around(file: RecordFile, op: int, start: int) -> Record | None:
+    """Return the record that has its kind at a place; None where no header is around it."""
+    first = max(start, op - _REACH)
+    data = file.at(first, 2 * _REACH)
+    for at in range(op - first - 4, -1, -1):
+        size = int.from_bytes(data[at : at + 4], "little")
+        # The header ends behind the field, and not far from it.
+        if not op - first + len(_OP) + 1 <= at + 4 + size <= len(data):
+            continue
+        try:
+            record = record_at(data, at, first)
+        except MalformedRecordError:
+            continue
+        if record.fields.get(b"op") is not None:
+            return record
+    return None
+
+
+def _is_believed(file: RecordFile, record: Record) -> bool:
+    """Tell whether a record is one, and not by chance."""
+    for _ in range(_CHAIN):
+        try:
+            if record.op != OP_MESSAGE:
+                return _fits(file, record)
+            record.number(b"conn")
+            record.time(b"time")
+            if record.end >= file.size:
+                return record.end == file.size
+            record = file.record(record.end)
+        except MalformedRecordError:
+            return False
+    return True
+
+
+def _fits(file: RecordFile, record: Record) -> bool:
+    """Tell whether the fields of a record fit its length."""
+    length = record.end - record.data
+    if record.op == OP_CHUNK:
+        return is_chunk(record)
+    if record.end > file.size:
+        return False
+    if record.op == OP_INDEX_DATA:
+        return length == record.number(b"count") * INDEX_ENTRY.itemsize
+    if record.op == OP_CHUNK_INFO:
+        return length == 8 * record.number(b"count")
+    return record.op == OP_CONNECTION and b"type" in data_fields(file.at(record.data, length))

@@ -1,0 +1,1 @@
+"""ROS 2 bags: a folder or a database, in one part or several."""

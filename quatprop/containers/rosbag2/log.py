@@ -1,0 +1,267 @@
+"""ROS 2 bag folders: SQLite or MCAP, split or not, packed or not, with or without metadata."""
+
+from __future__ import annotations
+
+import heapq
+from contextlib import closing
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.containers.base import NO_BOUND, Channel, Closing, Loss, Losses, MessageBlock
+from quatprop.containers.compression import CompressionError
+from quatprop.containers.packed_files import UnpackedCopy, file_compression, unpacked_copy
+from quatprop.containers.packed_messages import is_packed, unpacked
+from quatprop.containers.rosbag2.parts import folder
+from quatprop.errors import (
+    DamagedLogError,
+    LogError,
+    UnreadableLogError,
+    UnsupportedLogError,
+    plain,
+    quoted,
+)
+from quatprop.provenance import of_all_topics, provenance_of
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+    from pathlib import Path
+
+    from quatprop.containers.base import MessageLog
+
+_LAST = int(np.iinfo(np.int64).max)
+
+
+@dataclass(slots=True)
+class _Part:
+    """One file of the bag.
+
+    Parameters
+    ----------
+    path
+        The file as the user sees it.
+    copy
+        Its unpacked copy, where it is packed.
+    channels
+        Its channels, each with the channel of the whole bag that it belongs to.
+    """
+
+    path: Path
+    copy: UnpackedCopy | None
+    channels: dict[Channel, Channel]
+
+
+class Rosbag2Log(Closing):
+    """A ROS 2 bag folder.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Raises
+    ------
+    UnreadableLogError
+        The folder cannot be listed.
+    UnsupportedLogError
+        It holds no bag, or several, or a compression that is not read.
+    DamagedLogError
+        None of its parts can be read.
+    """
+
+    kind = "rosbag2"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            found = folder(path)
+        except OSError as error:
+            raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
+        self._lost = Losses(found.losses)
+        self.losses: list[Loss] = self._lost
+        self._provenance = of_all_topics(found.custom)
+        self._packing = found.message_compression
+        if self._packing not in (None, "zstd"):
+            raise UnsupportedLogError(
+                path,
+                f"its messages are packed with {quoted(self._packing)} and only zstd is read; "
+                "unpack it with `ros2 bag convert`",
+            )
+        self._parts: list[_Part] = []
+        try:
+            for file in found.parts:
+                self._add(file)
+        except BaseException:
+            self.close()
+            raise
+        if not self._parts:
+            first = self.losses[0]
+            raise DamagedLogError(
+                path, f"none of its parts can be read; {first.place}: {first.reason}"
+            )
+        self._channels = self._united(found.counts)
+
+    def _add(self, file: Path) -> None:
+        """Open a part for the first time, or note why it cannot be."""
+        part = _Part(file, None, {})
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(16)
+            if file_compression(head):
+                part.copy = unpacked_copy(file)
+                if part.copy.damage:
+                    self._lose(part, Loss("end of the file", part.copy.damage))
+            with self._opened(part) as log:
+                part.channels = {channel: channel for channel in log.channels()}
+                for loss in log.losses:
+                    self._lose(part, loss)
+        except (LogError, CompressionError, OSError) as error:
+            self._give_up(part, error)
+            if part.copy:
+                part.copy.close()
+        else:
+            self._parts.append(part)
+
+    def _opened(self, part: _Part) -> MessageLog:
+        """Open a part; its content tells which storage it has."""
+        path = part.copy.path if part.copy else part.path
+        with path.open("rb") as file:
+            is_database = file.read(6) == b"SQLite"
+        if is_database:
+            from quatprop.containers.rosbag2.db3 import Db3Log
+
+            return Db3Log(path, self._packing)
+        from quatprop.containers.mcap.log import McapLog
+
+        return McapLog(path)
+
+    def _lose(self, part: _Part, loss: Loss) -> None:
+        self._lost.note(replace(loss, place=f"{plain(part.path.name)}: {loss.place}"))
+
+    def _give_up(self, part: _Part, error: Exception) -> None:
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
+        self._lose(part, Loss("the whole part", reason))
+
+    def _united(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
+        """Group the channels of the parts, and count their messages.
+
+        A part may lack the definition of a type that another part carries.
+        """
+        every = [channel for part in self._parts for channel in part.channels]
+        definitions: dict[tuple[str, str], set[tuple[str, bytes]]] = {}
+        for channel in every:
+            if channel.schema:
+                known = definitions.setdefault((channel.type_name, channel.encoding), set())
+                known.add((channel.schema_encoding, channel.schema))
+        counts: dict[Channel, list[int | None]] = {}
+        for part in self._parts:
+            for channel in part.channels:
+                known = definitions.get((channel.type_name, channel.encoding), set())
+                whole = channel
+                if not channel.schema and len(known) == 1:
+                    ((schema_encoding, schema),) = known
+                    whole = replace(channel, schema_encoding=schema_encoding, schema=schema)
+                part.channels[channel] = whole
+                counts.setdefault(whole, []).append(channel.count)
+        return sorted(
+            (
+                replace(
+                    channel, count=_total(found, stated.get((channel.topic, channel.type_name)))
+                )
+                for channel, found in counts.items()
+            ),
+            key=lambda channel: (channel.topic, channel.type_name),
+        )
+
+    def channels(self) -> list[Channel]:
+        """Return every channel of any part, in order of topic."""
+        return list(self._channels)
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, from whichever part has the earliest next.
+
+        Parts that follow each other in time are read one after another; parts that overlap are
+        read side by side.
+        """
+        streams = [
+            (part, own)
+            for part in self._parts
+            for own, whole in part.channels.items()
+            if whole == channel
+        ]
+        waiting = [(NO_BOUND, 0)] if len(streams) == 1 else self._starts(streams)
+        heapq.heapify(waiting)
+        running: dict[int, Iterator[MessageBlock]] = {}
+        while waiting:
+            _, k = heapq.heappop(waiting)
+            stream = running.pop(k, None) or self._stream(*streams[k])
+            block = next(stream, None)
+            if block is None:
+                continue
+            running[k] = stream
+            # No later than the block's end: a part that has ended is then closed at once.
+            bound = min(block.not_before_ns, int(block.log_ns.max()))
+            heapq.heappush(waiting, (bound, k))
+            yield replace(block, not_before_ns=waiting[0][0])
+
+    def _starts(self, streams: list[tuple[_Part, Channel]]) -> list[tuple[int, int]]:
+        """Return before what time no stream has a message, with its number.
+
+        The parts are asked, not the metadata: what a recorder that died wrote there is stale.
+        """
+        starts = []
+        for k, stream in enumerate(streams):
+            with closing(self._stream(*stream)) as blocks:
+                first = next(blocks, None)
+            if first is not None:
+                starts.append((min(first.not_before_ns, int(first.log_ns.min())), k))
+        return starts
+
+    def _stream(self, part: _Part, own: Channel) -> Generator[MessageBlock, None, None]:
+        """Yield the messages of one channel of one part."""
+        try:
+            log = self._opened(part)
+        except (LogError, OSError) as error:
+            self._give_up(part, error)
+            return
+        damaged = 0
+        with log:
+            for block in log.blocks(own):
+                whole, lost = unpacked(block) if self._is_packed(log, own, block) else (block, 0)
+                damaged += lost
+                if len(whole):
+                    yield whole
+            for loss in log.losses:
+                self._lose(part, loss)
+        if damaged:
+            place = f"topic {quoted(own.topic)}"
+            self._lose(part, Loss(place, "their zstd data is damaged", damaged))
+
+    def provenance(self, topic: str) -> dict[str, Any]:
+        """Return how a topic came about, as metadata.yaml may say; empty where it does not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return provenance_of(self._provenance, topic, self.path)
+
+    def _is_packed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
+        """Tell whether the messages of a block are still packed one by one."""
+        if log.kind == "db3":
+            return False
+        return self._packing is not None or (own.encoding == "cdr" and is_packed(block))
+
+    def close(self) -> None:
+        """Remove the unpacked copies."""
+        for part in self._parts:
+            if part.copy:
+                part.copy.close()
+
+
+def _total(found: list[int | None], stated: int | None) -> int | None:
+    """Return the number of messages: as the parts count them, else as the metadata state it."""
+    known = [count for count in found if count is not None]
+    return sum(known) if len(known) == len(found) else stated

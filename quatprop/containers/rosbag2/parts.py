@@ -1,0 +1,210 @@
+"""Which files a ROS 2 bag folder is made of: from its metadata.yaml, or by their names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from rosbags.typesys.msg import normalize_msgtype
+
+from quatprop.containers.base import Loss
+from quatprop.errors import UnsupportedLogError, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_PART = re.compile(
+    r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
+)
+"""Names of parts: the bag's name, a number where it was split, storage, packing."""
+
+MAX_METADATA = 1 << 22
+"""Bytes that metadata.yaml may have; thousands of parts take less."""
+
+
+@dataclass(slots=True)
+class Folder:
+    """What a bag folder says about itself.
+
+    Parameters
+    ----------
+    parts
+        The files to read, in the order of the metadata or of their numbers.
+    message_compression
+        How messages are packed one by one, or None.
+    counts
+        Messages by topic and type as the metadata spell them.
+    losses
+        Parts that are not there or not read.
+    custom
+        What others than the recorder have added, by their names.
+    """
+
+    parts: list[Path] = field(default_factory=list)
+    message_compression: str | None = None
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    losses: list[Loss] = field(default_factory=list)
+    custom: dict[str, str] = field(default_factory=dict)
+
+
+def folder(path: Path) -> Folder:
+    """Find the parts of a bag folder.
+
+    Parameters
+    ----------
+    path
+        The folder.
+
+    Returns
+    -------
+    Folder
+        Its parts, and which of them are missing.
+
+    Raises
+    ------
+    UnsupportedLogError
+        It holds no parts, or parts of several bags and nothing that tells which to read.
+    OSError
+        It cannot be listed.
+    """
+    # A pipe or a device under the name of a part would be read forever.
+    there = {
+        file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
+    }
+    losses: list[Loss] = []
+    metadata = _metadata(path / "metadata.yaml", losses)
+    found = Folder(losses=losses)
+    if metadata is None:
+        found.parts = _numbered(path, there)
+    else:
+        _compare(metadata, there, found)
+    return found
+
+
+def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
+    """Return what metadata.yaml says, None where it is missing or says nothing of use."""
+    if not path.exists():
+        return None
+    try:
+        if path.is_file() and path.stat().st_size <= MAX_METADATA:
+            metadata = _loaded(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+            if isinstance(metadata, dict) and _paths(metadata):
+                return metadata
+    except (OSError, KeyError, ValueError):
+        pass
+    losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
+    return None
+
+
+def _loaded(text: str) -> dict[str, Any]:
+    """Return what a text in YAML says; nothing where it is damaged."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        # The safe loader makes nothing but plain values, whatever the tags ask for.
+        loaded = YAML(typ="safe").load(text)
+    except (YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        return {}
+    return loaded if isinstance(loaded, dict) else {}
+
+
+def custom_data(text: str) -> dict[str, str]:
+    """Return what others than the recorder have added to the metadata of a bag, by their names.
+
+    Parameters
+    ----------
+    text
+        The metadata as SQLite storage repeats them.
+    """
+    return _custom(_loaded(text)) if len(text) <= MAX_METADATA else {}
+
+
+def _custom(metadata: dict[str, Any]) -> dict[str, str]:
+    custom = metadata.get("custom_data")
+    if not isinstance(custom, dict):
+        return {}
+    return {_text(name): _text(value) for name, value in custom.items()}
+
+
+def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
+    """Return the parts that are there in the order of their numbers."""
+    parts: dict[tuple[str, int], Path] = {}
+    for name, file in sorted(there.items()):
+        match = _PART.fullmatch(name)
+        if match:
+            # Unpacked by hand beside the packed file: sorted first, and one of them is enough.
+            bag = match["bag"] + match["storage"]
+            parts.setdefault((bag, int(match["number"] or 0)), file)
+    bags = sorted({bag for bag, _ in parts})
+    if not parts:
+        raise UnsupportedLogError(
+            path,
+            "the folder holds neither .mcap nor .db3 files; name a log file or a ROS 2 bag folder",
+        )
+    if len(bags) > 1:
+        raise UnsupportedLogError(
+            path,
+            f"the folder has no usable metadata.yaml and holds several bags: {listed(bags)}; "
+            "name one file",
+        )
+    return [parts[key] for key in sorted(parts)]
+
+
+def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) -> None:
+    """Look for every part that the metadata name."""
+    sizes = {
+        PurePosixPath(_text(entry.get("path"))).name: entry.get("message_count")
+        for entry in _dicts(metadata.get("files"))
+    }
+    named: set[str] = set()
+    for relative in _paths(metadata):
+        name = PurePosixPath(relative).name
+        # Old metadata name the folder too. Nothing outside the folder is ever read.
+        file = next((there[one] for one in _spellings(name) if one in there), None)
+        named.update(_spellings(name))
+        if file is None:
+            count = sizes.get(name)
+            found.losses.append(
+                Loss(f"part {quoted(relative)}", "it is not in the folder", _count(count))
+            )
+        elif file not in found.parts:
+            found.parts.append(file)
+    for name in sorted(there.keys() - named):
+        reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
+        found.losses.append(Loss(f"part {quoted(name)}", reason))
+    if _text(metadata.get("compression_mode")).lower() == "message":
+        found.message_compression = _text(metadata.get("compression_format")) or "zstd"
+    found.custom = _custom(metadata)
+    for entry in _dicts(metadata.get("topics_with_message_count")):
+        topic, count = entry.get("topic_metadata"), _count(entry.get("message_count"))
+        if isinstance(topic, dict) and count is not None:
+            type_name = normalize_msgtype(_text(topic.get("type")))
+            found.counts[_text(topic.get("name")), type_name] = count
+
+
+def _paths(metadata: dict[str, Any]) -> list[str]:
+    paths = metadata["relative_file_paths"]
+    return [_text(path) for path in paths] if isinstance(paths, list) else []
+
+
+def _text(value: object) -> str:
+    """Return a text; anything else may hold itself, or unfold without end, when it is written."""
+    return value if isinstance(value, str) else ""
+
+
+def _spellings(name: str) -> Iterator[str]:
+    """Yield how a part may be named: a recorder that died may not have packed its last one."""
+    yield name
+    yield name.removesuffix(".zstd")
+    yield name + ".zstd"
+
+
+def _dicts(value: object) -> list[dict[str, Any]]:
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+
+def _count(value: object) -> int | None:
+    return value if isinstance(value, int) else None

@@ -1,0 +1,283 @@
+"""PX4 ULog files: messages of every topic instance, packed one behind the other.
+
+A file is a row of records: two bytes of length, one of kind, the content. Their borders are found
+once, in one walk; what the messages mean is read like that of any other container.
+
+References
+----------
+PX4 user guide, "ULog File Format".
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from array import array
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.containers.base import Channel, Closing, Loss, Losses, MessageBlock
+from quatprop.containers.mcap.regions import Source
+from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
+from quatprop.messages.decoders import decoder_of
+from quatprop.messages.ulog import px4_name
+from quatprop.times import NS_PER_UNIT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+HEADER_SIZE = 16
+"""Magic, version and start time."""
+
+BLOCK = 65_536
+"""Messages in a block."""
+
+_WINDOW = 1 << 22
+"""Bytes that are read at a time; a record has less than 65,539."""
+
+SYNC = bytes.fromhex("2f731320250cbb12")
+"""Content of records that are there to be found again behind damage."""
+
+_HEAD = struct.Struct("<HB")
+_FLAGS = struct.Struct("<8s8s3Q")
+_FORMAT, _SUBSCRIPTION, _DATA = b"FAD"
+_KINDS = frozenset(b"BFIMPQARDLCSO")
+_WORD = re.compile(r"\w+")
+
+
+@dataclass(slots=True)
+class _Records:
+    """What a walk over the records found."""
+
+    formats: dict[str, str] = field(default_factory=dict)
+    subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
+    offsets: array[int] = field(default_factory=lambda: array("q"))
+    sizes: array[int] = field(default_factory=lambda: array("H"))
+    ids: array[int] = field(default_factory=lambda: array("H"))
+    damage: list[Loss] = field(default_factory=list)
+
+
+class UlogLog(Closing):
+    """A ULog file; see :class:`quatprop.containers.base.MessageLog`.
+
+    Topics are named ``sensor_combined/0``: the message and which of its instances.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file may not be read.
+    UnsupportedLogError
+        It uses a feature that is not known.
+    DamagedLogError
+        It ends within its header.
+    """
+
+    kind = "ulog"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lost = Losses()
+        self.losses: list[Loss] = self._lost
+        try:
+            self._source = Source(path)
+        except OSError as error:
+            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+        try:
+            records = self._walked()
+        except BaseException:
+            self._source.close()
+            raise
+        for loss in records.damage:
+            self._lost.note(loss)
+        self._offsets = np.array(records.offsets, np.int64)
+        self._sizes = np.array(records.sizes, np.int64)
+        self._ids = np.array(records.ids, np.int64)
+        self._channels = self._found(records)
+
+    def _walked(self) -> _Records:
+        """Follow the records, of the file as it was and of what was appended to it."""
+        if self._source.size < HEADER_SIZE:
+            raise DamagedLogError(self.path, "it ends within its header; was it copied whole?")
+        records = _Records()
+        ends = [*self._appended(), self._source.size]
+        for start, end in zip([HEADER_SIZE, *ends], ends, strict=False):
+            _walk(self._source, start, end, records)
+        return records
+
+    def _appended(self) -> list[int]:
+        """Return where data was appended, from the flags, which come first if at all."""
+        begin = self._source.read(HEADER_SIZE, _HEAD.size + _FLAGS.size)
+        if len(begin) < _HEAD.size + _FLAGS.size:
+            return []
+        size, kind = _HEAD.unpack_from(begin)
+        if kind != ord("B") or size < _FLAGS.size:
+            return []
+        _, incompatible, *offsets = _FLAGS.unpack_from(begin, _HEAD.size)
+        if incompatible[0] & ~1 or any(incompatible[1:]):
+            raise UnsupportedLogError(
+                self.path,
+                f"it uses features of ULog that this version does not know (flags "
+                f"{incompatible.hex()}); convert it with a newer tool",
+            )
+        return [offset for offset in sorted(offsets) if HEADER_SIZE < offset < self._source.size]
+
+    def _found(self, records: _Records) -> dict[Channel, list[int]]:
+        """Return the ids of each channel; one that was left and taken up again may have two."""
+        ids: dict[Channel, list[int]] = {}
+        for id_, (name, instance) in sorted(records.subscriptions.items()):
+            channel = Channel(
+                topic=f"{name}/{instance}",
+                type_name=px4_name(name),
+                encoding="ulog",
+                schema_encoding="ulog",
+                schema=_definition(name, records.formats),
+            )
+            ids.setdefault(channel, []).append(id_)
+        return ids
+
+    def channels(self) -> list[Channel]:
+        """Return every topic instance, in order of topic."""
+        known, counts = np.unique(self._ids, return_counts=True)
+        count_of = dict(zip(known.tolist(), counts.tolist(), strict=True))
+        every = [
+            replace(channel, count=sum(count_of.get(one, 0) for one in ids))
+            for channel, ids in self._channels.items()
+        ]
+        return sorted(every, key=lambda channel: channel.topic)
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one topic instance in the order of the file.
+
+        Parameters
+        ----------
+        channel
+            One of :meth:`channels`.
+
+        Yields
+        ------
+        MessageBlock
+            Log and publish times are the messages' own time stamps.
+        """
+        stamps = decoder_of(channel, ["timestamp"], self.path)
+        chosen = np.flatnonzero(np.isin(self._ids, self._channels.get(channel, [])))
+        for places in self._stretches(chosen):
+            block = self._block(places)
+            try:
+                (timestamp,) = stamps.columns(block)
+            except MessageError as error:
+                self._lost.note(Loss(f"topic {channel.topic}", error.reason, len(places)))
+                continue
+            log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
+            yield replace(block, log_ns=log_ns, publish_ns=log_ns)
+
+    def _stretches(self, chosen: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        """Cut messages into parts that are not many and lie together."""
+        offsets = self._offsets[chosen]
+        start = 0
+        while start < len(chosen):
+            reach = int(offsets.searchsorted(offsets[start] + _WINDOW))
+            stop = max(start + 1, min(start + BLOCK, reach))
+            yield chosen[start:stop]
+            start = stop
+
+    def _block(self, places: NDArray[np.int64]) -> MessageBlock:
+        """Read messages; those that are not there any more are left out and told."""
+        offsets, sizes = self._offsets[places], self._sizes[places]
+        base = int(offsets[0])
+        try:
+            data = self._source.read(base, int(offsets[-1] + sizes[-1]) + _HEAD.size - base)
+        except OSError as error:
+            data = b""
+            self._lost.note(Loss(f"byte {base}", f"it cannot be read: {error.strerror}"))
+        begin = offsets - base + _HEAD.size
+        ends = begin + sizes
+        there = int(ends.searchsorted(len(data), "right"))
+        if there < len(places):
+            place = f"byte {base + len(data)}"
+            self._lost.note(Loss(place, "the file has become shorter", len(places) - there))
+        # The id of the subscription is no part of the message.
+        begin, ends = begin[:there] + 2, ends[:there]
+        return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
+
+    def provenance(self, topic: str) -> dict[str, Any]:  # noqa: ARG002  # of the protocol
+        """Return nothing: this format has no place for it."""
+        return {}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._source.close()
+
+
+def _walk(source: Source, position: int, end: int, records: _Records) -> None:
+    """Follow records by their lengths; behind damage go on at the next mark, if there is one."""
+    while position + _HEAD.size <= end:
+        data = source.read(position, min(_WINDOW, end - position))
+        if len(data) < _HEAD.size:
+            break
+        taken = _followed(data, position, records)
+        if not taken:
+            after = _behind_mark(source, position, end)
+            reason = f"its records cannot be followed for {after - position} bytes"
+            records.damage.append(Loss(f"byte {position}", reason))
+            taken = after - position
+        position += taken
+    if position < end:
+        records.damage.append(Loss(f"byte {position}", "the last record is cut off"))
+
+
+def _followed(data: bytes, base: int, records: _Records) -> int:
+    """Take records up to the first that is none, or not whole; return how many bytes they have."""
+    unpack, size_of_head = _HEAD.unpack_from, _HEAD.size
+    offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
+    position, last = 0, len(data) - size_of_head
+    while position <= last:
+        size, kind = unpack(data, position)
+        begin, after = position + size_of_head, position + size_of_head + size
+        if after > len(data) or kind not in _KINDS:
+            break
+        if kind == _DATA:
+            if size > 1:
+                offset(base + position)
+                size_note(size)
+                id_note(data[begin] | data[begin + 1] << 8)
+        elif kind == _FORMAT:
+            name, _, fields = data[begin:after].decode("utf-8", "replace").partition(":")
+            records.formats[name] = fields
+        elif kind == _SUBSCRIPTION and size > _HEAD.size:
+            instance, id_ = struct.unpack_from("<BH", data, begin)
+            name = data[begin + 3 : after].decode("utf-8", "replace")
+            records.subscriptions[id_] = (name, instance)
+        position = after
+    return position
+
+
+def _behind_mark(source: Source, position: int, end: int) -> int:
+    """Return where the next mark ends; `end` where there is none."""
+    while position < end:
+        data = source.read(position, min(_WINDOW, end - position))
+        found = data.find(SYNC)
+        if found >= 0:
+            return position + found + len(SYNC)
+        if len(data) < _WINDOW:
+            break
+        position += len(data) - len(SYNC) + 1  # it may lie across the border
+    return end
+
+
+def _definition(name: str, formats: dict[str, str]) -> bytes:
+    """Return the definition of a message and of all types inside it, a line each."""
+    needed = [name] if name in formats else []
+    for one in needed:
+        inside = dict.fromkeys(_WORD.findall(formats[one]))
+        needed += [other for other in inside if other in formats and other not in needed]
+    return "\n".join(f"{one}:{formats[one]}" for one in needed).encode()

@@ -1,0 +1,1 @@
+"""Rotation vectors, quaternions and their product: NumPy only, no files."""

@@ -1,0 +1,1 @@
+"""One log from opening it to the committed output and its report."""

@@ -1,0 +1,227 @@
+"""The attitude to begin from: given, from gravity, from the log itself, or from another series."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from itertools import chain, takewhile
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+from quatprop.conditioning.static_detection import AT_REST
+from quatprop.containers.base import is_table
+from quatprop.errors import LogError, UsageError, quoted
+from quatprop.kinematics.propagate import unit_q0
+from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.messages.rates import rate_field_at
+from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
+from quatprop.signals.lookup import attitude_at, first_orientation
+from quatprop.tables.matching.rate_dialects import column
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.selection import Selection
+    from quatprop.series import GyroSeries
+    from quatprop.signals.rates import Source
+
+    Float64 = NDArray[np.float64]
+    Rows = Iterator[tuple[NDArray[Any], ...]]
+
+LEVEL_NS = 1_000_000_000
+"""Gravity is averaged over this time from the first sample on."""
+
+STEADY = 0.05
+"""Specific force that scatters more than this share of its mean is no rest."""
+
+_ACCELERATION = re.compile(
+    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
+    r"accelerometer_m_s2\[?|a)(?P<axis>[xyz012])\]?",
+    re.IGNORECASE,
+)
+"""Columns of specific force, by their name without a unit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a propagation begins.
+
+    Parameters
+    ----------
+    words
+        ``"level"``, ``"log"``, or the path of an attitude series; ``""`` for `wxyz`.
+    wxyz
+        The attitude body -> reference, where it is given.
+    heading
+        For ``"level"``: rotation about the reference's z axis, rad.
+    down
+        For ``"level"``: whether the reference's z axis points down, as in north-east-down.
+    """
+
+    words: str = ""
+    wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    heading: float = 0.0
+    down: bool = False
+
+
+class Recording(NamedTuple):
+    """The log that is propagated, and how.
+
+    Parameters
+    ----------
+    log
+        Open, and able to be read again.
+    source, selection
+        Its rates, and how they were chosen.
+    mount
+        Sensor axes to body axes, shape ``(3, 3)``, for the accelerometer too; None for the same.
+    """
+
+    log: MessageLog | TableLog
+    source: Source
+    selection: Selection
+    mount: Float64 | None
+
+
+def starting(
+    start: Start, recording: Recording, samples: Iterator[GyroSeries]
+) -> tuple[Float64, Iterator[GyroSeries]]:
+    """Return the attitude at the first sample, and the samples, of which the first were needed.
+
+    Parameters
+    ----------
+    start
+        What the user wants.
+    recording
+        Where the samples come from.
+    samples
+        The rates that will be propagated, in body axes.
+
+    Returns
+    -------
+    wxyz : ndarray
+        Unit quaternion body -> reference, shape ``(4,)``.
+    samples : iterator of GyroSeries
+        All samples.
+
+    Raises
+    ------
+    UsageError
+        The log does not begin at rest.
+    LogError
+        The log has no accelerations, or the other series, or the log's own orientation, does not
+        reach to the first sample.
+    """
+    first = next(samples, None) if start.words else None
+    if first is None:
+        return unit_q0(start.wxyz), samples
+    log, source, selection, mount = recording
+    first_ns = int(first.t_ns[0])
+    if start.words == "log":
+        wxyz = first_orientation(log, source, first_ns)
+    elif start.words == "level":
+        _refuse_motion(first, log)
+        force = _force(log, source, selection, first_ns)
+        wxyz = level(force if mount is None else mount @ force, start.heading, down=start.down)
+    else:
+        wxyz = attitude_at(start.words, first_ns)
+    return unit_q0(wxyz), chain([first], samples)
+
+
+def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
+    """Return the attitude of a body at rest from the specific force it feels.
+
+    Parameters
+    ----------
+    force
+        Specific force in body axes, shape ``(3,)``, any unit; at rest it points up.
+    heading
+        Rotation about the reference's z axis, rad, applied last.
+    down
+        Whether the reference's z axis points down.
+
+    Returns
+    -------
+    ndarray
+        wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force upright in
+        roll and pitch, then the heading.
+
+    Examples
+    --------
+    >>> level(np.array([0.0, 0.0, 9.81]))
+    array([1., 0., 0., 0.])
+    """
+    x, y, z = -force if down else force
+    roll, pitch = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
+    turns = exp(np.array([[0.0, 0.0, heading], [0.0, pitch, 0.0], [roll, 0.0, 0.0]]))
+    return multiply(turns[0], multiply(turns[1], turns[2]))
+
+
+def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
+    rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
+    scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if not scatter <= AT_REST:
+        raise UsageError(
+            f"{quoted(log.path)} does not begin at rest (its rates scatter by {scatter:.3g} rad/s "
+            "in the first second), so gravity does not tell the attitude; choose --start in a "
+            "rest, or give --q0"
+        )
+
+
+def _force(
+    log: MessageLog | TableLog, source: Source, selection: Selection, first_ns: int
+) -> Float64:
+    """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
+    if is_table(log):
+        rows = _table_forces(log, selection)
+    else:
+        rows = _forces(cast("MessageLog", log), source, selection)
+    parts = []
+    for t_ns, force in takewhile(lambda row: row[0][0] <= first_ns + LEVEL_NS, rows):
+        parts.append(force[(t_ns >= first_ns) & (t_ns <= first_ns + LEVEL_NS)])
+    felt = np.concatenate(parts) if parts else np.zeros((0, 3))
+    felt = felt[np.isfinite(felt).all(axis=1)]
+    mean = felt.mean(axis=0) if len(felt) else np.zeros(3)
+    size = float(np.linalg.norm(mean))
+    scatter = float(np.sqrt(((felt - mean) ** 2).sum(axis=1).mean())) if len(felt) else 0.0
+    if size == 0.0 or scatter > STEADY * size:
+        raise UsageError(
+            f"{quoted(log.path)}: the accelerations of the first second do not show gravity alone; "
+            "choose --start in a rest, or give --q0"
+        )
+    return mean
+
+
+def _forces(log: MessageLog, source: Source, selection: Selection) -> Rows:
+    for channel in channels_of(log, source.name):
+        if channel.type_name != source.type_name:
+            continue
+        field = rate_field_at(channel, source.rate, log.path)
+        if field is None or field.acceleration is None:
+            continue
+        clock = clock_of(log, channel, field.stamp, selection)
+        reading = FieldReading(log, channel, [field.acceleration], clock, field.acceleration_absent)
+        rows: Rows = timed_values(log, channel, reading)
+        return rows
+    raise _no_accelerations(log)
+
+
+def _table_forces(log: TableLog, selection: Selection) -> Rows:
+    axes: dict[int, int] = {}
+    for position, name in enumerate(log.columns()):
+        if match := _ACCELERATION.fullmatch(column(name).key):
+            axes.setdefault("xyz012".index(match["axis"]) % 3, position)
+    if len(axes) != 3:  # noqa: PLR2004  # axes
+        raise _no_accelerations(log)
+    timed = log.choose(selection).timed
+    rows: Rows = log.rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
+    return rows
+
+
+def _no_accelerations(log: MessageLog | TableLog) -> LogError:
+    return LogError(log.path, "it has no accelerations to take roll and pitch from; give --q0")

@@ -1,0 +1,1 @@
+"""Tables: columns of numbers and time from text, Arrow, NumPy and JSON Lines files."""

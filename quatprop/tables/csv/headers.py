@@ -1,0 +1,261 @@
+"""What the beginning of a text table says: separator, header, and where the rows begin."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from decimal import Decimal, InvalidOperation
+from typing import TYPE_CHECKING
+
+from quatprop.errors import UnsupportedLogError
+from quatprop.provenance import COMMENT
+from quatprop.tables.matching.column_matcher import Notes
+from quatprop.tables.matching.rate_dialects import RATE_UNITS, TIME_UNITS, column
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+HEAD_BYTES = 1 << 18
+"""How much of a table is looked at."""
+
+COMMENTS = ("#", "%", "//")
+"""What marks a line that is not a row; a header may carry such a mark too."""
+
+_OURS = COMMENT.decode()
+_LINES = 200
+_MARK = b"\xef\xbb\xbf"
+_DELIMITERS = ("\t", ";", ",", " ")
+_NUMBER = re.compile(
+    r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
+)
+_COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
+_DATE = re.compile(
+    r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
+)
+_RATES = 3
+_SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
+_POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a text table is laid out.
+
+    Parameters
+    ----------
+    names
+        Column names as the header spells them; ``"0"``, ``"1"``... where there is none.
+    delimiter
+        ``","``, ``";"``, a tab, or a space for any run of blanks.
+    decimal
+        ``"."`` or ``","``.
+    body
+        Bytes before the first row.
+    line
+        Number of the line of the first row, from 1.
+    notes
+        What the lines before the header say.
+    header
+        The header line without its end; empty where there is none.
+    dates
+        Positions of columns of dates and times of day, with ``"UTC"`` where they name a zone.
+    """
+
+    names: list[str]
+    delimiter: str
+    decimal: str
+    body: int
+    line: int
+    notes: Notes
+    header: bytes = b""
+    dates: Mapping[int, str | None] = field(default_factory=dict)
+
+    def without_headers(self, data: bytes) -> bytes:
+        """Return rows with blank lines where the header is repeated, as in joined files."""
+        if not self.header or self.header not in data:
+            return data
+        return re.sub(rb"(?m)^%b(?=\r?$)" % re.escape(self.header), b"", data)
+
+
+def sniff(head: bytes, path: Path) -> Layout:
+    """Return how the table that begins with `head` is laid out.
+
+    Parameters
+    ----------
+    head
+        The first :data:`HEAD_BYTES` of the file.
+    path
+        The log, for errors.
+
+    Raises
+    ------
+    UnsupportedLogError
+        It is not a text of one table.
+    """
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in head:
+        raise UnsupportedLogError(
+            path, "it is not UTF-8 text; if it is a table, save it again as a CSV in UTF-8"
+        )
+    raw = head.splitlines(keepends=True)[:_LINES]
+    texts = [_text(line) for line in raw]
+    delimiter = _delimiter(texts)
+    # How a file of ours came about is JSON in a comment, full of numbers and commas.
+    rows = [[] if text.startswith(_OURS) else cells(text, delimiter) for text in texts]
+    first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
+    data = [row for row in rows[first:] if _is_data(row)]
+    width = len(data[0]) if data else max(map(len, rows), default=0)
+    _refuse_mixture(data[:-1] or data, width, path)
+    header = _header(rows[:first], data)
+    names = [str(k) for k in range(width)] if header is None else _names(rows, header, width)
+    body = first if header is None else header + 1
+    dates = _dates(data[0]) if data else {}
+    notes = _notes(texts[: first if header is None else header], names, path)
+    return Layout(
+        names=names,
+        delimiter=delimiter,
+        decimal=_decimal(data) if delimiter != "," else ".",
+        body=sum(map(len, raw[:body])),
+        line=body + 1,
+        header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
+        notes=replace(notes, declared={**notes.declared, **dict.fromkeys(dates, "ns")}),
+        dates=dates,
+    )
+
+
+def cells(text: str, delimiter: str) -> list[str]:
+    """Return the cells of one line."""
+    text = text.strip("\ufeff\r\n")
+    if delimiter == " ":
+        # The mark of a comment may stand apart: "# timestamp tx ty tz".
+        for mark in COMMENTS:
+            text = text.removeprefix(mark)
+        return text.split()
+    try:
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def _text(line: bytes) -> str:
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+def _is_data(row: list[str]) -> bool:
+    return sum(1 for cell in row if _NUMBER.fullmatch(cell)) >= _RATES
+
+
+def _delimiter(texts: list[str]) -> str:
+    """Return the separator with which most lines are rows of numbers; the first one of equals."""
+
+    def fit(mark: str) -> tuple[int, bool, bool]:
+        rows = [cells(text, mark) for text in texts]
+        widths = set(map(len, rows))
+        # The last tells for a table that is too narrow for rates: its columns are listed then.
+        return sum(map(_is_data, rows)), max(widths) >= _RATES, len(widths) == 1 < min(widths)
+
+    return max(_DELIMITERS, key=fit)
+
+
+def _decimal(data: list[list[str]]) -> str:
+    return "," if any(_COMMA_NUMBER.fullmatch(cell) for row in data for cell in row) else "."
+
+
+def _dates(row: list[str]) -> dict[int, str | None]:
+    matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
+    return {k: "UTC" if match["zone"] else None for k, match in matches if match}
+
+
+def _refuse_mixture(data: list[list[str]], width: int, path: Path) -> None:
+    """Refuse rows most of which do not fit the first one."""
+    widths = Counter(map(len, data))
+    if data and widths[width] * 2 < len(data):
+        found = ", ".join(map(str, sorted(widths)))
+        raise UnsupportedLogError(
+            path,
+            f"its rows have {found} columns, so it holds several kinds of records; "
+            "write each kind to a file of its own",
+        )
+
+
+def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
+    """Return which row before the first row of numbers names its columns."""
+    for k in range(len(before) - 1, -1, -1):
+        row = before[k]
+        if len(row) < _RATES or any(_NUMBER.fullmatch(cell) for cell in row):
+            continue
+        if not data or len(row) == len(data[0]) or len(_shown(row)) == len(_shown(data[0])):
+            return k
+    return None
+
+
+def _shown(row: list[str]) -> list[str]:
+    """Leave out the empty cell that a delimiter at the end of the line makes."""
+    return row[:-1] if row and not row[-1].strip() else row
+
+
+def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
+    names = _fitted(rows[header], width)
+    above = rows[header - 1] if header else []
+    if abs(len(above) - len(rows[header])) > 1:
+        return names
+    above = _fitted(above, width)
+    if any(above) and not any(map(_NUMBER.fullmatch, above)):
+        if all(not name or column(f"({name})").unit in _UNITS for name in names):
+            return [
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(above, names, strict=True)
+            ]
+        if "" in above[1:]:
+            return _grouped(above, names)
+    return names
+
+
+_UNITS = {*RATE_UNITS, *TIME_UNITS}
+
+
+def _fitted(row: list[str], width: int) -> list[str]:
+    return [cell.strip() for cell in row[:width]] + [""] * (width - len(row))
+
+
+def _grouped(groups: list[str], names: list[str]) -> list[str]:
+    """Return names under group titles, each of which stands over its first column."""
+    full, group = [], ""
+    for title, name in zip(groups, names, strict=True):
+        group = title or group
+        full.append(f"{group}.{name}" if group and name else name or title)
+    return full
+
+
+def _notes(before: list[str], names: list[str], path: Path) -> Notes:
+    """Return what comments and ``key,value`` lines say."""
+    title = before[0].strip("\ufeff \r\n") if before else ""
+    rate = next(filter(None, map(_SAMPLE_RATE.search, before)), None)
+    sample_rate = float(rate[1]) * (1000 if rate[2] else 1) if rate else None
+    if title.upper() != "GYROFLOW IMU LOG":
+        return Notes(sample_rate=sample_rate, title=title)
+    keys = dict(text.strip().split(",", 1) for text in before if "," in text)
+    try:
+        tick = Decimal(keys.get("tscale", "1").strip())
+        scale = float(keys.get("gscale", "1"))
+    except (InvalidOperation, ValueError) as error:
+        raise UnsupportedLogError(path, "its tscale or gscale is not a number") from error
+    if tick.adjusted() not in _POWERS or tick != Decimal(1).scaleb(tick.adjusted()):
+        raise UnsupportedLogError(
+            path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
+        )
+    declared = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
+    mount = _gcsv_mount(keys.get("orientation", "XYZ").strip())
+    return Notes(declared=declared, rate_scale=scale, title=title, mount=mount)
+
+
+def _gcsv_mount(letters: str) -> str:
+    """Return an orientation of gcsv as signed axes: a small letter is an axis turned around."""
+    if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
+        return ""
+    return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)

@@ -1,0 +1,197 @@
+"""Text in blocks of whole records, in flat memory."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
+
+import pyarrow as pa
+
+from quatprop.containers.packed_files import file_compression
+from quatprop.errors import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+BLOCK_BYTES = 1 << 22
+"""Bytes of a block; a longer record makes a longer one."""
+
+_LONGEST_RECORD = 1 << 26
+_PACKED_STEP = 1 << 14
+
+
+class Block(NamedTuple):
+    """Whole records of a text.
+
+    Parameters
+    ----------
+    offset
+        Where it begins, counted from the beginning of the rows.
+    data
+        The records; valid until the next block is asked for.
+    quoted
+        Whether there are quotes in it, between which a line break may be part of a cell.
+    """
+
+    offset: int
+    data: memoryview
+    quoted: bool
+
+
+class TextStream:
+    """A text that can be read once, unpacked on the way.
+
+    Parameters
+    ----------
+    file
+        An open binary file; packed with gzip, zstd, bz2 or lz4, or not.
+
+    Attributes
+    ----------
+    damage
+        Why the text ends before its end; ``""`` while it does not.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
+        packing = file_compression(self._file.peek(4)[:4])
+        if packing:
+            self._file = pa.CompressedInputStream(
+                self._file, "gzip" if packing == "gz" else packing
+            )
+        # What comes before the damage of a packed stream is only given out in small steps.
+        self._step = _PACKED_STEP if packing else _LONGEST_RECORD
+        self._rest = b""
+        self.damage = ""
+
+    def fill(self, buffer: bytearray | memoryview) -> int:
+        """Read until `buffer` is full or the text ends; return how many bytes were read."""
+        view = memoryview(buffer)
+        filled = min(len(self._rest), len(view))
+        view[:filled] = self._rest[:filled]
+        self._rest = self._rest[filled:]
+        while filled < len(view) and not self.damage:
+            try:
+                count = self._file.readinto(view[filled : filled + self._step])
+            except (OSError, EOFError) as error:
+                self.damage = f"it cannot be read further: {plain(error)}"
+                break
+            if not count:
+                break
+            filled += count
+        return filled
+
+    def read(self, size: int) -> bytes:
+        """Return the next `size` bytes, fewer at the end."""
+        buffer = bytearray(size)
+        return bytes(buffer[: self.fill(buffer)])
+
+    def unread(self, data: bytes) -> None:
+        """Give back what was read last."""
+        self._rest = data + self._rest
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[Block]:
+    """Yield a text as blocks that end where a record ends.
+
+    Parameters
+    ----------
+    text
+        The rows.
+    size
+        Bytes of a block.
+    """
+    buffer = bytearray(size)
+    offset, filled = 0, 0
+    while True:
+        filled += text.fill(memoryview(buffer)[filled:])
+        ended = filled < len(buffer)
+        cut = filled if ended else record_end(buffer, filled)
+        if not cut and filled < _LONGEST_RECORD and not ended:
+            buffer = buffer + bytes(len(buffer))
+            continue
+        cut = cut or filled
+        if cut:
+            yield Block(offset, memoryview(buffer)[:cut], buffer.find(b'"', 0, cut) >= 0)
+        if ended:
+            return
+        buffer[: filled - cut] = buffer[cut:filled]
+        offset, filled = offset + cut, filled - cut
+
+
+def record_end(buffer: bytes | bytearray, end: int) -> int:
+    """Return where the last whole record of ``buffer[:end]`` ends; 0 where there is none.
+
+    A line break between quotes does not end a record. Where quotes do not pair up anywhere, the
+    last line break does: one stray quote must not swallow the rest of a log.
+    """
+    last = cut = buffer.rfind(b"\n", 0, end) + 1
+    quotes = buffer.count(b'"', 0, cut) if buffer.find(b'"', 0, cut) >= 0 else 0
+    while quotes % 2 and cut:
+        before = buffer.rfind(b"\n", 0, cut - 1) + 1
+        quotes -= buffer.count(b'"', before, cut)
+        cut = before
+    return cut or last
+
+
+def pieces(data: bytes, size: int) -> Iterator[bytes]:
+    """Cut whole records into pieces of whole records, of about `size` bytes each or a record."""
+    begin = 0
+    while begin < len(data):
+        piece = data[begin : begin + size]
+        if begin + size < len(data):
+            end = record_end(piece, len(piece))
+            if not end:
+                after = data.find(b"\n", begin + size)
+                piece = data[begin:] if after < 0 else data[begin : after + 1]
+                end = len(piece)
+            piece = piece[:end]
+        yield piece
+        begin += len(piece)
+
+
+class LineCounter:
+    """Tells the line numbers of places in a text.
+
+    Clean logs are never asked about, so a text that can be read a second time is searched for
+    line breaks only when it is.
+
+    Parameters
+    ----------
+    line
+        Number of the line of the first row, from 1.
+    again
+        Opens the rows from their beginning, if they can be read a second time.
+    """
+
+    def __init__(self, line: int, again: Callable[[], TextStream] | None) -> None:
+        self._line = line
+        self._again = again
+        self._text: TextStream | None = None
+        self._offset = 0
+
+    def at(self, offset: int) -> int:
+        """Return the number of the line that begins at `offset`; offsets must rise."""
+        if self._again is not None and self._text is None:
+            self._text = self._again()
+        while self._text is not None and self._offset < offset:
+            data = self._text.read(min(1 << 20, offset - self._offset))
+            if not data:
+                break
+            self._offset += len(data)
+            self._line += data.count(b"\n")
+        return self._line
+
+    def passed(self, block: Block) -> None:
+        """Say that a block was read, for a text that cannot be read again."""
+        if self._again is None:
+            self._line += bytes(block.data).count(b"\n")
+
+    def close(self) -> None:
+        """Close what was opened."""
+        if self._text is not None:
+            self._text.close()

@@ -1,0 +1,161 @@
+"""Tables as JSON Lines: one object a row, fields of nested objects as ``column.field``.
+
+Whole blocks are parsed at pyarrow's speed. Times are read as decimals, and never pass through
+float64; a number in quotes, which is how 64-bit integers often travel, is a time too.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from quatprop.containers.base import Loss
+from quatprop.errors import UnreadableLogError, UnsupportedLogError, quoted
+from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks
+from quatprop.tables.jsonl_rows import LineParser
+from quatprop.tables.typed_table import Leaf, Part, TypedTable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from quatprop.containers.base import TimedColumns
+
+HEAD_BYTES = 1 << 16
+"""How much of the file is looked at for the names of its columns."""
+
+_HEAD_LINES = 100
+_LOSSES_A_BLOCK = 8
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?")
+_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+_TYPES = {bool: pa.bool_(), list: pa.list_(pa.null()), float: pa.float64()}
+
+
+class JsonLinesLog(TypedTable):
+    """A file of JSON Lines.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    UnreadableLogError
+        The file cannot be read.
+    UnsupportedLogError
+        Its lines are no objects.
+    """
+
+    kind = "jsonl"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        text = self._open()
+        try:
+            head = text.read(HEAD_BYTES)
+        finally:
+            text.close()
+        lines = head.split(b"\n")
+        if len(head) == HEAD_BYTES and len(lines) > 1:
+            del lines[-1]
+        self._leaves = _leaves(lines[:_HEAD_LINES])
+        if not self._leaves:
+            raise UnsupportedLogError(
+                path, "its first lines are no JSON objects; write each row as one, on one line"
+            )
+
+    def _open(self) -> TextStream:
+        try:
+            return TextStream(self.path.open("rb"))
+        except OSError as error:
+            raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
+
+    def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
+        super()._refuse_other_than_numbers(columns)
+        for leaf in (self._leaves[k] for k in columns.numbers):
+            if leaf.type != pa.float64():
+                raise UnsupportedLogError(
+                    self.path, f"column {quoted(leaf.name)} holds text, not numbers"
+                )
+
+    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+        yield Part("the rest of the file", 0, self._batches(columns))
+
+    def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
+        text = self._open()
+        lines = LineCounter(1, self._open)
+        parser = LineParser(
+            self.path,
+            [self._leaves[k] for k in columns.numbers],
+            [(self._leaves[k], unit) for k, unit in zip(columns.time, (columns.time_unit, "ns"),
+                                                        strict=False)],
+        )  # fmt: skip
+        try:
+            for block in blocks(text):
+                yield from parser.parse(block.data)
+                if parser.lost:
+                    self._note(lines.at(block.offset), parser)
+            if text.damage:
+                self.losses.append(Loss("end of the file", text.damage))
+        finally:
+            lines.close()
+            text.close()
+
+    def _note(self, line: int, parser: LineParser) -> None:
+        """Tell which lines of a block were lost, and forget them."""
+        lost = [(line + place, reason) for place, reason in parser.lost]
+        parser.lost.clear()
+        if len(lost) <= _LOSSES_A_BLOCK:
+            self.losses += [Loss(f"line {place}", reason, 1) for place, reason in lost]
+        else:
+            place = f"lines {lost[0][0]} to {lost[-1][0]}"
+            reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
+            self.losses.append(Loss(place, reason, len(lost)))
+
+
+def _leaves(lines: list[bytes]) -> list[Leaf]:
+    """Return the columns that objects have, in the order in which they come up."""
+    found: dict[tuple[str, ...], pa.DataType] = {}
+    for line in lines:
+        try:
+            # Only names and kinds are wanted: numbers may have any length.
+            row = json.loads(line, parse_int=_any_number, parse_float=_any_number)
+            if isinstance(row, dict):
+                _note_fields(row, (), found)
+        except (ValueError, RecursionError):
+            continue
+    # A name that is a value here and an object there is taken for the object.
+    inner = {path[:depth] for path in found for depth in range(1, len(path))}
+    return [Leaf(path, kind or pa.float64()) for path, kind in found.items() if path not in inner]
+
+
+def _any_number(_text: str) -> float:
+    return 0.0
+
+
+def _note_fields(
+    row: dict[str, Any], above: tuple[str, ...], found: dict[tuple[str, ...], pa.DataType]
+) -> None:
+    for name, value in row.items():
+        path = (*above, name)
+        if isinstance(value, dict):
+            _note_fields(value, path, found)
+        else:
+            # What is null in one row may be a number in the next.
+            found[path] = found.get(path) or _type(value)
+
+
+def _type(value: object) -> pa.DataType | None:
+    """Return the type of a column by one of its values; None for null."""
+    if value is None:
+        return None
+    if not isinstance(value, str):
+        return _TYPES[type(value)]
+    date = _DATE.fullmatch(value)
+    if date:
+        return pa.timestamp("ns", "UTC" if date["zone"] else None)
+    return pa.decimal128(38) if _NUMBER.fullmatch(value) else pa.string()

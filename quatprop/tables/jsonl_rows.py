@@ -1,0 +1,186 @@
+"""Lines of JSON to columns: whole blocks at once, and around a damaged line by halves."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+from pyarrow import json as arrow_json
+
+from quatprop.errors import UnsupportedLogError, plain
+from quatprop.tables.csv import decimal_time
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from quatprop.tables.typed_table import Leaf
+
+    Fields = dict[tuple[str, ...], pa.DataType]
+
+_TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
+_MISFITS = (
+    *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
+    decimal_time.StampRangeError,
+)
+_MANY_LOST = 1000
+
+
+class LineParser:
+    """Parses lines of one table.
+
+    Parameters
+    ----------
+    path
+        The file, for errors.
+    numbers
+        Columns of numbers.
+    time
+        The columns of the time and their units.
+
+    Attributes
+    ----------
+    lost
+        Number of each line that was lost, from 0 at the beginning of a block, and why.
+    """
+
+    def __init__(
+        self, path: Path, numbers: Sequence[Leaf], time: Sequence[tuple[Leaf, str]]
+    ) -> None:
+        self.lost: list[tuple[int, str]] = []
+        self._path = path
+        self._numbers = numbers
+        self._time = time
+        self._spare = 0
+        self._seen = 0
+        self._lost = 0
+        self._use()
+
+    def _use(self) -> None:
+        fields = dict(self._numbers)
+        for leaf, unit in self._time:
+            is_date = pa.types.is_timestamp(leaf.type)
+            fields[leaf.path] = (
+                leaf.type if is_date else decimal_time.decimal_type(unit, self._spare)
+            )
+        self._options = arrow_json.ParseOptions(
+            explicit_schema=_nested(fields), unexpected_field_behavior="ignore"
+        )
+
+    def parse(self, data: bytes | memoryview) -> Iterator[pa.RecordBatch | int]:
+        """Yield the rows of a block; for rows that are lost, how many.
+
+        Raises
+        ------
+        UnsupportedLogError
+            Most rows do not fit.
+        """
+        try:
+            yield from self._whole(data)
+        except _MISFITS:
+            yield from self._by_halves(bytes(data).split(b"\n"), 0)
+        if 2 * self._lost > self._seen:
+            self._refuse()
+
+    def _whole(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
+        """Return all rows; stamps finer than ns are here, and likely further on."""
+        try:
+            return self._batches(data)
+        except _MISFITS:
+            if self._spare or not self._time:
+                raise
+        self._spare = decimal_time.SPARE_PLACES
+        self._use()
+        try:
+            return self._batches(data)
+        except _MISFITS:
+            self._spare = 0
+            self._use()
+            raise
+
+    def _batches(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
+        try:
+            decimal_time.refuse_tiny(data)
+        except decimal_time.StampRangeError:
+            # It may be in another column, where it does no harm.
+            for stamp in self._stamps(data):
+                decimal_time.refuse_tiny(stamp.encode())
+        table = arrow_json.read_json(
+            pa.BufferReader(pa.py_buffer(data)),
+            read_options=arrow_json.ReadOptions(
+                use_threads=len(data) > _TASK_BYTES, block_size=_TASK_BYTES
+            ),
+            parse_options=self._options,
+        )
+        self._seen += table.num_rows
+        batches: list[pa.RecordBatch] = table.combine_chunks().to_batches()
+        return batches
+
+    def _stamps(self, data: bytes | memoryview) -> Iterator[str]:
+        """Yield the times of whole lines as they are written."""
+        for line in bytes(data).split(b"\n"):
+            try:
+                row = json.loads(line, parse_int=str, parse_float=str)
+            except (ValueError, RecursionError):
+                continue
+            for leaf, _ in self._time:
+                value = row
+                for name in leaf.path:
+                    value = value.get(name) if isinstance(value, dict) else None
+                if isinstance(value, str):
+                    yield value
+
+    def _by_halves(self, lines: list[bytes], first: int) -> Iterator[pa.RecordBatch | int]:
+        if not any(map(bytes.strip, lines)):
+            return
+        try:
+            yield from self._whole(b"\n".join(lines))
+        except _MISFITS as error:
+            if len(lines) > 1:
+                middle = len(lines) // 2
+                yield from self._by_halves(lines[:middle], first)
+                yield from self._by_halves(lines[middle:], first + middle)
+                return
+            self.lost.append((first, _reason(error)))
+            self._seen += 1
+            self._lost += 1
+            # Line by line is slow: what is no such table must not take forever.
+            if self._lost > _MANY_LOST and 2 * self._lost > self._seen:
+                self._refuse()
+            yield 1
+
+    def _refuse(self) -> None:
+        reason = f" (such as line {self.lost[0][0] + 1}: {self.lost[0][1]})" if self.lost else ""
+        raise UnsupportedLogError(
+            self._path,
+            f"{self._lost} of its first {self._seen} rows do not fit{reason}; check the columns "
+            "and units",
+        )
+
+
+def _nested(fields: Fields) -> pa.Schema:
+    """Return the schema that has the fields, inside of each other as their paths say."""
+    tree: dict[str, Any] = {}
+    for path, kind in fields.items():
+        place = tree
+        for name in path[:-1]:
+            place = place.setdefault(name, {})
+        place[path[-1]] = kind
+    return pa.schema(_fields(tree))
+
+
+def _fields(tree: dict[str, Any]) -> list[pa.Field]:
+    return [
+        pa.field(name, pa.struct(_fields(kind)) if isinstance(kind, dict) else kind)
+        for name, kind in tree.items()
+    ]
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, decimal_time.StampRangeError):
+        return "its time is a number below 1e-39"
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not UTF-8"
+    return re.sub(r"^JSON parse error: | in row \d+$", "", plain(error))

@@ -1,0 +1,114 @@
+"""An archive of NumPy arrays, each of them one column or several."""
+
+from __future__ import annotations
+
+import zipfile
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
+
+import numpy as np
+
+from quatprop.errors import DamagedLogError, UnsupportedLogError, plain, quoted
+from quatprop.provenance import METADATA_KEY, provenance_in
+from quatprop.tables.npy_arrays import Column, HeaderError, columns_of, read_header
+from quatprop.tables.numpy_table import NumpyTable, archive_damage
+from quatprop.tables.typed_table import DamageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_MOST_ARRAYS = 4096
+_LONGEST_PROVENANCE = 1 << 24
+_SUFFIX = ".npy"
+
+
+class NpzLog(NumpyTable):
+    """An archive of arrays, each of them one column or several.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    DamagedLogError
+        It has no whole directory at its end.
+    UnsupportedLogError
+        It is an archive of something else.
+    """
+
+    kind = "npz"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        try:
+            self._archive = zipfile.ZipFile(path)
+        except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+            raise DamagedLogError(
+                path, f"its directory is damaged ({plain(error)}); was it written to the end?"
+            ) from error
+        try:
+            self._describe()
+        except BaseException:
+            self._archive.close()
+            raise
+
+    def provenance(self) -> dict[str, Any]:
+        """Return how the content came about, as the string ``quatprop`` says it."""
+        key = METADATA_KEY.decode()
+        member = key + _SUFFIX
+        if member not in self._archive.namelist():
+            return {}
+        words = b""
+        try:
+            with archive_damage(), self._opened(member) as stream:
+                dtype = read_header(stream).dtype
+                if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
+                    data = stream.read(dtype.itemsize)
+                    words = str(np.frombuffer(data, dtype)[0]).encode()
+        except (DamageError, ValueError, IndexError):
+            pass
+        return provenance_in({METADATA_KEY: words}, self.path)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._archive.close()
+
+    def _opened(self, member: str) -> BinaryIO:
+        return cast("BinaryIO", self._archive.open(member))
+
+    def _describe(self) -> None:
+        """Find the columns; arrays that are no columns are passed over."""
+        members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
+        if len(members) > _MOST_ARRAYS:
+            raise UnsupportedLogError(
+                self.path, f"it has {len(members)} arrays; save those of one recording"
+            )
+        arrays: dict[str, list[Column]] = {}
+        refused = ""
+        for member in members:
+            name = quoted(member.removesuffix(_SUFFIX))
+            try:
+                with archive_damage(), self._opened(member) as stream:
+                    arrays[member] = columns_of(read_header(stream))
+            except HeaderError as error:
+                refused = refused or f"its array {name}: {error}"
+            except DamageError as error:
+                # Which columns it had is not known, so whether they are wanted is neither.
+                raise DamagedLogError(
+                    self.path, f"its array {name} is damaged ({error}); save it again"
+                ) from error
+        for member, columns in arrays.items():
+            name = member.removesuffix(_SUFFIX)
+            for column in columns:
+                if not column.name or column.name.startswith("["):
+                    self._hold(name + column.name, member, column)
+                else:
+                    self._hold(column.name if len(arrays) == 1 else f"{name}.{column.name}",
+                               member, column)  # fmt: skip
+        if not self._leaves:
+            raise UnsupportedLogError(
+                self.path, refused or "it is an archive without arrays of NumPy; name a log"
+            )

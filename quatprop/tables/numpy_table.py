@@ -1,0 +1,175 @@
+"""What files and archives of NumPy arrays have in common: rows of columns, block by block."""
+
+from __future__ import annotations
+
+import lzma
+import zipfile
+import zlib
+from contextlib import ExitStack, contextmanager
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.arrow_arrays import to_arrow
+from quatprop.errors import UnsupportedLogError, listed, plain
+from quatprop.tables.npy_arrays import Column, read_header
+from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, Part, TypedTable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from quatprop.containers.base import TimedColumns
+
+_PIECE_BYTES = 1 << 18
+_BLOCK_BYTES = 1 << 24
+_ARCHIVE_ERRORS = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, RuntimeError, NotImplementedError),
+)
+"""What the library raises for archives that are damaged, encrypted, or packed in other ways."""
+
+
+class _Held(NamedTuple):
+    """A column and the member of an archive that holds it, ``""`` in a file by itself."""
+
+    member: str
+    column: Column
+
+
+class NumpyTable(TypedTable):
+    """What a file of one array and an archive of several have in common."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._held: list[_Held] = []
+
+    def _hold(self, name: str, member: str, column: Column) -> None:
+        self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
+        self._held.append(_Held(member, column))
+
+    def _opened(self, member: str) -> BinaryIO:
+        """Open an array at its beginning."""
+        raise NotImplementedError
+
+    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+        wanted = [
+            (leaf.name, self._held[k])
+            for k, leaf in enumerate(self._leaves)
+            if k in {*columns.time, *columns.numbers}
+        ]
+        counts = {held.column.rows for _, held in wanted}
+        if len(counts) > 1:
+            names = listed(name for name, _ in wanted)
+            raise UnsupportedLogError(
+                self.path,
+                f"its arrays {names} have {listed(sorted(counts))} rows, so they are not one "
+                "table; choose others",
+            )
+        rows = counts.pop()
+        yield Part("the end of its array", rows, self._batches(wanted, rows))
+
+    def _batches(self, wanted: list[tuple[str, _Held]], rows: int) -> Iterator[pa.RecordBatch]:
+        def place(one: tuple[str, _Held]) -> tuple[str, int]:
+            return one[1].member, one[1].column.start
+
+        with ExitStack() as stack, archive_damage():
+            streams = []
+            for (member, start), found in groupby(sorted(wanted, key=place), place):
+                stream = stack.enter_context(self._opened(member))
+                read_header(stream)
+                _skip(stream, start)
+                streams.append((stream, [(name, held.column) for name, held in found]))
+            step = max(held.column.step for _, held in wanted)
+            at_once = max(1, min(BATCH_ROWS, _BLOCK_BYTES // step))
+            for done in range(0, rows, at_once):
+                count = min(at_once, rows - done)
+                blocks = [_Block(stream, columns, count) for stream, columns in streams]
+                # Where one array ends early, the rows that all of them have are still good.
+                whole = min(block.rows for block in blocks)
+                if whole:
+                    values = {
+                        name: _arrow(column[:whole])
+                        for block in blocks
+                        for name, column in block.columns()
+                    }
+                    yield pa.record_batch(list(values.values()), list(values))
+                if whole < count:
+                    why = "".join(f" ({block.damage})" for block in blocks if block.damage)
+                    raise DamageError(f"it has {done + whole} of the {rows} rows it claims{why}")
+            for stream, _ in streams:
+                # The checksum of a member is looked at when it ends.
+                stream.read(1)
+
+
+def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
+    """Return what a column is read as; bytes where it is no column of numbers or times."""
+    try:
+        return pa.from_numpy_dtype(dtype.newbyteorder("="))
+    except (pa.ArrowException, TypeError):
+        return pa.binary()
+
+
+def _arrow(column: np.ndarray[Any, Any]) -> pa.Array:
+    """Return a column of numbers, or of dates: of those only Arrow knows which are none."""
+    return pa.array(column) if column.dtype.kind in "mM" else to_arrow(column)
+
+
+@contextmanager
+def archive_damage() -> Iterator[None]:
+    """Tell of an archive's damage in one kind of error."""
+    try:
+        yield
+    except _ARCHIVE_ERRORS as error:
+        raise DamageError(plain(error) or type(error).__name__) from error
+
+
+def _skip(stream: BinaryIO, count: int) -> None:
+    while count > 0 and (data := stream.read(min(count, _PIECE_BYTES))):
+        count -= len(data)
+
+
+class _Block:
+    """The next rows of an array, as many of them as can be read.
+
+    Parameters
+    ----------
+    stream
+        The array, at the first of these rows.
+    columns
+        Columns that share its rows.
+    count
+        How many rows there should be.
+
+    Attributes
+    ----------
+    rows
+        How many there are.
+    damage
+        Why they are fewer, where the archive says so.
+    """
+
+    def __init__(self, stream: BinaryIO, columns: list[tuple[str, Column]], count: int) -> None:
+        self._columns = columns
+        self._data = bytearray()
+        self.damage = ""
+        step = columns[0][1].step
+        size = step * count
+        try:
+            # In pieces: those before the one that is damaged are given out.
+            while len(self._data) < size and (
+                piece := stream.read(min(size - len(self._data), _PIECE_BYTES))
+            ):
+                self._data += piece
+        except _ARCHIVE_ERRORS as error:
+            self.damage = plain(error) or type(error).__name__
+        self.rows = len(self._data) // step
+
+    def columns(self) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+        """Yield name and values of each column, in the byte order of the machine."""
+        for name, column in self._columns:
+            stored: np.ndarray[Any, Any] = np.ndarray(
+                (self.rows,), column.dtype, self._data, column.offset, (column.step,)
+            )
+            yield name, stored.astype(column.dtype.newbyteorder("="))

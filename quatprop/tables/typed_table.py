@@ -1,0 +1,270 @@
+"""Tables whose columns have types: rows of any such file become stamps and numbers here.
+
+A format says which columns there are and gives record batches of the wanted ones; the time, its
+unit, what is no number and what is damaged are dealt with once.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from quatprop.arrow_arrays import to_arrow, to_numpy
+from quatprop.containers.base import Closing, Loss
+from quatprop.errors import UnsupportedLogError, listed, plain, quoted
+from quatprop.series import GyroSeries
+from quatprop.tables.csv import decimal_time
+from quatprop.tables.matching import rate_columns as choosing
+from quatprop.tables.matching.column_matcher import Notes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import TableColumns, TimedColumns
+    from quatprop.selection import Selection
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+BATCH_ROWS = 1 << 16
+"""Rows that are read together."""
+
+
+class DamageError(Exception):
+    """What follows in a part cannot be read; the message says why."""
+
+
+DAMAGE = (pa.ArrowException, OSError, DamageError)
+"""ArrowException has what cannot be allocated in it: lengths in a damaged file may be any."""
+
+
+class Leaf(NamedTuple):
+    """A column that holds values.
+
+    Parameters
+    ----------
+    path
+        Its name; below it the names of the fields that lead to the values, where it is a struct.
+    type
+        Their type.
+    """
+
+    path: tuple[str, ...]
+    type: pa.DataType
+
+    @property
+    def name(self) -> str:
+        """How the user names it."""
+        return ".".join(self.path)
+
+
+class Part(NamedTuple):
+    """Rows that are read together, and lost together where they are damaged.
+
+    Parameters
+    ----------
+    place
+        Where they are, in words.
+    rows
+        How many there should be; 0 where nothing says it.
+    batches
+        The rows; a number instead of a batch is so many rows that were lost, and told.
+    """
+
+    place: str
+    rows: int
+    batches: Iterable[pa.RecordBatch | int]
+
+
+class TypedTable(Closing):
+    """Typed, named columns in parts; see :class:`quatprop.containers.base.TableLog`.
+
+    Parameters
+    ----------
+    path
+        The file.
+    """
+
+    kind: str
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses: list[Loss] = []
+        self._leaves: list[Leaf] = []
+        self._known_losses: int | None = None
+
+    def columns(self) -> list[str]:
+        """Return the column names in order, fields of structs as ``column.field``."""
+        return [leaf.name for leaf in self._leaves]
+
+    @property
+    def notes(self) -> Notes:
+        """Columns of timestamps carry their own unit."""
+        return Notes(
+            declared={
+                k: leaf.type.unit
+                for k, leaf in enumerate(self._leaves)
+                if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
+            }
+        )
+
+    def provenance(self) -> dict[str, Any]:
+        """Return how the content came about, as written beside it; empty where it is not.
+
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return {}
+
+    def choose(self, selection: Selection) -> TableColumns:
+        """Return which columns hold time and rates, from the options and the header."""
+        columns = choosing.choose(self.path, self.columns(), selection, self.notes)
+        self._refuse_other_than_numbers(columns.timed)
+        return columns
+
+    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
+        """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch.
+
+        Raises
+        ------
+        UnsupportedLogError
+            A column does not hold numbers, or a stamp does not fit in int64 ns.
+        """
+        for t_ns, rate in self.rows(columns.timed):
+            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
+
+    def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
+        """Yield the chosen columns as stamps in ns and numbers as stored, batch after batch.
+
+        Raises
+        ------
+        UnsupportedLogError
+            A column does not hold numbers, or a stamp does not fit in int64 ns.
+        """
+        self._refuse_other_than_numbers(columns)
+        if self._known_losses is None:
+            self._known_losses = len(self.losses)
+        del self.losses[self._known_losses :]
+        first = 0
+        for part in self._parts(columns):
+            read = 0
+            batches = iter(part.batches)
+            while True:
+                try:
+                    batch = next(batches, None)
+                    if isinstance(batch, pa.RecordBatch):
+                        # Arrow believes what a file says about its rows: they may not be there.
+                        batch.validate()
+                except DAMAGE as error:
+                    rows = max(part.rows - read, 0) or None
+                    self.losses.append(Loss(part.place, f"it is damaged: {plain(error)}", rows))
+                    break
+                if batch is None:
+                    break
+                if isinstance(batch, int):
+                    read += batch
+                    continue
+                t_ns, numbers = self._rows(batch, columns, first + read)
+                if len(t_ns):
+                    yield t_ns, numbers
+                read += batch.num_rows
+            first += max(part.rows, read)
+
+    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+        raise NotImplementedError
+
+    def _wanted(self, columns: TimedColumns) -> list[Leaf]:
+        """Return the columns to read, each once."""
+        return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
+
+    def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
+        declared = self.notes.declared
+        names = self.columns()
+        for k in (*columns.numbers, *columns.time):
+            leaf = self._leaves[k]
+            if names.count(leaf.name) > 1:
+                raise UnsupportedLogError(
+                    self.path,
+                    f"several columns are named {quoted(leaf.name)}; rename all but one of them",
+                )
+            is_stamp = k in columns.time and k in declared
+            if not is_stamp and not _is_number(leaf.type):
+                raise UnsupportedLogError(
+                    self.path, f"column {quoted(leaf.name)} holds {leaf.type}, not numbers"
+                )
+
+    def _rows(
+        self, batch: pa.RecordBatch, columns: TimedColumns, first: int
+    ) -> tuple[Int64, Float64]:
+        numbers = np.empty((batch.num_rows, len(columns.numbers)))
+        for axis, k in enumerate(columns.numbers):
+            values = _column(batch, self._leaves[k])
+            numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
+        if not columns.time:
+            t_ns = decimal_time.counted(first, batch.num_rows, columns.sample_rate or 1.0)
+            return t_ns, numbers
+        timed = np.ones(batch.num_rows, np.bool_)
+        for k in columns.time:
+            timed &= _has_value(_column(batch, self._leaves[k]))
+        if not timed.all():
+            lost = int(np.count_nonzero(~timed))
+            place = f"rows {first + 1} to {first + batch.num_rows}"
+            self.losses.append(Loss(place, "rows without a time", lost))
+            batch, numbers = batch.filter(to_arrow(timed)), numbers[timed]
+        return self._stamps(batch, columns), numbers
+
+    def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
+        units = (columns.time_unit, "ns")
+        try:
+            return decimal_time.total(
+                _nanoseconds(_column(batch, self._leaves[k]), unit)
+                for k, unit in zip(columns.time, units, strict=False)
+            )
+        except decimal_time.StampRangeError:
+            names = listed(self._leaves[k].name for k in columns.time)
+            raise UnsupportedLogError(
+                self.path,
+                f"times of column {names} do not fit in int64 ns when they are "
+                f"{columns.time_unit}; check --time-unit",
+            ) from None
+
+
+def _column(batch: pa.RecordBatch, leaf: Leaf) -> pa.Array:
+    column = batch.column(leaf.path[0])
+    return pc.struct_field(column, list(leaf.path[1:])) if leaf.path[1:] else column
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal128(kind)
+    )
+
+
+def _has_value(column: pa.Array) -> NDArray[np.bool_]:
+    """Return which values are neither null nor NaN nor infinite, shape ``(N,)``."""
+    valid = column.is_valid()
+    if pa.types.is_floating(column.type):
+        valid = pc.and_kleene(valid, pc.is_finite(column))
+    values: NDArray[np.bool_] = to_numpy(valid)
+    return values
+
+
+def _nanoseconds(column: pa.Array, unit: str) -> Int64:
+    """Return a time column without nulls as int64 nanoseconds, shape ``(N,)``."""
+    if pa.types.is_decimal128(column.type):
+        return decimal_time.from_decimals(column, unit)
+    if pa.types.is_floating(column.type):
+        return decimal_time.from_floats(to_numpy(column.cast(pa.float64())), unit)
+    try:
+        integers = column.cast(pa.int64())
+    except pa.ArrowInvalid as error:
+        raise decimal_time.StampRangeError from error
+    return decimal_time.from_integers(to_numpy(integers), unit)

@@ -1,0 +1,1 @@
+"""Attitudes as messages of an MCAP file."""

@@ -1,0 +1,1 @@
+"""Attitudes as encoded ROS and Foxglove messages."""

@@ -1,0 +1,172 @@
+"""Attitudes as Foxglove's own messages, in protobuf by the block: Foxglove and Rerun show them.
+
+Protobuf leaves out numbers that are zero, and gives others as many bytes as they need. Neither is
+a must: here every number is written, and those of a time stamp in five bytes each, which is what
+they mostly take, with zeros in front where they are smaller. So every message has its fields in
+the same places, and a block is an array of records.
+
+References
+----------
+The schemas FrameTransform and PoseInFrame of https://docs.foxglove.dev/docs/visualization/message-schemas
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import OutputError
+from quatprop.writers.messages.protobuf import FIXED64, VARINT, ProtoFile, delimited, described, tag
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages.kinds import Message
+
+NS_PER_S = 1_000_000_000
+_VARINT_BYTES = 5
+"""Enough for nanoseconds below a second, and for seconds to the year 2262, where int64 ns end."""
+
+_TIMESTAMP = "google/protobuf/timestamp.proto"
+_QUATERNION = "foxglove/Quaternion.proto"
+_VECTOR = "foxglove/Vector3.proto"
+_POSE = "foxglove/Pose.proto"
+
+FILES: Mapping[str, ProtoFile] = {
+    _TIMESTAMP: ProtoFile(
+        "google.protobuf", (), {"Timestamp": {"seconds": "int64", "nanos": "int32"}}
+    ),
+    _QUATERNION: ProtoFile("foxglove", (), {"Quaternion": dict.fromkeys("xyzw", "double")}),
+    _VECTOR: ProtoFile("foxglove", (), {"Vector3": dict.fromkeys("xyz", "double")}),
+    _POSE: ProtoFile(
+        "foxglove",
+        (_QUATERNION, _VECTOR),
+        {"Pose": {"position": ".foxglove.Vector3", "orientation": ".foxglove.Quaternion"}},
+    ),
+    "foxglove/FrameTransform.proto": ProtoFile(
+        "foxglove",
+        (_QUATERNION, _VECTOR, _TIMESTAMP),
+        {
+            "FrameTransform": {
+                "timestamp": ".google.protobuf.Timestamp",
+                "parent_frame_id": "string",
+                "child_frame_id": "string",
+                "translation": ".foxglove.Vector3",
+                "rotation": ".foxglove.Quaternion",
+            }
+        },
+    ),
+    "foxglove/PoseInFrame.proto": ProtoFile(
+        "foxglove",
+        (_POSE, _TIMESTAMP),
+        {
+            "PoseInFrame": {
+                "timestamp": ".google.protobuf.Timestamp",
+                "frame_id": "string",
+                "pose": ".foxglove.Pose",
+            }
+        },
+    ),
+}
+"""The definitions, those that others import ahead of them."""
+
+
+def schema_of(name: str) -> bytes:
+    """Return the definition of a type with all that it uses, as a ``FileDescriptorSet``.
+
+    Parameters
+    ----------
+    name
+        ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``.
+    """
+    wanted = [name.replace(".", "/") + ".proto"]
+    for file in wanted:
+        wanted += [imported for imported in FILES[file].imports if imported not in wanted]
+    return described({file: FILES[file] for file in FILES if file in wanted})
+
+
+class FoxgloveEncoder:
+    """Encodes attitudes as one of Foxglove's own messages.
+
+    Parameters
+    ----------
+    message
+        What to encode.
+    """
+
+    def __init__(self, message: Message) -> None:
+        template = b"".join(
+            delimited(number, _part(part, message))
+            for number, part in enumerate(message.definition.parts, 1)
+        )
+        # A quaternion is the last that any of them has; the stamp is the first.
+        doubles = len(template) - len(_ROTATION) + 1
+        seconds = len(delimited(1, _STAMP)) - len(_STAMP) + 1
+        self._dtype = np.dtype(
+            {
+                "names": ["seconds", "nanos", *"xyzw"],
+                "formats": [f"{_VARINT_BYTES}u1"] * 2 + ["<f8"] * 4,
+                "offsets": [
+                    seconds,
+                    seconds + _VARINT_BYTES + 1,
+                    *range(doubles, len(template), 9),
+                ],
+                "itemsize": len(template),
+            }
+        )
+        self._blank = np.frombuffer(template, f"V{len(template)}")
+
+    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+        """Return the messages of a batch, shape ``(N,)``.
+
+        Raises
+        ------
+        OutputError
+            A stamp is before 1970; the error names the target.
+        """
+        if len(series) and series.t_ns.min() < 0:
+            raise OutputError(
+                target,
+                f"MCAP has no time for the stamp {series.t_ns[(series.t_ns < 0).argmax()]} ns; "
+                "write a table, or a trajectory",
+            )
+        rows = np.repeat(self._blank, len(series)).view(self._dtype)
+        seconds, nanos = np.divmod(series.t_ns, NS_PER_S)
+        rows["seconds"], rows["nanos"] = _varints(seconds), _varints(nanos)
+        for place, name in enumerate("wxyz"):
+            rows[name] = series.wxyz[:, place]
+        return rows
+
+
+def _varints(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return numbers as varints of one length, shape ``(N, 5)``."""
+    spread = numbers & 0x7F
+    for place in range(1, _VARINT_BYTES):
+        spread |= numbers << place & 0x7F << 8 * place
+    # All but the last say that there are more.
+    words = (spread | 0x80808080).astype("<i8", copy=False)
+    return words.view(np.uint8).reshape(-1, words.itemsize)[:, :_VARINT_BYTES]
+
+
+_STAMP = tag(1, VARINT) + bytes(_VARINT_BYTES) + tag(2, VARINT) + bytes(_VARINT_BYTES)
+_ROTATION = b"".join(tag(number, FIXED64) + bytes(8) for number in range(1, 5))
+_ORIGIN = b""
+"""A vector of zeros is a message without numbers."""
+
+
+def _part(part: str, message: Message) -> bytes | str:
+    """Return a field of a message, zero where it differs from message to message."""
+    content: Mapping[str, bytes | str] = {
+        "stamp": _STAMP,
+        "frame": message.frame,
+        "child": message.child,
+        "position": _ORIGIN,
+        "xyzw": _ROTATION,
+        "pose": delimited(1, _ORIGIN) + delimited(2, _ROTATION),
+    }
+    return content[part]

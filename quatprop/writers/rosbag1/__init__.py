@@ -1,0 +1,1 @@
+"""Attitudes as messages of a ROS 1 bag."""

@@ -1,0 +1,1 @@
+"""Attitudes as columns of text, Arrow and NumPy files."""

@@ -1,0 +1,43 @@
+"""Tables as CSV and TSV: one header line, no quotes, a newline after every row.
+
+Each number is the shortest decimal that reads back as the same float64. The names of the columns
+tell the layout; the provenance has room in a comment ahead of them, for readers that pass over
+comments.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.writers.tables.text import TextTable, delimited
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+class CsvTable(TextTable):
+    """Write columns as CSV.
+
+    Parameters
+    ----------
+    target
+        A path, or ``"-"`` for stdout.
+    names
+        Names of the float64 columns that follow ``t_ns``.
+    comment
+        Begin with the provenance, in a comment.
+    """
+
+    separator = ","
+
+    def __init__(self, target: Path | str, names: Sequence[str], *, comment: bool = False) -> None:
+        every = ("t_ns", *names)
+        form = delimited(self.separator, every)
+        super().__init__(target, self.separator.join(every) + "\n", form, comment=comment)
+
+
+class TsvTable(CsvTable):
+    """Write columns with tabs between them; parameters as above."""
+
+    separator = "\t"

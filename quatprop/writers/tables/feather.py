@@ -1,0 +1,59 @@
+"""Tables as Arrow IPC files, also known as Feather: columns to be used in place.
+
+They are not compressed: attitudes hardly can be, and only so can a file be mapped to memory.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+
+from quatprop.writers.atomic import reported, scratch
+from quatprop.writers.tables.arrow import ArrowTable, metadata
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+    from typing import Any
+
+
+class FeatherTable(ArrowTable):
+    """Write columns as an Arrow IPC file.
+
+    It begins with its metadata, which is complete only at the end: the rows wait in a file of
+    their own.
+
+    Parameters
+    ----------
+    target
+        A path.
+    names
+        Names of the float64 columns that follow ``t_ns``.
+    """
+
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
+        super().__init__(target, names)
+        self._body = scratch(target)
+        with reported(target):
+            self._rows = pa.ipc.new_stream(self._body, self._schema)
+
+    def commit(self, provenance: Mapping[str, Any]) -> None:
+        """Finish the file, with its provenance, and put it in its place."""
+        self._finish_rows()
+        schema = self._schema.with_metadata(metadata(provenance))
+        with reported(self._output.target), self._body as body:
+            self._rows.close()
+            body.seek(0)
+            with pa.ipc.new_file(self._output.stream, schema) as file:
+                for group in pa.ipc.open_stream(body):
+                    file.write(group.replace_schema_metadata(schema.metadata))
+        self._output.commit()
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._body.close()
+        self._output.discard()
+
+    def _put(self, group: pa.RecordBatch) -> None:
+        self._rows.write(group)

@@ -1,0 +1,73 @@
+"""Tables as JSON Lines: one object a row, in the order of the columns.
+
+Each number is the shortest decimal that reads back as the same float64; a number that is not
+finite, for which JSON has no word, is null.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from quatprop.arrow_arrays import text_scalar, to_arrow
+from quatprop.writers.tables.text import TextTable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from quatprop.writers.tables.text import Form
+
+
+class JsonLinesTable(TextTable):
+    """Write columns as JSON Lines.
+
+    Parameters
+    ----------
+    target
+        A path, or ``"-"`` for stdout.
+    names
+        Names of the float64 columns that follow ``t_ns``.
+    """
+
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
+        super().__init__(target, "", _objects(("t_ns", *names)))
+
+
+def _objects(names: Sequence[str]) -> Form:
+    """Return what formats columns as objects with these keys."""
+    keys = [
+        text_scalar(f"{',' if place else '{'}{json.dumps(name)}:")
+        for place, name in enumerate(names)
+    ]
+    end, nothing = text_scalar("}\n"), text_scalar("")
+
+    def form(columns: list[NDArray[Any]]) -> pa.Buffer:
+        parts = chain.from_iterable(zip(keys, map(_numbers, columns), strict=True))
+        lines = pc.binary_join_element_wise(*parts, end, nothing)
+        # The strings of an array lie one after the other: that is the file.
+        _, ends, text = lines.buffers()
+        return text.slice(0, np.frombuffer(ends, np.int32, len(lines) + 1)[-1])
+
+    return form
+
+
+def _numbers(column: NDArray[Any]) -> pa.Array:
+    """Return numbers as JSON has them."""
+    text = pc.cast(to_arrow(column), pa.string())
+    if column.dtype == np.int64:
+        return text
+    # Without its point, minus zero would come back as the integer, which has no sign.
+    minus_zero = (column == 0) & np.signbit(column)
+    if minus_zero.any():
+        text = pc.if_else(to_arrow(minus_zero), text_scalar("-0.0"), text)
+    finite = np.isfinite(column)
+    return text if finite.all() else pc.if_else(to_arrow(finite), text, text_scalar("null"))

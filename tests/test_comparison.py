@@ -1,0 +1,346 @@
+"""Errors that are put into a series come out as themselves, and so do their causes."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quatprop.comparison import Settings, angle_rad, compare
+from quatprop.errors import ComparisonError, UsageError
+from quatprop.series import BLOCK, AttitudeSeries
+
+SAMPLES = 2000
+STEP_NS = 10_000_000
+FIRST_NS = 1_700_000_000_000_000_000
+T_NS = FIRST_NS + STEP_NS * np.arange(SAMPLES)
+SECONDS = STEP_NS * 1e-9 * np.arange(SAMPLES)
+EXACT = 1e-9
+
+
+def rotations(wxyz):
+    """Return rotations of an independent library."""
+    return Rotation.from_quat(wxyz, scalar_first=True)
+
+
+def series(rotation, t_ns=T_NS):
+    """Return rotations as a series."""
+    return AttitudeSeries(t_ns, rotation.as_quat(scalar_first=True))
+
+
+def motion(t_s):
+    """Return attitudes of a body that turns about all axes and never repeats itself."""
+    angles = [
+        sum(np.sin(f * t_s + phase) for f, phase in pairs)
+        for pairs in (
+            ((0.7, 0.0), (2.13, 1.0), (5.1, 0.3)),
+            ((0.9, 0.5), (1.71, 2.0), (4.3, 0.1)),
+            ((0.4, 1.5), (2.93, 0.2), (3.7, 2.2)),
+        )
+    ]
+    return Rotation.from_euler("ZYX", np.stack(angles, axis=1) * [0.8, 0.5, 0.9])
+
+
+TRUE = motion(SECONDS)
+A = series(TRUE)
+TURN = Rotation.from_rotvec([0.1, 0.2, -0.05])
+TURN_RAD = float(TURN.magnitude())
+
+
+def multiplied(steps, first, *, left=False):
+    """Multiply rotation vectors up one by one, on the right or on the left."""
+    result = [first]
+    for step in Rotation.from_rotvec(steps):
+        result.append(step * result[-1] if left else result[-1] * step)
+    return Rotation.concatenate(result)
+
+
+STEPS = (TRUE[:-1].inv() * TRUE[1:]).as_rotvec()
+
+
+def test_a_series_has_no_error_against_itself():
+    """All figures are zero to rounding, and nothing is to be explained."""
+    found = compare(A, A)
+    assert found.figures.max < 1e-15
+    assert abs(found.drift_deg_h) < 1e-9
+    assert len(found.pairs) == SAMPLES
+    assert (found.cause, found.remarks, found.exceeded) == (None, (), None)
+
+
+@pytest.mark.parametrize(
+    ("turned", "cause"), [(TURN * TRUE, "reference frame"), (TRUE * TURN, "body frame")]
+)
+def test_a_constant_rotation_is_its_angle_everywhere(turned, cause):
+    """Every figure of the error is the angle, the drift is none, and the frame is named."""
+    found = compare(A, series(turned))
+    figures = found.figures
+    for value in (figures.max, figures.rms, figures.mean, figures.median, figures.p95):
+        assert value == pytest.approx(TURN_RAD, abs=EXACT)
+    assert figures.final == pytest.approx(TURN_RAD, abs=EXACT)
+    assert found.drift_deg_h == pytest.approx(0.0, abs=1e-6)
+    assert found.cause.name == cause
+    assert f"{np.degrees(TURN_RAD):.6g} deg" in found.cause.sentence
+
+
+@pytest.mark.parametrize("align", ["first", "mean"])
+def test_another_reference_frame_can_be_aligned(align):
+    """The first sample and the mean both find the rotation that was put in."""
+    found = compare(A, series(TURN * TRUE), Settings(align=align))
+    assert found.figures.max < EXACT
+    assert (rotations(found.alignment.reference) * TURN).magnitude() < EXACT
+
+
+def test_two_frames_can_be_aligned():
+    """Mounting and reference rotation are both found from the motion."""
+    reference = Rotation.from_rotvec([0.3, 2.0, 0.1])
+    found = compare(A, series(reference * TRUE * TURN), Settings(align="mount"))
+    assert found.figures.max < EXACT
+    assert (rotations(found.alignment.mount) * TURN).magnitude() < EXACT
+    assert (rotations(found.alignment.reference) * reference).magnitude() < EXACT
+    assert found.alignment.mounting.std_rad < EXACT
+
+
+@pytest.mark.parametrize(("left", "frame"), [(False, "body"), (True, "reference")])
+def test_a_ramp_is_its_drift(left, frame):
+    """An error that grows by 100 deg/h has that drift, and is largest at the end."""
+    ramp = Rotation.from_rotvec(np.radians(100) / 3600 * SECONDS[:, None] * [[0.6, 0, 0.8]])
+    found = compare(A, series(ramp * TRUE if left else TRUE * ramp))
+    assert found.drift_deg_h == pytest.approx(100, abs=1e-6)
+    assert found.figures.final == pytest.approx(np.radians(100) / 3600 * SECONDS[-1], abs=EXACT)
+    assert found.worst.index == SAMPLES - 1
+    assert found.cause.name == "drift"
+    assert found.cause.sentence == (
+        f"B drifts away at a steady 100 deg/h about an axis fixed in the {frame} frame"
+    )
+
+
+@pytest.mark.parametrize(
+    ("misread", "cause"),
+    [
+        (TRUE.inv().as_quat(scalar_first=True), "conjugate"),
+        (TRUE.as_quat(scalar_first=False), "layout"),
+        (TRUE.as_quat(scalar_first=True)[:, [3, 0, 1, 2]], "layout-first"),
+        (TRUE.inv().as_quat(scalar_first=False), "layout and conjugate"),
+        (TRUE.inv().as_quat(scalar_first=True)[:, [3, 0, 1, 2]], "layout-first and conjugate"),
+    ],
+)
+def test_numbers_taken_for_others_are_recognised(misread, cause):
+    """A conjugate (or JPL numbers) and both wrong layouts are named; their error is the angle."""
+    found = compare(A, AttitudeSeries(T_NS, np.ascontiguousarray(misread)))
+    errors = (TRUE.inv() * rotations(misread)).magnitude()
+    assert found.figures.max == pytest.approx(errors.max(), abs=EXACT)
+    assert found.figures.rms == pytest.approx(np.sqrt((errors**2).mean()), abs=EXACT)
+    assert found.cause.name == cause
+    assert found.cause.rms_after < EXACT
+
+
+def test_a_conjugate_in_another_reference_frame_is_recognised():
+    """The misreading is named together with the frame, though neither explains it alone."""
+    found = compare(A, series((TURN * TRUE).inv()))
+    assert found.cause.name == "conjugate and reference frame"
+
+
+def test_signs_are_no_error():
+    """Where B is -A there is no error, and it is said so."""
+    sign = np.where(np.arange(SAMPLES) % 3, 1.0, -1.0)
+    found = compare(A, AttitudeSeries(T_NS, A.wxyz * sign[:, None]), Settings(tolerance=1e-12))
+    assert found.passed
+    (remark,) = found.remarks
+    assert remark.startswith("B has the opposite sign in 667 of 2000 samples: q and -q are the")
+
+
+def test_one_bad_sample_is_found():
+    """It is the worst, its error is what was put in, and the first above the tolerance."""
+    wxyz = A.wxyz.copy()
+    wxyz[77] = (TRUE[77] * Rotation.from_rotvec([0.02, 0, 0])).as_quat(scalar_first=True)
+    found = compare(A, AttitudeSeries(T_NS, wxyz), Settings(tolerance=1e-3))
+    assert found.worst == found.exceeded
+    assert (found.worst.index, found.worst.t_ns) == (77, T_NS[77])
+    assert found.worst.error_rad == pytest.approx(0.02, abs=EXACT)
+    assert found.figures.median < EXACT
+    assert found.cause.name == "isolated samples"
+    assert found.cause.sentence.startswith("1 of 2000 samples carry the error")
+
+
+def test_a_known_time_shift_is_taken_out_exactly():
+    """With the offset that was put in, stamps are equal again and nothing is interpolated."""
+    late = AttitudeSeries(T_NS + 7_300_000, A.wxyz)
+    found = compare(A, late, Settings(time_offset=-7_300_000))
+    assert found.pairs.match == "exact"
+    assert found.figures.max < 1e-15
+
+
+@pytest.mark.parametrize("epoch", [0, 12_345_678_901_234_567])
+def test_a_time_shift_is_found(epoch):
+    """Correlating angular speeds finds the offset of two clocks to a millionth of a sample."""
+    late = AttitudeSeries(T_NS + 7_300_000 + epoch, A.wxyz)
+    found = compare(A, late, Settings(time_offset="auto"))
+    assert found.offset_ns == pytest.approx(-7_300_000 - epoch, abs=10)
+    assert found.offset.correlation > 0.999999
+    assert found.figures.max < 1e-6
+
+
+def test_an_unknown_time_shift_is_named():
+    """A series that is late is said to be, with how much."""
+    found = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz))
+    assert found.cause.name == "time offset"
+    assert found.cause.sentence == "B is 50 ms late; --time-offset auto takes it out"
+
+
+def test_the_offset_of_two_frames_and_rates_is_found():
+    """Neither frames, nor other sample rates, nor six decimals hide the offset or the mounting."""
+    t_s = SECONDS[::3] + 0.004
+    other = Rotation.from_rotvec([0.3, 2.0, 0.1]) * motion(t_s) * TURN
+    coarse = AttitudeSeries(T_NS[::3], other.as_quat(scalar_first=True).round(6))
+    found = compare(A, coarse, Settings(align="mount", time_offset="auto"))
+    assert found.pairs.at == "B"
+    assert found.offset_ns == pytest.approx(4_000_000, abs=100_000)
+    assert (rotations(found.alignment.mount) * TURN).magnitude() < 1e-4
+    assert found.figures.max < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("wrong", "cause", "words"),
+    [
+        (multiplied(STEPS, TRUE[0], left=True), "side", "body rates against inertial rates"),
+        (multiplied(2 * STEPS, TRUE[0]), "scale", "2 times as fast as A: a factor 1/2 is missing"),
+        (
+            multiplied(np.radians(STEPS), TRUE[0]),
+            "scale",
+            "0.0174533 times as fast as A: one of them took degrees for radians",
+        ),
+        (
+            multiplied(STEPS + np.radians([36, 72, 0]) / 3600 * 0.01, TRUE[0]),
+            "rate bias",
+            "larger than A's by a constant 36, 72, ",
+        ),
+    ],
+)
+def test_wrong_propagation_is_recognised(wrong, cause, words):
+    """The wrong side, a missing factor, degrees for radians, and a gyroscope's bias are named."""
+    found = compare(A, series(wrong))
+    assert found.cause.name == cause
+    assert words in found.cause.sentence
+    assert found.cause.rms_after < EXACT
+
+
+def test_noise_has_no_cause():
+    """Errors without a pattern are not explained away."""
+    noise = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(SAMPLES, 3)) * 0.01)
+    assert compare(A, series(TRUE * noise)).cause is None
+
+
+def test_an_error_within_the_tolerance_is_not_explained():
+    """Causes are looked for where the comparison fails or nothing was asked of it."""
+    found = compare(A, series(TURN * TRUE), Settings(tolerance=1.0))
+    assert (found.passed, found.cause) == (True, None)
+
+
+def test_windows_see_neither_frames_nor_drift_before_them():
+    """Over a window of 1 s an error that grows by 0.01 rad/s is 0.01 rad, wherever it stands."""
+    ramp = Rotation.from_rotvec(0.01 * SECONDS[:, None] * [[0, 0, 1]])
+    found = compare(A, series(TURN * TRUE * ramp), Settings(window_ns=1_000_000_000))
+    assert found.window.count == SAMPLES - 100
+    assert found.window.rms_rad <= found.window.max_rad
+    # The axis of the ramp is turned by the body's own turn over the window.
+    exact = TRUE[:-100].inv() * TRUE[100:]
+    drifted = (TRUE * ramp)[:-100].inv() * (TRUE * ramp)[100:]
+    errors = (exact.inv() * drifted).magnitude()
+    assert found.window.max_rad == pytest.approx(errors.max(), abs=EXACT)
+    assert found.window.worst_ns == T_NS[np.argmax(errors)]
+
+
+def test_a_window_must_fit():
+    """A window that is longer than the recording is refused."""
+    with pytest.raises(
+        ComparisonError,
+        match=r"^no two pairs are 60 s apart: they span 19.99 s; choose a shorter --window$",
+    ):
+        compare(A, A, Settings(window_ns=60_000_000_000))
+
+
+def test_the_report_is_json():
+    """The report of everything goes into JSON and back without a change."""
+    settings = Settings(
+        align="mount", time_offset="auto", window_ns=10**9, tolerance=1e-9, match="interpolate"
+    )
+    report = compare(A, series(TRUE.inv()), settings).report()
+    assert json.loads(json.dumps(report, allow_nan=False)) == report
+    assert report["passed"] is False
+
+
+@pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1]])
+def test_what_is_no_attitude_is_refused(bad):
+    """Zeros and NaN are located and counted."""
+    wxyz = A.wxyz.copy()
+    wxyz[5] = wxyz[9] = bad
+    with pytest.raises(
+        ComparisonError,
+        match=r"^B has 2 of 2000 rows that are no attitude \(zero or not a number\), the first at "
+        r"index 5; leave them out$",
+    ):
+        compare(A, AttitudeSeries(T_NS, wxyz))
+
+
+def test_an_empty_series_is_refused():
+    """Nothing cannot be compared."""
+    with pytest.raises(ComparisonError, match=r"^B has no attitudes; check what was selected$"):
+        compare(A, AttitudeSeries(T_NS[:0], A.wxyz[:0]))
+
+
+def test_stamps_are_put_in_order():
+    """Steps back and repetitions are repaired, counted and said."""
+    order = np.arange(SAMPLES)
+    order[[10, 11]] = [11, 10]
+    order[20] = 19
+    found = compare(A, AttitudeSeries(T_NS[order], A.wxyz[order]))
+    assert found.figures.max < 1e-15
+    assert len(found.pairs) == SAMPLES - 1
+    (remark,) = found.remarks
+    assert remark.startswith("B was put in order of time: its stamps step back 1 times, and 1 rep")
+
+
+def test_other_lengths_are_normalised_and_said():
+    """Quaternions of length 2 are the same attitudes."""
+    found = compare(A, AttitudeSeries(T_NS, 2 * A.wxyz))
+    assert found.figures.max < 1e-15
+    assert found.remarks == ("B is not of unit length, by up to 1; normalised",)
+
+
+@pytest.mark.parametrize(
+    ("text", "rad"), [("1e-9rad", 1e-9), ("0.1deg", np.radians(0.1)), (".5 deg", np.radians(0.5))]
+)
+def test_angles_have_units(text, rad):
+    """Radians and degrees are read."""
+    assert angle_rad(text) == rad
+
+
+@pytest.mark.parametrize(
+    "text", ["0.1", "deg", "-1deg", "nanrad", "1e999rad", "1 grad", "\u0661deg"]
+)
+def test_an_angle_without_a_unit_is_refused(text):
+    """A bare number, or what is no number, is not guessed at."""
+    with pytest.raises(UsageError, match=r"is not an angle; write a number with its unit, such as"):
+        angle_rad(text)
+
+
+def test_unknown_ways_are_refused():
+    """Alignments and matches that do not exist are refused with those that do."""
+    with pytest.raises(UsageError, match=r"^no alignment 'best'; choose one of 'none', 'first'"):
+        compare(A, A, Settings(align="best"))
+    with pytest.raises(UsageError, match=r"^no match 'fuzzy'; choose one of 'exact', 'nearest'"):
+        compare(A, A, Settings(match="fuzzy"))
+
+
+def test_long_series_are_compared_to_their_ends():
+    """Errors and signs count in every block that is computed apart, and so does the last row."""
+    rows = 2 * BLOCK + 3
+    wxyz = np.tile([2.0, 0.0, 0.0, 0.0], (rows, 1))
+    other = np.tile([-1.0, 0.0, 0.0, 0.0], (rows, 1))
+    for row, angle in ((0, 0.01), (BLOCK, 0.02), (rows - 1, 0.03)):
+        other[row] = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
+    t_ns = np.arange(rows)
+    found = compare(AttitudeSeries(t_ns, wxyz), AttitudeSeries(t_ns, other))
+    assert np.flatnonzero(found.error).tolist() == [0, BLOCK, rows - 1]
+    assert found.error[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
+    assert found.remarks[-1].startswith(f"B has the opposite sign in {rows - 3} of {rows} samples")

@@ -1,0 +1,114 @@
+"""Frames: mean rotations, mountings, and when the motion does not show them."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quatprop.comparison.alignment import align, find_mounting, from_matrix, mean_rotation
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import geodesic_angle
+
+SEEDS = st.integers(0, 2**32)
+
+
+def wxyz(rotation):
+    """Return quaternions of rotations, scalar first."""
+    return rotation.as_quat(scalar_first=True)
+
+
+def random(count, seed):
+    """Return random rotations."""
+    return Rotation.random(count, rng=np.random.default_rng(seed))
+
+
+def wander(count, seed, scale=0.05):
+    """Return a random walk of rotations."""
+    steps = np.random.default_rng(seed).normal(size=(count - 1, 3)) * scale
+    result = [Rotation.identity()]
+    for step in Rotation.from_rotvec(steps):
+        result.append(result[-1] * step)
+    return Rotation.concatenate(result)
+
+
+@given(SEEDS)
+def test_the_mean_is_that_of_scipy(seed):
+    """The chordal mean of scattered rotations agrees with an independent one, whatever signs."""
+    rng = np.random.default_rng(seed)
+    scattered = random(1, seed) * Rotation.from_rotvec(rng.normal(size=(50, 3)) * 0.3)
+    signs = rng.choice([-1.0, 1.0], size=(50, 1))
+    found = mean_rotation(wxyz(scattered) * signs)
+    assert geodesic_angle(found, wxyz(scattered.mean())) < 1e-12
+
+
+@given(SEEDS)
+def test_matrices_become_quaternions(seed):
+    """Every rotation matrix gives its quaternion, half turns too."""
+    rotation = random(1, seed)[0]
+    assert geodesic_angle(from_matrix(rotation.as_matrix()), wxyz(rotation)) < 1e-14
+    half_turn = Rotation.from_rotvec(np.pi * rotation.apply([1, 0, 0]))
+    assert geodesic_angle(from_matrix(half_turn.as_matrix()), wxyz(half_turn)) < 1e-7
+
+
+@given(SEEDS)
+def test_any_mounting_is_recovered(seed):
+    """From a motion about all axes, mounting and reference are exact whatever they are."""
+    reference, mount = random(2, seed)
+    true = wander(200, seed + 1)
+    found = align("mount", wxyz(reference * true * mount), wxyz(true))
+    assert geodesic_angle(found.mount, wxyz(mount)) < 1e-12
+    assert geodesic_angle(found.reference, wxyz(reference)) < 1e-12
+    assert geodesic_angle(found.apply(wxyz(true)), wxyz(reference * true * mount)).max() < 1e-12
+
+
+def test_the_uncertainty_covers_the_error():
+    """With noise on both sides, mountings scatter as their standard deviation says."""
+    mount = Rotation.from_rotvec([0.02, -0.01, 0.015])
+    ratios = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        true = wander(2000, seed)
+        noise = [Rotation.from_rotvec(rng.normal(size=(2000, 3)) * 0.01) for _ in range(2)]
+        found, mounting = find_mounting(wxyz(true * mount * noise[0]), wxyz(true * noise[1]))
+        ratios.append(geodesic_angle(found, wxyz(mount)) / mounting.std_rad)
+    # Three axes, each no less certain than the one that is told.
+    assert 0.3 < np.median(ratios) < 2.5
+
+
+def test_drift_does_not_spoil_a_mounting():
+    """A gyroscope that drifts by 60 deg shows the same mounting from its short rotations."""
+    mount = Rotation.from_rotvec([0.02, -0.01, 0.015])
+    true = wander(5000, 3)
+    drift = Rotation.from_rotvec(np.radians(60) * np.linspace(0, 1, 5000)[:, None] * [[0, 0, 1]])
+    found, _ = find_mounting(wxyz(true * mount), wxyz(drift * true))
+    assert geodesic_angle(found, wxyz(mount)) < 2e-3
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_one_axis_is_refused(noise):
+    """A body that turns about one axis only does not show how it is mounted about it."""
+    rng = np.random.default_rng(5)
+    yaw = np.cumsum(rng.normal(size=3000) * 0.03)
+    turns = Rotation.from_rotvec(yaw[:, None] * [[0, 0, 1]])
+    a, b = (turns * Rotation.from_rotvec(rng.normal(size=(3000, 3)) * noise) for _ in range(2))
+    with pytest.raises(ComparisonError, match=r"axis only.*; choose --align mean, or a longer"):
+        align("mount", wxyz(a), wxyz(b))
+
+
+def test_rest_is_refused():
+    """A body at rest shows no mounting."""
+    a = np.tile([1.0, 0, 0, 0], (100, 1))
+    with pytest.raises(
+        ComparisonError, match=r"^the body turns by 0 deg only, which shows no mounting; choose"
+    ):
+        align("mount", a, a)
+
+
+def test_a_mounting_needs_some_attitudes():
+    """Ten relative rotations are the least."""
+    a = wxyz(wander(11, 0))
+    with pytest.raises(
+        ComparisonError, match=r"^a mounting needs 10 relative rotations, and there are only 11 att"
+    ):
+        align("mount", a, a)

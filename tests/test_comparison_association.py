@@ -1,0 +1,134 @@
+"""Which attitudes belong together in time, and attitudes between samples."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from quatprop.comparison.association import associate, shifted, slerp
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.series import AttitudeSeries
+
+EPOCH_NS = 1_700_000_000_000_000_000
+
+
+def random_series(t_ns, seed=0):
+    """Return attitudes of arbitrary signs at given times."""
+    rotations = Rotation.random(len(t_ns), rng=np.random.default_rng(seed))
+    return AttitudeSeries(np.asarray(t_ns, np.int64), rotations.as_quat(scalar_first=True))
+
+
+def spin(t_ns):
+    """Return a spin about z at 1 rad/s."""
+    t_ns = np.asarray(t_ns, np.int64)
+    vectors = ((t_ns - EPOCH_NS) * 1e-9)[:, None] * [[0, 0, 1.0]]
+    return AttitudeSeries(t_ns, Rotation.from_rotvec(vectors).as_quat(scalar_first=True))
+
+
+@given(st.integers(0, 1000), st.integers(0, 2**32))
+def test_slerp_agrees_with_scipy(place, seed):
+    """Between samples the shorter way is gone at a constant rate; at samples nothing is changed."""
+    series = random_series([0, 300, 1000], seed)
+    rotations = Rotation.from_quat(series.wxyz, scalar_first=True)
+    expected = Slerp(series.t_ns, rotations)(place).as_quat(scalar_first=True)
+    found = slerp(series, np.array([place]))[0]
+    assert geodesic_angle(found, expected) < 1e-7 or geodesic_angle(*series.wxyz[:2]) > 3.1415
+    assert np.array_equal(slerp(series, series.t_ns), series.wxyz) or np.allclose(
+        slerp(series, series.t_ns), series.wxyz, atol=4e-16
+    )
+
+
+def test_slerp_keeps_nanoseconds():
+    """At an epoch of 1.7e18 ns one nanosecond of a spin is one nanoradian."""
+    series = spin([EPOCH_NS, EPOCH_NS + 1000])
+    between = slerp(series, np.array([EPOCH_NS + 1]))
+    assert float(2 * between[0, 3]) == pytest.approx(1e-9, rel=1e-6)
+
+
+def test_equal_stamps_are_matched_exactly():
+    """Samples that only one of the series has are left out."""
+    a = random_series([0, 10, 20, 30, 40])
+    b = random_series([10, 20, 25, 40])
+    pairs = associate(a, b)
+    assert (pairs.match, pairs.at, pairs.candidates) == ("exact", "A", 4)
+    assert pairs.t_ns.tolist() == [10, 20, 40]
+    assert pairs.index.tolist() == [1, 2, 4]
+    assert np.array_equal(pairs.a, a.wxyz[[1, 2, 4]])
+    assert np.array_equal(pairs.b, b.wxyz[[0, 1, 3]])
+
+
+def test_series_of_the_same_stamps_are_not_copied():
+    """Two long ones fit where they fit by themselves."""
+    t_ns = EPOCH_NS + np.arange(5)
+    a, b = random_series(t_ns), random_series(t_ns, 1)
+    pairs = associate(a, b)
+    assert np.shares_memory(pairs.a, a.wxyz)
+    assert np.shares_memory(pairs.b, b.wxyz)
+    assert pairs.index.tolist() == [0, 1, 2, 3, 4]
+    assert (pairs.match, pairs.at, pairs.candidates) == ("exact", "A", 5)
+
+
+def test_other_stamps_are_interpolated_where_there_are_fewer():
+    """The series with the shorter intervals is interpolated at the stamps of the other one."""
+    a = spin(EPOCH_NS + 10_000_000 * np.arange(100))
+    b = spin(EPOCH_NS + 3_141_592 + 50_000_000 * np.arange(20))
+    pairs = associate(a, b)
+    assert (pairs.match, pairs.at, len(pairs)) == ("interpolate", "B", 20)
+    assert np.array_equal(pairs.t_ns, b.t_ns)
+    assert geodesic_angle(pairs.a, pairs.b).max() < 1e-15
+    swapped = associate(b, a)
+    assert (swapped.match, swapped.at, len(swapped)) == ("interpolate", "A", 20)
+
+
+def test_nothing_is_interpolated_across_a_gap():
+    """Neighbours farther than ten median intervals are too far, unless --max-dt says otherwise."""
+    t_ns = EPOCH_NS + 10_000_000 * np.r_[np.arange(100), np.arange(130, 200)]
+    b = spin(EPOCH_NS + 5_000_000 + 20_000_000 * np.arange(99))
+    pairs = associate(spin(t_ns), b)
+    seconds = (pairs.t_ns - EPOCH_NS) * 1e-9
+    assert not ((seconds > 0.99) & (seconds < 1.3)).any()
+    assert len(associate(spin(t_ns), b, match="interpolate", max_dt_ns=400_000_000)) == 99
+
+
+def test_the_nearest_sample_is_near_enough_or_none():
+    """Each sample of the sparser series finds the nearest one within --max-dt."""
+    a = random_series([0, 100, 200, 300, 400])
+    b = random_series([4, 31, 49, 51, 97, 160, 203, 291, 308], seed=1)
+    pairs = associate(a, b, max_dt_ns=9)
+    assert (pairs.match, pairs.at) == ("nearest", "A")
+    assert pairs.t_ns.tolist() == [0, 100, 200, 300]
+    assert np.array_equal(pairs.b, b.wxyz[[0, 4, 6, 8]])
+    assert associate(a, b, max_dt_ns=4, min_matched=0.1).t_ns.tolist() == [0, 100, 200]
+
+
+def test_too_few_pairs_are_refused_with_both_spans():
+    """The error says how many there are, how many must be, and where both series lie."""
+    a, b = random_series(range(0, 1000, 10)), random_series(range(5, 1005, 10))
+    with pytest.raises(
+        ComparisonError,
+        match=r"^only 0 of 99 samples in the common time have a partner \(exact\) and at least 50 "
+        r"must; A is from 0 to 990 ns and B from 5 to 995 ns; see --time-offset, --match, --max-dt "
+        r"and --min-matched$",
+    ):
+        associate(a, b, match="exact")
+
+
+def test_other_clocks_are_refused():
+    """Series without a common time are told from series with too few pairs."""
+    a, b = random_series(range(0, 100, 10)), random_series(range(1000, 1100, 10))
+    with pytest.raises(
+        ComparisonError,
+        match=r"^A and B have no time in common: A is from 0 to 90 ns and B from 1000 to 1090 ns; "
+        r"see --time-offset$",
+    ):
+        associate(a, b)
+    assert associate(a, shifted(b, -1000)).match == "exact"
+
+
+def test_one_pair_is_too_few():
+    """Two pairs are the least."""
+    one = random_series([5])
+    with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
+        associate(one, one, min_matched=0.0)

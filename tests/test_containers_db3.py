@@ -1,0 +1,355 @@
+"""SQLite bags, message for message against rosbags' own reader and plain SQL."""
+
+import shutil
+import sqlite3
+from collections import defaultdict
+
+import numpy as np
+import pytest
+import zstandard
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.msg import normalize_msgtype
+
+from quatprop.containers.base import Loss
+from quatprop.containers.rosbag2.db3 import Db3Log
+from quatprop.errors import DamagedLogError, UnsupportedLogError
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+REAL = [
+    "auk/auk_sqlite3/auk_sqlite3.db3",
+    "rosbag2/geocam_all_types/test_bag_sqlite3.db3",
+    "rosbag2/klintan_sample.db3",
+    "rosbag2/plotjuggler_rosbag2_test/rosbag2_test_0.db3",
+]
+T0 = 1_700_000_000_000_000_000
+HEADER = b"\x00\x01\x00\x00"
+
+OLD_TABLES = """
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+                    serialization_format TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
+                      timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO topics VALUES (4, '/imu', 'sensor_msgs/Imu', 'cdr');
+"""
+
+
+def rows_of(log, channel):
+    """Return (log time, bytes) of a channel in the order of its blocks; check their promises."""
+    rows = []
+    bound = 0
+    for block in log.blocks(channel):
+        assert block.log_ns.min() >= bound
+        assert (block.publish_ns == block.log_ns).all()
+        bound = block.not_before_ns
+        data = block.data.tobytes()
+        rows += [
+            (log_ns, data[start:end])
+            for log_ns, start, end in zip(
+                block.log_ns.tolist(), block.starts.tolist(), block.ends.tolist(), strict=True
+            )
+        ]
+    return rows
+
+
+def messages(path, **options):
+    """Return the messages of each topic and what was lost."""
+    with Db3Log(path, **options) as log:
+        found = {
+            (channel.topic, channel.type_name): rows_of(log, channel) for channel in log.channels()
+        }
+        return found, log.losses
+
+
+def oracle(path):
+    """Return the same from rosbags."""
+    found = defaultdict(list)
+    with Reader(path) as reader:
+        names = {(c.topic, normalize_msgtype(c.msgtype)) for c in reader.connections}
+        for connection, log_ns, data in reader.messages():
+            found[connection.topic, normalize_msgtype(connection.msgtype)].append(
+                (log_ns, bytes(data))
+            )
+    return {name: found[name] for name in names}
+
+
+def write_bag(path, mode=CompressionMode.NONE, count=1500):
+    """Write a folder with one database, out of order in time, and return the database."""
+    rng = np.random.default_rng(5)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    if mode != CompressionMode.NONE:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
+        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        for k in range(count):
+            log_ns = T0 + 1000 * k - int(rng.integers(50_000))
+            writer.write(imu, log_ns, HEADER + rng.bytes(316))
+            if k % 10 == 0:
+                writer.write(text, log_ns, HEADER + rng.bytes(int(rng.integers(4, 9000))))
+    return path / f"{path.name}.db3"
+
+
+def old_bag(path, rows):
+    """Write a database with the tables of the first ROS 2 releases."""
+    with sqlite3.connect(path) as database:
+        database.executescript(OLD_TABLES)
+        database.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (4, ?, ?)", rows
+        )
+    database.close()
+    return path
+
+
+def test_messages_come_in_time_order(tmp_path):
+    """Every message has the bytes and the time that rosbags gives it, in the same order."""
+    path = write_bag(tmp_path / "bag")
+    found, losses = messages(path)
+    assert (found, losses) == (oracle(path), [])
+    assert len(found["/imu", "sensor_msgs/msg/Imu"]) == 1500
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_databases_are_read_as_rosbags_reads_them(shared_logs, name):
+    """Every message of a real database has the bytes and the time that rosbags gives it."""
+    assert messages(shared_logs / name) == (oracle(shared_logs / name), [])
+
+
+@pytest.mark.parametrize("options", [{}, {"message_compression": "zstd"}])
+def test_messages_packed_one_by_one_are_unpacked(tmp_path, options):
+    """Packed messages are told by their first bytes, or by the metadata."""
+    path = write_bag(tmp_path / "bag", CompressionMode.MESSAGE)
+    assert messages(path, **options) == (oracle(tmp_path / "bag"), [])
+
+
+def test_a_packed_recording_gives_the_messages_of_the_plain_one(shared_logs):
+    """The real recording that is packed message by message is the one that is not."""
+    plain, _ = messages(shared_logs / "auk/auk_sqlite3/auk_sqlite3.db3")
+    packed, losses = messages(shared_logs / "auk/auk_sqlite3_zstdmsg/auk_sqlite3_zstdmsg.db3")
+    assert (packed, losses) == (plain, [])
+
+
+def test_packed_messages_that_are_damaged_are_counted(tmp_path):
+    """Messages that do not unpack are left out and counted, once however often they are read."""
+    pack = zstandard.compress
+    frames = [pack(HEADER + bytes([k]) * 100) for k in range(5)]
+    frames[1] = frames[1][:-3]
+    frames[3] = b"\x28\xb5\x2f\xfd" + bytes(20)
+    path = old_bag(tmp_path / "a.db3", enumerate(frames))
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        for _ in range(2):
+            rows = rows_of(log, channel)
+            assert rows == [(k, HEADER + bytes([k]) * 100) for k in (0, 2, 4)]
+        assert log.losses == [Loss("topic '/imu'", "their zstd data is damaged", 2)]
+
+
+def test_the_definition_comes_from_the_database(tmp_path):
+    """A channel has the definition that newer databases carry."""
+    with Db3Log(write_bag(tmp_path / "bag")) as log:
+        imu, text = log.channels()
+    assert (imu.topic, imu.type_name, imu.encoding) == ("/imu", "sensor_msgs/msg/Imu", "cdr")
+    assert imu.schema_encoding == "ros2msg"
+    assert b"geometry_msgs/Vector3 angular_velocity" in imu.schema
+    assert (text.topic, text.schema) == ("/text", b"string data\n")
+    assert imu.count is None
+
+
+def test_old_tables_are_read(tmp_path):
+    """The first table layout has no definitions, and its type names are normalised."""
+    path = old_bag(tmp_path / "a.db3", [(20, b"late"), (10, b"early"), (20, b"later")])
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        assert (channel.type_name, channel.schema_encoding, channel.schema) == (
+            "sensor_msgs/msg/Imu",
+            "",
+            b"",
+        )
+        assert rows_of(log, channel) == [(10, b"early"), (20, b"late"), (20, b"later")]
+
+
+def test_order_does_not_need_the_index(tmp_path):
+    """A database without an index of the times gives the same order."""
+    path = old_bag(tmp_path / "a.db3", [(20, b"late"), (10, b"early")])
+    with sqlite3.connect(path) as database:
+        database.execute("DROP INDEX timestamp_idx")
+    database.close()
+    assert messages(path) == (
+        {("/imu", "sensor_msgs/msg/Imu"): [(10, b"early"), (20, b"late")]},
+        [],
+    )
+
+
+def test_topic_numbers_of_one_topic_are_one_channel(tmp_path):
+    """A topic that was entered twice is one channel, in time order."""
+    path = old_bag(tmp_path / "a.db3", [(10, b"a"), (30, b"c")])
+    with sqlite3.connect(path) as database:
+        database.execute("INSERT INTO topics VALUES (9, '/imu', 'sensor_msgs/msg/Imu', 'cdr')")
+        database.execute("INSERT INTO messages VALUES (77, 9, 20, ?)", (b"b",))
+    database.close()
+    assert messages(path)[0] == {
+        ("/imu", "sensor_msgs/msg/Imu"): [(10, b"a"), (20, b"b"), (30, b"c")]
+    }
+
+
+def test_blocks_of_large_messages_are_short(tmp_path):
+    """A block of large messages holds few of them, so that memory does not grow with them."""
+    path = old_bag(tmp_path / "a.db3", ((k, bytes(1 << 20)) for k in range(80)))
+    with Db3Log(path) as log:
+        sizes = [len(block) for block in log.blocks(log.channels()[0])]
+    assert sizes[0] == 64
+    assert max(sizes[1:]) <= 8
+
+
+def test_blocks_of_small_messages_are_long(tmp_path):
+    """Fetches are put together to blocks worth decoding, and each block keeps its promise."""
+    path = old_bag(tmp_path / "a.db3", ((k, HEADER + k.to_bytes(4, "big")) for k in range(9000)))
+    with Db3Log(path) as log:
+        (imu,) = log.channels()
+        assert [len(block) for block in log.blocks(imu)] == [64 + 15 * 256, 16 * 256, 1000]
+        assert rows_of(log, imu) == [(k, HEADER + k.to_bytes(4, "big")) for k in range(9000)]
+
+
+def test_names_that_an_address_would_misread(tmp_path):
+    """Question marks, hashes and percent signs in a file name are part of the name."""
+    path = old_bag(tmp_path / "why?#%20.db3", [(1, b"a")])
+    assert messages(path)[0] == {("/imu", "sensor_msgs/msg/Imu"): [(1, b"a")]}
+
+
+def test_a_write_ahead_log_beside_is_read(tmp_path):
+    """Messages that a dead recorder left in the write-ahead log are read too."""
+    path = old_bag(tmp_path / "live.db3", [(1, b"a")])
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode=WAL")
+    database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (4, 2, ?)", (b"b",))
+    database.commit()
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{path}{suffix}", tmp_path / f"dead.db3{suffix}")
+    database.close()
+    assert messages(tmp_path / "dead.db3") == (
+        {("/imu", "sensor_msgs/msg/Imu"): [(1, b"a"), (2, b"b")]},
+        [],
+    )
+
+
+def test_nothing_beside_a_closed_database_is_touched(tmp_path):
+    """Reading leaves no file beside the database."""
+    path = old_bag(tmp_path / "a.db3", [(1, b"a")])
+    messages(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_comes_before_a_damaged_page_is_kept(tmp_path):
+    """A damaged page ends the reading with a loss; the messages before it are good."""
+    path = old_bag(tmp_path / "a.db3", ((k, bytes([k % 251]) * 900) for k in range(4000)))
+    data = bytearray(path.read_bytes())
+    middle = len(data) // 2 // 4096 * 4096
+    data[middle : middle + 8192] = b"\xff" * 8192
+    path.write_bytes(data)
+    found, losses = messages(path)
+    rows = found["/imu", "sensor_msgs/msg/Imu"]
+    assert 1500 < len(rows) < 2500
+    assert rows == [(k, bytes([k % 251]) * 900) for k in range(len(rows))]
+    assert [loss.place for loss in losses] == ["topic '/imu'"]
+    assert losses[0].reason.startswith("what follows message ")
+
+
+def test_a_cut_database_says_so(tmp_path):
+    """A database that ends early is a loss or a refusal, never silence."""
+    path = old_bag(tmp_path / "a.db3", ((k, bytes(900)) for k in range(4000)))
+    data = path.read_bytes()
+    for cut in range(100, len(data), len(data) // 23):
+        path.write_bytes(data[:cut])
+        try:
+            found, losses = messages(path)
+        except DamagedLogError:
+            continue
+        assert losses
+        assert len(found["/imu", "sensor_msgs/msg/Imu"]) < 4000
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"SQLite format 3\x00" + b"\xff" * 5000, b"time,x\n" * 99]
+)
+def test_what_is_no_database_is_refused(tmp_path, content):
+    """A file that is no database, or not a readable one, is refused in one sentence."""
+    path = tmp_path / "no.db3"
+    path.write_bytes(content)
+    with pytest.raises((DamagedLogError, UnsupportedLogError)) as caught:
+        Db3Log(path)
+    assert str(caught.value).startswith(f"{path}: it")
+    assert "\n" not in str(caught.value)
+
+
+def test_another_database_is_refused(tmp_path):
+    """An SQLite database of something else is told from a damaged one."""
+    path = tmp_path / "other.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE topics (id INTEGER)")
+    database.close()
+    with pytest.raises(
+        UnsupportedLogError,
+        match=r"other\.db3: it is an SQLite database without the tables of a ROS 2 bag; "
+        r"name a database that `ros2 bag` recorded",
+    ):
+        Db3Log(path)
+
+
+def test_other_message_compressions_are_refused(tmp_path):
+    """A compression that is not zstd is refused by name."""
+    path = old_bag(tmp_path / "a.db3", [])
+    with pytest.raises(UnsupportedLogError, match=r"packed with 'lz4' and only zstd is read; "):
+        Db3Log(path, message_compression="lz4")
+
+
+@pytest.mark.parametrize("value", [b"\x17", b"17", "soon", 1.5, None])
+@pytest.mark.parametrize("column", ["timestamp", "data"])
+def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
+    """SQLite takes anything anywhere; what is no time or no bytes is no message."""
+    path = tmp_path / "log.db3"
+    database = sqlite3.connect(path)
+    database.executescript(OLD_TABLES.replace("NOT NULL)", ")").replace("INTEGER NOT NULL", ""))
+    for number in range(300):
+        row = {"timestamp": 1000 + number, "data": HEADER + bytes([number % 256])}
+        if number == 200:
+            row[column] = value
+        database.execute("INSERT INTO messages VALUES (?, 4, ?, ?)", (number, *row.values()))
+    database.commit()
+    database.close()
+    is_right = column == "data" and isinstance(value, bytes)
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        rows = rows_of(log, channel)
+        assert [stamp - 1000 for stamp, _ in rows] == [
+            number for number in range(300) if number != 200 or is_right
+        ]
+        reason = "their log times or contents are of other types"
+        assert log.losses == ([] if is_right else [Loss("topic '/imu'", reason, 1)])
+
+
+def test_every_message_before_a_malformed_page_is_read(tmp_path):
+    """Of the rows that are fetched together, those before the damage are kept."""
+    path = tmp_path / "log.db3"
+    database = sqlite3.connect(path)
+    database.executescript(OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
+    for number in range(1000):
+        data = HEADER + number.to_bytes(4, "little") * 75
+        database.execute("INSERT INTO messages VALUES (?, 4, ?, ?)", (number, number, data))
+    database.commit()
+    # Without the index of times SQLite sorts, and reads every page first.
+    database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+    database.commit()
+    database.close()
+    content = bytearray(path.read_bytes())
+    places = [content.index(HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
+    page = places[777] // 4096 * 4096
+    content[page : page + 12] = b"\xff" * 12
+    path.write_bytes(content)
+    with Db3Log(path) as log:
+        (channel,) = log.channels()
+        rows = rows_of(log, channel)
+        (loss,) = log.losses
+    assert [stamp for stamp, _ in rows] == list(range(len(rows)))
+    assert len(rows) == min(k for k in range(1000) if page <= places[k] < page + 4096)
+    assert loss.reason.startswith(f"what follows message {len(rows)} cannot be read (")

@@ -1,0 +1,139 @@
+"""Logs in object stores, tried on the one that is everywhere: the local file system."""
+
+import json
+import os
+import shutil
+import signal
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.containers import remote
+from quatprop.containers.remote import _impatient, local_copy, without_secret
+from quatprop.errors import LogError, UnreadableLogError
+from quatprop.formats import open_log
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+
+
+@pytest.fixture(autouse=True)
+def temporary(tmp_path, monkeypatch):
+    """Keep temporary copies in a folder of the test."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["tumbling.bag", "tumbling_ros2", "spin.csv"])
+def test_a_log_at_an_address_is_the_log(tmp_path, temporary, name):
+    """The series is the same to the byte, the source is recorded as named, no copy stays."""
+    near, far, report = tmp_path / "near.csv", tmp_path / "far.csv", tmp_path / "report.json"
+    address = (SAMPLES / name).as_uri()
+    runner = CliRunner()
+    runner.invoke(cli, ["propagate", str(SAMPLES / name), "-o", str(near)])
+    done = runner.invoke(cli, ["propagate", address, "-o", str(far), "--report", str(report)])
+    assert done.exit_code == 0, done.output
+    assert far.read_bytes() == near.read_bytes()
+    assert json.loads(report.read_text())["source"]["path"] == address
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
+    """What tools keep beside the files of a bag does not hinder its reading."""
+    bag = shutil.copytree(SAMPLES / "tumbling_ros2", tmp_path / "bag")
+    (bag / ".thumbnails").mkdir()
+    with local_copy(bag.as_uri()) as copy:
+        assert sorted(path.name for path in copy.iterdir()) == sorted(
+            path.name for path in (SAMPLES / "tumbling_ros2").iterdir()
+        )
+
+
+def test_what_is_not_there_is_said(tmp_path):
+    """An address that the store does not know is one sentence."""
+    address = (tmp_path / "none.bag").as_uri()
+    with pytest.raises(UnreadableLogError) as caught, local_copy(address):
+        pass
+    assert str(caught.value) == f"{address}: there is no such object; check the address"
+
+
+def test_a_store_that_is_not_known_is_said():
+    """As is one that does not answer."""
+    known = pytest.raises(UnreadableLogError, match=r"^nowhere://log.bag: it cannot be read")
+    with known, local_copy("nowhere://log.bag"):
+        pass
+
+
+def test_errors_name_the_address(tmp_path):
+    """Not the copy that nobody knows of."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"#ROSBAG V2.1\n" + bytes(100))
+    named = pytest.raises(LogError, match=rf"^{path.as_uri()}: its bag format is version 2.1")
+    with named, open_log(path.as_uri()):
+        pass
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "LOG"),
+        ("propagate", "LOG", "-o", "a.csv", "--report", "-", "-v"),
+        ("batch", "LOG", "-o", "out", "--json", "-j", "1"),
+        ("plot", "LOG", "-o", "rates.html"),
+        ("plot", "LOG", "TRUTH", "--show", "attitude", "-o", "attitudes.html"),
+        ("plot", "TRUTH", "--reference", "LOG", "-o", "error.html"),
+        ("compare", "LOG", "TRUTH", "--json"),
+        ("compare", "LOG", "TRUTH"),
+        ("convert", "LOG", "converted.csv"),
+    ],
+)
+def test_no_command_shows_a_key(words, tmp_path, monkeypatch):
+    """Neither on the terminal nor in what is written is what an address carries."""
+
+    @contextmanager
+    def copied(address):
+        assert "secret" in address
+        yield near
+
+    log = "t_ns,wx,wy,wz,qw,qx,qy,qz\n0,0,0,1,1,0,0,0\n1000,0,0,1,1,0,0,0\n2000,0,0,1,1,0,0,0\n"
+    near, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    for path in (near, truth):
+        path.write_text(log)
+    monkeypatch.setattr("quatprop.formats.local_copy", copied)
+    monkeypatch.chdir(tmp_path / "temporary")
+    known = {"LOG": "s3://key:secret@logs/a.csv", "TRUTH": str(truth)}
+    result = CliRunner().invoke(cli, [known.get(word, word) for word in words])
+    assert result.exit_code == 0, result.output
+    assert "secret" not in result.output
+    for path in Path().rglob("*"):
+        assert path.is_dir() or b"secret" not in path.read_bytes(), path
+
+
+def test_no_key_is_recorded():
+    """An address may carry a key; what is written does not."""
+    assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
+    assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
+
+
+def test_a_store_that_does_not_answer_is_given_up_on():
+    """Google's is asked again for a quarter of an hour, unless the address says otherwise."""
+    assert _impatient("gs://logs/a.bag") == "gs://logs/a.bag?retry_limit_seconds=10"
+    assert _impatient("gs://logs/a.bag?x=1") == "gs://logs/a.bag?x=1&retry_limit_seconds=10"
+    assert _impatient("gs://a?retry_limit_seconds=99") == "gs://a?retry_limit_seconds=99"
+    assert _impatient("s3://logs/a.bag") == "s3://logs/a.bag"
+
+
+def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
+    """What its library does in a thread does not hold up the rest."""
+    monkeypatch.setattr(remote, "_copied", lambda *_: time.sleep(60))
+    began = time.monotonic()
+    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt), local_copy("s3://logs/a.bag"):
+        pass
+    assert time.monotonic() - began < 30

@@ -1,0 +1,302 @@
+"""PX4 ULog files: written by the documented format, read beside the library of PX4."""
+
+import struct
+
+import numpy as np
+import pytest
+import pyulog
+from px4_messages import DEFINITIONS, write_mcap
+
+from quatprop.containers import ulog
+from quatprop.containers.ulog import SYNC
+from quatprop.errors import AmbiguousTopicError, DamagedLogError, SchemaError, UnsupportedLogError
+from quatprop.formats import open_log
+from quatprop.kinematics.propagate import propagate
+from quatprop.kinematics.quaternion import exp, geodesic_angle
+from quatprop.selection import Selection
+from quatprop.series import GyroSeries
+from quatprop.signals.rates import choose, sources
+
+NUMBERS = {
+    "uint64": ("uint64_t", "Q"), "uint32": ("uint32_t", "I"), "int32": ("int32_t", "i"),
+    "uint8": ("uint8_t", "B"), "int8": ("int8_t", "b"), "int16": ("int16_t", "h"),
+    "float32": ("float", "f"),
+}  # fmt: skip
+TOPICS = {
+    "sensor_combined": "SensorCombined",
+    "sensor_gyro": "SensorGyro",
+    "sensor_gyro_fifo": "SensorGyroFifo",
+    "vehicle_angular_velocity": "VehicleAngularVelocity",
+    "vehicle_imu": "VehicleImu",
+}
+
+
+def record(kind, content):
+    """Return one record."""
+    return struct.pack("<Hc", len(content), kind) + content
+
+
+def fields_of(topic):
+    """Return names, ULog types, codes and lengths of the fields of a message."""
+    for line in DEFINITIONS[TOPICS[topic]].splitlines():
+        if "=" not in line:
+            type_name, name = line.split()
+            number, _, length = type_name.rstrip("]").partition("[")
+            yield name, *NUMBERS[number], int(length or 0)
+
+
+def header():
+    """Return the beginning of a file with all definitions."""
+    begin = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 123)
+    begin += record(b"B", bytes(40))
+    begin += record(b"I", b"\x0bchar[3] sysPX4")
+    for topic in TOPICS:
+        text = "".join(
+            f"{kind}[{length}] {name};" if length else f"{kind} {name};"
+            for name, kind, _, length in fields_of(topic)
+        )
+        # Padding at the end is part of the definition, not of the messages.
+        begin += record(b"F", f"{topic}:{text}uint8_t[4] _padding0;".encode())
+    return begin
+
+
+def added(topic, instance, id_):
+    """Return the record that begins a topic."""
+    return record(b"A", struct.pack("<BH", instance, id_) + topic.encode())
+
+
+def data(topic, id_, **values):
+    """Return a message."""
+    content = struct.pack("<H", id_)
+    for name, _, code, length in fields_of(topic):
+        value = values.get(name, [0] * length if length else 0)
+        numbers = list(value) + [0] * (length - len(value)) if length else [value]
+        content += struct.pack(f"<{len(numbers)}{code}", *numbers)
+    return record(b"D", content)
+
+
+def write(path, *records):
+    """Write a file."""
+    path.write_bytes(header() + b"".join(records))
+    return path
+
+
+def gyro(id_, stamps_us, scale=1.0):
+    """Return messages of a gyroscope."""
+    return [
+        data("sensor_gyro", id_, timestamp=t + 9, timestamp_sample=t, x=scale * k, y=-k, z=0.5)
+        for k, t in enumerate(stamps_us)
+    ]
+
+
+def read(path, **options):
+    """Return the samples of the one source, and what was lost."""
+    with open_log(path) as log:
+        batches = list(choose(log, Selection(**options)).batches())
+        return GyroSeries.joined(batches), log.losses
+
+
+def test_what_the_library_of_PX4_reads_is_what_is_read(tmp_path):
+    """Message for message, with other topics and records between."""
+    random = np.random.default_rng(4)
+    stamps = np.cumsum(random.integers(900, 1100, 300)) + 10**9
+    between = [
+        record(b"L", b"6" + struct.pack("<Q", 5) + b"hello"), record(b"S", SYNC),
+        record(b"O", b"\x05\0"), record(b"P", b"\x07float X" + bytes(4)),
+        data("sensor_combined", 7, timestamp=3, gyro_rad=[1, 2, 3]),
+    ]  # fmt: skip
+    records = [added("sensor_combined", 0, 7), added("sensor_gyro", 1, 300)]
+    for position, message in enumerate(gyro(300, stamps.tolist())):
+        records += [message, between[position % len(between)]]
+    path = write(tmp_path / "log.ulg", *records)
+    series, losses = read(path, topic="sensor_gyro/1")
+    (expected,) = [d for d in pyulog.ULog(str(path)).data_list if d.name == "sensor_gyro"]
+    assert expected.multi_id == 1
+    assert losses == []
+    assert (series.t_ns == expected.data["timestamp_sample"].astype(np.int64) * 1000).all()
+    assert (series.t_ns == stamps * 1000).all()
+    for axis, name in enumerate("xyz"):
+        assert (series.rate[:, axis] == expected.data[name]).all()
+
+
+def test_instances_are_sources_of_their_own(tmp_path):
+    """Which one is meant has to be said."""
+    path = write(
+        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), added("sensor_gyro", 1, 2),
+        *gyro(1, [10, 20]), *gyro(2, [11, 21, 31]),
+    )  # fmt: skip
+    with open_log(path) as log:
+        assert log.kind == "ulog"
+        assert [(c.topic, c.count) for c in log.channels()] == [
+            ("sensor_gyro/0", 2),
+            ("sensor_gyro/1", 3),
+        ]
+        with pytest.raises(AmbiguousTopicError, match=r"'sensor_gyro/0', 'sensor_gyro/1'"):
+            choose(log, Selection())
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
+    """One table tells the rates of both."""
+    values = [
+        {"timestamp": 1000 * k + 5, "timestamp_sample": 1000 * k, "gyro_rad": [k, 0, 1],
+         "x": k, "y": 2, "z": 3, "xyz": [k, 2, 3], "delta_angle": [0, k / 8, 0],
+         "delta_angle_dt": 990 + k, "dt": 125.0, "scale": 0.25, "samples": 2}
+        for k in range(1, 9)
+    ]  # fmt: skip
+    lengths = {name: length for name, _, _, length in fields_of(topic)}
+    messages = [
+        {name: [value, 7] if lengths[name] == 32 else value for name, value in row.items()
+         if name in lengths}
+        for row in values
+    ]  # fmt: skip
+    ulog = write(tmp_path / "log.ulg", added(topic, 0, 1), *[data(topic, 1, **m) for m in messages])
+    bag = write_mcap(tmp_path / "log.mcap", TOPICS[topic], messages)
+    with open_log(ulog) as one, open_log(bag) as other:
+        first, second = choose(one, Selection()), choose(other, Selection())
+        found, expected = (GyroSeries.joined(list(s.batches())) for s in (first, second))
+        assert (first.rate, first.unit, first.method, first.increments, first.remarks) == (
+            second.rate, second.unit, second.method, second.increments, second.remarks
+        )  # fmt: skip
+    assert len(found) >= 8
+    assert (found.t_ns == expected.t_ns).all()
+    assert (found.rate == expected.rate).all()
+    assert (found.span_ns is None) == (topic != "vehicle_imu")
+    if found.span_ns is not None:
+        assert (found.span_ns == expected.span_ns).all()
+
+
+def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):
+    """Nothing is integrated twice, whatever the stamps."""
+    messages = [
+        data("vehicle_imu", 1, timestamp_sample=t, delta_angle=[0.25, 0, 0], delta_angle_dt=5000)
+        for t in (0, 4000, 11_000, 15_000)
+    ]
+    path = write(tmp_path / "log.ulg", added("vehicle_imu", 0, 1), *messages)
+    series, _ = read(path)
+    *_, last = propagate([series])
+    assert geodesic_angle(last.wxyz[-1], exp([0.75, 0, 0])) < 1e-15
+
+
+def test_a_file_that_was_cut_gives_what_is_whole(tmp_path):
+    """The power went; the last record says so."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
+    path.write_bytes(path.read_bytes()[:-5])
+    series, losses = read(path)
+    assert len(series) == 9
+    assert len(losses) == 1
+    assert len(read(path)[1]) == 1
+
+
+def test_damage_is_passed_over_up_to_the_next_mark(tmp_path):
+    """Records that only serve to be found again are used for that."""
+    messages = gyro(1, range(0, 100, 10))
+    path = write(
+        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:4], b"\xff\xff\xff garbage",
+        messages[4][3:], record(b"S", SYNC), *messages[5:],
+    )  # fmt: skip
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
+    (loss,) = losses
+    assert "cannot be followed" in loss.reason
+
+
+def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):
+    """The flags say where it begins."""
+    messages = gyro(1, range(0, 100, 10))
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:5], messages[5][:20])
+    content = bytearray(path.read_bytes())
+    offset = len(content)
+    content[16 + 3 : 16 + 3 + 40] = struct.pack("<8s8s3Q", b"", b"\x01", offset, 0, 0)
+    path.write_bytes(bytes(content) + b"".join(messages[6:]))
+    series, _ = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 50]
+
+
+def test_unknown_features_are_refused(tmp_path):
+    """A flag that is not known may change everything behind it."""
+    path = write(tmp_path / "log.ulg")
+    content = bytearray(path.read_bytes())
+    content[16 + 3 + 8] = 2
+    path.write_bytes(bytes(content))
+    with (
+        pytest.raises(UnsupportedLogError, match=r"does not know \(flags 0200000000000000\); "),
+        open_log(path),
+    ):
+        pass
+
+
+def test_a_file_without_anything_is_refused(tmp_path):
+    """Less than a header is no log."""
+    path = tmp_path / "log.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01")
+    with pytest.raises(DamagedLogError, match=r"it ends within its header"), open_log(path):
+        pass
+
+
+def test_any_field_can_be_named(tmp_path):
+    """Also of a message the table does not know, inside another type."""
+    path = tmp_path / "log.ulg"
+    content = b"ULog\x01\x12\x35\x01" + bytes(8)
+    content += record(b"F", b"inner:float[2] pad;float[3] turn;uint8_t[2] _padding0;")
+    content += record(b"F", b"outer:uint64_t timestamp;inner[2] pair;char[3] name;")
+    content += added("outer", 0, 1)
+    for k in range(3):
+        numbers = [0, 0, 1, 2, 3, 9, 9, k, 5, 6]
+        inner = [struct.pack("<5f", *numbers[i : i + 5]) + b"\0\0" for i in (0, 5)]
+        content += record(b"D", struct.pack("<HQ", 1, k) + b"".join(inner) + b"abc")
+    path.write_bytes(content)
+    series, losses = read(path, rate_field="pair[1].turn", rate_unit="rad/s")
+    assert losses == []
+    assert series.t_ns.tolist() == [0, 1000, 2000]
+    assert series.rate.tolist() == [[k, 5, 6] for k in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [(b"sensor_gyro:float x;;oh no!;", "has a field that cannot be read: 'oh no!'"),
+     (b"sensor_gyro:sensor_gyro x;", "contains itself")],
+)  # fmt: skip
+def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
+    """The sentence names the topic."""
+    path = tmp_path / "log.ulg"
+    message = record(b"D", bytes(20))
+    content = b"ULog\x01\x12\x35\x01" + bytes(8) + record(b"F", text)
+    path.write_bytes(content + added("sensor_gyro", 0, 0) + message)
+    with (
+        open_log(path) as log,
+        pytest.raises(SchemaError, match=f"topic 'sensor_gyro/0': .*{reason}"),
+    ):
+        sources(log, Selection())
+
+
+def test_windows_change_nothing(tmp_path, monkeypatch):
+    """Records, marks and damage that lie across the border of what is read at a time are found."""
+    stamps = list(range(1000, 300_000, 1000))
+    messages = gyro(1, stamps)
+    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 301, record(b"S", SYNC)]
+    path = write(tmp_path / "log.ulg", *records, *messages[100:])
+    whole, losses = read(path)
+    assert len(whole) == len(stamps)
+    assert len(losses) == 1
+    for window in (1 << 17, 70_001, 66_000):
+        monkeypatch.setattr(ulog, "_WINDOW", window)
+        series, told = read(path)
+        assert series.t_ns.tolist() == [stamp * 1000 for stamp in stamps]
+        assert series.rate.tobytes() == whole.rate.tobytes()
+        assert told == losses
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
+    """Nothing dies of it, and what is missing is counted."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(200_000)))
+    size = path.stat().st_size
+    with open_log(path) as log:
+        batches = choose(log, Selection()).batches()
+        first = next(batches)
+        with path.open("r+b") as file:
+            file.truncate(size // 2)
+        count = len(first) + sum(len(batch) for batch in batches)
+    assert 90_000 < count < 110_000
+    assert sum(loss.messages for loss in log.losses) == 200_000 - count
+    assert {loss.reason for loss in log.losses} == {"the file has become shorter"}

@@ -1,0 +1,121 @@
+"""What looks wrong is said; what is right is not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quatprop.kinematics.propagate import attitudes
+from quatprop.pipeline.plausibility import RateChecks, against_orientation
+from quatprop.series import AttitudeSeries, GyroSeries
+
+MS = 1_000_000
+
+
+def watched(rate, dt_ms=10, size=10_000):
+    """Return the remarks on rates that came in batches of a size."""
+    rate = np.asarray(rate, dtype=np.float64)
+    t_ns = np.arange(len(rate)) * dt_ms * MS
+    watch = RateChecks()
+    batches = [
+        GyroSeries(t_ns[k : k + size], rate[k : k + size]) for k in range(0, len(rate), size)
+    ]
+    assert list(watch.passing(batches)) == batches
+    return watch.remarks(dt_ms * MS)
+
+
+def moving(samples=1000, scale=1.0):
+    """Return rates that nothing is wrong with."""
+    t = np.arange(samples)[:, None] * 0.01
+    return scale * np.sin(t * [1.0, 1.3, 1.7]) + 1e-3 * np.random.default_rng(1).normal(
+        size=(samples, 3)
+    )
+
+
+def test_nothing_is_said_of_good_rates():
+    """Rates of a moving body pass without remark."""
+    assert watched(moving()) == []
+
+
+def test_rates_beyond_any_gyroscope():
+    """131 to 133 rad/s, always the same, is no rotation rate that is measured."""
+    said, frozen = watched(np.tile([131.0, 132.0, 133.0], (200, 1)))
+    assert frozen == "every rate is the same, [131.0, 132.0, 133.0] rad/s: frozen, or simulated?"
+    assert said == (
+        "rates up to 133 rad/s are beyond any gyroscope; if they are in deg/s, "
+        "say --rate-unit deg/s"
+    )
+
+
+def test_rates_that_are_all_zero():
+    """A topic that never turns is remarked on."""
+    assert watched(np.zeros((5, 3))) == ["every rate is zero: is this the right topic?"]
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 10_000])
+def test_saturation(size):
+    """Three equal extremes in a row are saturation, wherever batches end; the side is named."""
+    rate = np.clip(moving(scale=8.0), -np.inf, [np.inf, math.radians(250), np.inf])
+    (said,) = watched(rate, size=size)
+    assert said == (
+        "axis +y stays at its extreme of 4.36332 rad/s over 3 samples and more: saturated, so "
+        "what was beyond is lost"
+    )
+
+
+def test_a_quantised_sensor_at_rest_is_not_saturated():
+    """One step of a coarse sensor repeats, but it is far inside any range."""
+    rate = np.random.default_rng(1).integers(-1, 2, (1000, 3)) * 0.01
+    assert watched(rate) == []
+
+
+def test_an_axis_that_turns_steadily_is_not_saturated():
+    """A free body may turn about one axis at a constant rate for ever."""
+    rate = moving(scale=3.0)
+    rate[:, 2] = 4.0
+    assert watched(rate) == []
+
+
+def test_sampling_too_slow():
+    """45 degrees between two samples is too far."""
+    (said,) = watched([[0, 0, math.pi / 4], [0, 0, 0], [0, 0, 0.1]], dt_ms=1000)
+    assert said == (
+        "the body turns up to 45 deg between two samples: sampled too slowly for this motion"
+    )
+
+
+TOO_SMALL = (
+    "the log's own orientation turns 57.3 times as far as its rates: "
+    "were they scaled by pi/180 once too often?"
+)
+TOO_LARGE = "own orientation: if they are in deg/s, say --rate-unit deg/s"
+
+
+@pytest.mark.parametrize(
+    ("scale", "sentence"),
+    [(1.0, None), (1.2, None), (math.pi / 180, TOO_SMALL), (180 / math.pi, TOO_LARGE)],
+)
+def test_rates_against_the_log_s_own_orientation(scale, sentence):
+    """A factor of pi/180 shows against the orientation; a scale error of a fifth does not."""
+    t_ns = np.arange(1000) * 10 * MS
+    rate = np.tile([0.01, 0.02, 0.03], (1000, 1))
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate))
+    said = against_orientation([GyroSeries(t_ns, rate * scale)], [own])
+    assert said is None if sentence is None else sentence in said
+
+
+def test_an_orientation_that_does_not_move_tells_nothing():
+    """At rest there is nothing to compare, and a log without common stamps neither."""
+    t_ns = np.arange(1000) * 10 * MS
+    still = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (1000, 1)))
+    noise = GyroSeries(t_ns, np.full((1000, 3), 1e-6))
+    assert against_orientation([noise], [still]) is None
+    assert against_orientation([GyroSeries(t_ns + 1, noise.rate)], [still]) is None
+    assert against_orientation([], []) is None
+
+
+def test_an_orientation_that_was_never_filled_tells_nothing_of_a_body_that_turns():
+    """Drivers without an estimate leave the identity; the rates are not wrong for it."""
+    t_ns = np.arange(1000) * 10 * MS
+    still = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (1000, 1)))
+    assert against_orientation([GyroSeries(t_ns, np.full((1000, 3), 0.5))], [still]) is None

@@ -1,0 +1,48 @@
+"""Stretch after stretch: the attitude reached, and memory that stays flat."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.pipeline.segments import Segments
+from quatprop.series import BLOCK, GyroSeries
+from quatprop.timeline import Policy, Timeline
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def peak_bytes(blocks):
+    """Return the most memory that a log of so many blocks takes on its way."""
+
+    def batches():
+        for k in range(blocks):
+            t_ns = np.arange(k * BLOCK, (k + 1) * BLOCK)
+            yield GyroSeries(t_ns, np.zeros((BLOCK, 3)))
+
+    stretches = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
+    tracemalloc.start()
+    for _ in stretches.attitudes(batches()):
+        pass
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_does_not_grow_with_the_log():
+    """Five times the samples take no more memory."""
+    assert peak_bytes(15) < 1.1 * peak_bytes(3)
+
+
+@pytest.mark.parametrize("method", ["start", "coning"])
+def test_the_difference_of_methods_is_that_of_their_ends(method):
+    """It is the angle between the ends of coning and of start, whichever was asked for."""
+    random = np.random.default_rng(1)
+    t_ns, rate = np.arange(500) * 10_000_000, random.normal(0, 2, (500, 3))
+    stretches = Segments(Timeline(Policy(), "log"), IDENTITY, method=method, rates="body")
+    (series,) = stretches.attitudes([GyroSeries(t_ns, rate)])
+    assert (series.wxyz == attitudes(t_ns, rate, method=method)).all()
+    ends = [attitudes(t_ns, rate, method=each)[-1] for each in ("start", "coning")]
+    assert stretches.method_difference == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)

@@ -1,0 +1,268 @@
+"""Column names to time, rates and units: known conventions, clear names, options."""
+
+from pathlib import Path
+
+import pytest
+
+from quatprop.containers.base import TableColumns
+from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.selection import Selection
+from quatprop.tables.matching.column_matcher import Notes
+from quatprop.tables.matching.rate_columns import choose
+from quatprop.tables.matching.rate_dialects import DIALECTS, column
+
+NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
+
+KNOWN = {
+    "t_ns,wx,wy,wz": ("quatprop", (1, 2, 3), "rad/s", (0,), "ns"),
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]": (
+        *("EuRoC", (1, 2, 3), "rad/s", (0,), "ns"),
+    ),
+    "timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt": (
+        *("PX4 ulog2csv", (1, 2, 3), "rad/s", (0,), "us"),
+    ),
+    "timestamp,rollspeed,pitchspeed,yawspeed,q[0],q[1],q[2],q[3]": (
+        *("PX4 ulog2csv", (1, 2, 3), "rad/s", (0,), "us"),
+    ),
+    "%time,field.header.seq,field.header.stamp,field.angular_velocity.x,field.angular_velocity.y,"
+    "field.angular_velocity.z,field.angular_velocity_covariance0": (
+        *("rostopic echo -p", (3, 4, 5), "rad/s", (2,), "ns"),
+    ),
+    "header.stamp.sec,header.stamp.nanosec,angular_velocity.x,angular_velocity.y,"
+    "angular_velocity.z": ("ROS messages as columns", (2, 3, 4), "rad/s", (0, 1), "s"),
+    "Time,header.seq,header.stamp.secs,header.stamp.nsecs,angular_velocity.x,angular_velocity.y,"
+    "angular_velocity.z": ("ROS messages as columns", (4, 5, 6), "rad/s", (2, 3), "s"),
+    "Time (s),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g)": (
+        *("x-io", (1, 2, 3), "deg/s", (0,), "s"),
+    ),
+    "Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)": (
+        *("x-io", (1, 2, 3), "deg/s", (0,), "us"),
+    ),
+    "time_ms,gyro_x_dps,gyro_y_dps,gyro_z_dps": ("", (1, 2, 3), "deg/s", (0,), "ms"),
+    "t [s];omega_z [rad/s];omega_y [rad/s];omega_x [rad/s]": ("", (3, 2, 1), "rad/s", (0,), "s"),
+}
+
+
+def chosen(header, name="log.csv", notes=None, **options):
+    """Choose the columns of a header line."""
+    names = header.split(";" if ";" in header else ",")
+    return choose(Path(name), names, Selection(**options), notes)
+
+
+@pytest.mark.parametrize("header", KNOWN)
+def test_a_header_that_names_columns_and_units_needs_no_options(header):
+    """Every convention is recognised with its columns, its units and its name."""
+    dialect, rate, rate_unit, time, time_unit = KNOWN[header]
+    found = chosen(header)
+    expected = TableColumns(rate, rate_unit, time, time_unit, dialect=dialect, method=found.method)
+    assert found == expected
+
+
+def test_every_dialect_has_a_name():
+    """The summary says which convention was recognised, so each has a name to say."""
+    assert all(dialect.name for dialect in DIALECTS)
+
+
+def test_the_reversed_columns_of_a_phone_are_taken_by_name():
+    """Sensor Logger writes z, y, x; the order of the rates is still x, y, z."""
+    found = chosen("time,seconds_elapsed,z,y,x", "Gyroscope.csv")
+    assert found == TableColumns((4, 3, 2), "rad/s", (0,), "ns", dialect="Sensor Logger")
+
+
+def test_the_accelerometer_of_a_phone_is_not_taken_for_a_gyroscope():
+    """The same header in a file that is not called a gyroscope carries no rates."""
+    with pytest.raises(NoRatesError, match="its columns are 'time', 'seconds_elapsed', 'z'"):
+        chosen("time,seconds_elapsed,z,y,x", "Accelerometer.csv")
+
+
+def test_gcsv_times_and_rates_are_scaled_as_its_keys_say():
+    """A gcsv table takes its time unit from tscale and its rate factor from gscale."""
+    notes = Notes(declared={0: "ms"}, rate_scale=0.5, title="GYROFLOW IMU LOG")
+    found = chosen("t,gx,gy,gz", notes=notes)
+    expected = TableColumns((1, 2, 3), "rad/s", (0,), "ms", dialect="gcsv", rate_scale=0.5)
+    assert found == expected
+
+
+def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
+    """Its rates are taken as they are, and the mounting that turns them is named."""
+    notes = Notes(declared={0: "ms"}, title="GYROFLOW IMU LOG", mount="y,-x,z")
+    (said,) = chosen("t,gx,gy,gz", notes=notes).remarks
+    assert said == (
+        "the file says how its sensor sits, and rates are taken as they are; to turn them into the "
+        "camera's axes say --mount y,-x,z"
+    )
+
+
+def test_stamps_that_a_sample_rate_replaces_are_named():
+    """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
+    found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")
+    assert (found.time, found.sample_rate) == ((), 200.0)
+    assert found.remarks == (
+        "--sample-rate 200 counts the rows; the stamps in 'time' are not used",
+    )
+    assert chosen("wx,wy,wz", sample_rate=200.0, rate_unit="rad/s").remarks == ()
+
+
+def test_averages_of_px4_want_the_method_end():
+    """sensor_combined holds averages over the interval before each stamp."""
+    header = "timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt"
+    assert chosen(header).method == "end"
+    assert chosen("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z").method is None
+
+
+def test_gx_alone_is_not_a_gyroscope():
+    """The name gx may be gravity, so without the gcsv title it is not taken."""
+    with pytest.raises(NoRatesError, match="name the columns with --rate-cols and --time-col"):
+        chosen("t,gx,gy,gz")
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "unit"),
+    [
+        ("\ufeff#timestamp [ns]", "timestamp", "ns"),
+        ("gyro_rad[0]", "gyro_rad[0]", ""),
+        ("Gyr X (\u00b0/s)", "gyr_x", "deg/s"),
+        ("time (\u00b5s)", "time", "us"),
+        ("/imu/angular_velocity/x", "imu.angular_velocity.x", ""),
+        ("header.stamp.sec", "header.stamp.sec", ""),
+        ("q_RS_w []", "q_rs_w", ""),
+        ("gyro_x_rad_s", "gyro_x", "rad/s"),
+        ("timestamp_us", "timestamp", "us"),
+        ("Gyr_X [mdps]", "gyr_x", "mdps"),
+    ],
+)
+def test_a_name_is_taken_apart(text, key, unit):
+    """Marks, case, brackets and unit suffixes are separated from the name proper."""
+    found = column(text)
+    assert (found.name, found.key, found.unit) == (text, key, unit)
+
+
+def test_units_that_are_not_declared_are_asked_for():
+    """Clear names without units are refused with both options that settle them."""
+    with pytest.raises(UndeclaredError) as error:
+        chosen("t,frame_id,gyro_x,gyro_y,gyro_z")
+    assert str(error.value) == (
+        "log.csv: the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' and the unit of the time 't' "
+        "is not declared; say it with --rate-unit rad/s|deg/s and --time-unit s|ms|us|ns"
+    )
+
+
+def test_options_declare_what_the_header_does_not():
+    """With both units said, clear names are enough."""
+    found = chosen("t,frame_id,gyro_x,gyro_y,gyro_z", rate_unit="deg/s", time_unit="s")
+    assert found == TableColumns((2, 3, 4), "deg/s", (0,), "s")
+
+
+def test_several_possible_times_are_listed():
+    """Two columns that may be the time are refused with their names."""
+    with pytest.raises(UndeclaredError, match=r"which column is the time \(of 'bag_t', 'ros_t'\)"):
+        chosen("bag_t,ros_t,gyro_x,gyro_y,gyro_z")
+
+
+def test_several_sets_of_rates_are_refused():
+    """Two gyroscopes in one table are ambiguous until the columns are named."""
+    header = "t,a.gyro_x,a.gyro_y,a.gyro_z,b.gyro_x,b.gyro_y,b.gyro_z"
+    with pytest.raises(UndeclaredError, match=r"x columns are 'a.gyro_x', 'b.gyro_x'.*--rate-cols"):
+        chosen(header)
+
+
+def test_biases_are_not_rates():
+    """A gyroscope's bias, variance or noise is not its rate."""
+    with pytest.raises(NoRatesError):
+        chosen("t,b_w_RS_S_x,b_w_RS_S_y,b_w_RS_S_z,bias_gyro_x,bias_gyro_y,bias_gyro_z")
+
+
+@pytest.mark.parametrize("cols", [("x", "y", "z"), ("1", "2", "3"), ("X", "#y", "z [rad/s]")])
+def test_columns_are_named_by_name_or_number(cols):
+    """An option finds a column as it is spelled, by its bare name, or by its number from 0."""
+    found = chosen("t,x,y,z", **{**NAMED, "rate_cols": cols})
+    assert found == TableColumns((1, 2, 3), "rad/s", (0,), "us")
+
+
+def test_a_name_wins_over_a_number():
+    """A column called "1" is found by its name, not as the second column."""
+    found = chosen("1,2,3,0", **{**NAMED, "rate_cols": ("1", "2", "3"), "time_col": "0"})
+    assert (found.rate, found.time) == ((0, 1, 2), (3,))
+
+
+def test_a_column_that_is_not_there_is_told_with_those_that_are():
+    """Naming a column that does not exist is an error that lists the columns."""
+    with pytest.raises(
+        UsageError, match="--rate-cols asks for column 'w'; the columns are 't', 'x'"
+    ):
+        chosen("t,x,y,z", **{**NAMED, "rate_cols": ("w", "y", "z")})
+
+
+def test_a_name_that_two_columns_share_is_refused():
+    """A repeated name has to be told by number."""
+    with pytest.raises(UsageError, match="2 columns are called 'x'; say which with its number"):
+        chosen("t,x,x,y,z", **NAMED)
+
+
+def test_a_unit_against_the_header_is_refused():
+    """A unit option alone does not overrule a header that says another."""
+    with pytest.raises(
+        UsageError, match=r"--rate-unit says rad/s, but .* 'gyro_z_dps' are in deg/s"
+    ):
+        chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", rate_unit="rad/s")
+    with pytest.raises(UsageError, match=r"--time-unit says us, but .* name .* with --time-col"):
+        chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", time_unit="us")
+
+
+def test_naming_the_columns_and_the_unit_overrules_the_header():
+    """Who names both the columns and their unit knows that the header is wrong."""
+    names = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
+    found = chosen(",".join(("t_ns", *names)), rate_cols=names, rate_unit="rad/s")
+    assert found.rate_unit == "rad/s"
+
+
+def test_a_unit_of_another_kind_is_refused_by_name():
+    """A header that declares a unit this version does not know is not read as another."""
+    with pytest.raises(
+        UnsupportedLogError, match=r"declared in 'mdps'; convert them to rad/s or deg"
+    ):
+        chosen("t_ns,Gyr_X [mdps],Gyr_Y [mdps],Gyr_Z [mdps]")
+
+
+def test_a_declared_sample_rate_stands_in_for_a_time_column():
+    """A counter is not a time; the rate in the comments is."""
+    found = chosen("Counter,Gyr_X,Gyr_Y,Gyr_Z", notes=Notes(sample_rate=50.0), rate_unit="rad/s")
+    assert found == TableColumns((1, 2, 3), "rad/s", (), "ns", 50.0)
+
+
+def test_a_sample_rate_said_wins_over_a_time_column():
+    """Rows are counted where the user says so."""
+    found = chosen("t_ns,wx,wy,wz", sample_rate=200.0)
+    assert (found.time, found.sample_rate) == ((), 200.0)
+
+
+@pytest.mark.parametrize("sample_rate", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_sample_rate_is_above_zero(sample_rate):
+    """A sample rate that is not a positive number is refused."""
+    with pytest.raises(UsageError, match="is not a rate above 0 Hz"):
+        chosen("t_ns,wx,wy,wz", sample_rate=sample_rate)
+
+
+def test_sample_rate_and_time_column_contradict():
+    """Only one of the two can say when a row was taken."""
+    with pytest.raises(UsageError, match="--time-col and --sample-rate contradict each other"):
+        chosen("t_ns,wx,wy,wz", sample_rate=200.0, time_col="t_ns")
+
+
+def test_the_log_clock_of_rostopic_is_its_first_column():
+    """With --clock log the time of recording is taken instead of the message's stamp."""
+    header = next(header for header in KNOWN if header.startswith("%time"))
+    assert chosen(header, clock="log").time == (0,)
+    assert chosen(header, clock="header").time == (2,)
+
+
+def test_a_clock_that_a_table_does_not_have_is_refused():
+    """Tables know no publish time, and most know no time of recording."""
+    with pytest.raises(UsageError, match="this table has no publish time"):
+        chosen("t_ns,wx,wy,wz", clock="publish")
+
+
+def test_a_topic_is_refused():
+    """A table has no topics; saying one is a mistake worth telling."""
+    with pytest.raises(UsageError, match="--topic is for logs of messages and this is a table"):
+        chosen("t_ns,wx,wy,wz", topic="/imu")

@@ -1,0 +1,169 @@
+"""Errors of other packages become sentences: all of them, as they are installed."""
+
+import importlib
+import inspect
+import pkgutil
+import struct
+import warnings
+import zipfile
+import zlib
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.containers.mcap import log as mcap
+from quatprop.errors import DamagedLogError, LogError, UnreadableLogError
+from quatprop.formats import open_log
+from quatprop.third_party_errors import ANYWHERE, READING, as_errors_of, as_user_error
+
+PACKAGES = ("apsw", "google.protobuf", "lz4", "mcap", "pyarrow", "rosbags", "ruamel.yaml")
+SKIPPED = ("test", "__main__", "setup", "benchmark", "conftest", "backend_cffi", "shell")
+"""Modules that are programs, tests, or another build of one that is looked at."""
+
+UNREACHABLE = {
+    "apsw.aio._Cancelled": "of asyncio, which is not used",
+    "apsw.fts5query.ParseError": "of full text search, which is not used",
+    "apsw.sqlite_extra.NotAvailable": "of extensions, none of which is loaded",
+    "google.protobuf.message.FrozenInstanceError": "raised where a message is changed",
+    "google.protobuf.runtime_version.VersionError": "raised by generated code; there is none",
+    "pyarrow._flight.FlightError": "of a network protocol that is not used",
+    "pyarrow.interchange.column.NoBufferPresent": "of the interchange protocol, not used",
+    "pyarrow.vendored.docscrape.ParseError": "of its documentation",
+    "pyarrow.vendored.version.InvalidVersion": "of version numbers of pandas",
+    "rosbags.convert.converter.ConverterError": "of a program beside the library",
+}
+"""What no run can raise, and why."""
+
+
+def modules(name):
+    """Yield a package and all modules in it that can be imported."""
+    try:
+        module = importlib.import_module(name)
+    except ImportError:  # it needs what is not installed, and cannot be used either
+        return
+    yield module
+    for inside in pkgutil.iter_modules(getattr(module, "__path__", [])):
+        if not any(part in inside.name for part in SKIPPED):
+            yield from modules(f"{name}.{inside.name}")
+
+
+def classes(package):
+    """Return every exception class that a package defines."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return {
+            kind
+            for module in modules(package)
+            for _, kind in inspect.getmembers(module, inspect.isclass)
+            if issubclass(kind, BaseException)
+            and not issubclass(kind, Warning)
+            and kind.__module__.startswith(package)
+        }
+
+
+def name_of(kind):
+    """Return the full name of a class."""
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+@pytest.mark.parametrize("package", [*PACKAGES, "zstandard.backend_c", "zstandard"])
+def test_every_error_of_a_package_is_mapped_or_cannot_come(package):
+    """Each exception class of the installed version is in the tables, or in the list with why."""
+    found = classes(package)
+    known = READING.keys() | ANYWHERE.keys() | UNREACHABLE.keys()
+    missing = [
+        name_of(kind) for kind in found if not known & {name_of(base) for base in kind.__mro__}
+    ]
+    assert missing == []
+
+
+def test_the_tables_name_what_there_is():
+    """No entry is of a class that the installed versions do not have."""
+    for name in READING.keys() | ANYWHERE.keys() | UNREACHABLE.keys():
+        module, _, kind = name.rpartition(".")
+        if name != "pyarrow._flight.FlightError":  # not in every build
+            assert issubclass(getattr(importlib.import_module(module), kind), BaseException), name
+
+
+def raised_while_open(error, tmp_path):
+    """Return what becomes of an error that comes while a log is open."""
+    log = tmp_path / "log.csv"
+    log.write_text("t_ns,wx,wy,wz\n0,1,2,3\n")
+    with pytest.raises(LogError, match=log.name) as caught, open_log(log):
+        raise error
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    "error", [struct.error("x"), zlib.error("x"), EOFError("x"), zipfile.BadZipFile("x")]
+)
+def test_errors_of_reading_name_the_log(tmp_path, error):
+    """What only reading raises is damage of the log that is open."""
+    found = raised_while_open(error, tmp_path)
+    assert isinstance(found, DamagedLogError)
+    assert str(found).startswith(f"{tmp_path}/log.csv: it")
+    assert str(found).endswith(" (x); check that it was copied whole")
+
+
+def test_errors_of_files_that_are_not_of_the_system_name_the_log(tmp_path):
+    """Some packages raise OSError for data that are not there."""
+    found = raised_while_open(OSError("Expected 8 bytes, got 0"), tmp_path)
+    assert isinstance(found, DamagedLogError)
+    assert "it cannot be read (Expected 8 bytes, got 0); check that" in str(found)
+
+
+def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
+    """A log that does not fit into memory is told with exit code 2."""
+    found = raised_while_open(MemoryError("Unable to allocate 8 EiB"), tmp_path)
+    assert isinstance(found, UnreadableLogError)
+    assert "there is not enough memory (Unable to allocate 8 EiB); choose fewer" in str(found)
+
+    def survey(_source):
+        raise MemoryError
+
+    monkeypatch.setattr(mcap, "survey", survey)
+    log = tmp_path / "log.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n")
+    result = CliRunner().invoke(cli, ["info", str(log)])
+    assert (result.exit_code, result.output.count("\n")) == (2, 1)
+    assert result.output.startswith(f"Error: {log}: there is not enough memory; choose fewer")
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (OSError(28, "No space left on device", "/out"), "/out: the system refuses (No space left"),
+        (OSError(5, "Input/output error"), "The system refuses (Input/output error)"),
+        (PermissionError(13, "Permission denied", "a\x1b[2J"), "a\\x1b[2J: the system refuses"),
+        (MemoryError(), "There is not enough memory; choose fewer columns"),
+        (UnicodeEncodeError("ascii", "\xe4", 0, 1, "no"), "A text in it is none ('ascii' codec"),
+    ],
+)
+def test_errors_of_the_system_are_one_sentence(error, sentence):
+    """What comes through as the system raises it is told with the file it names."""
+    assert str(as_user_error(error)).startswith(sentence)
+
+
+def test_errors_of_our_own_are_said_to_be_ours(tmp_path, monkeypatch):
+    """There is no traceback: one sentence says what, where, and that it should be reported."""
+    monkeypatch.delenv("QUATPROP_TRACEBACK")
+    log = tmp_path / "log.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n")
+
+    def survey(_source):
+        raise TypeError("of all \x1b[2J things")
+
+    monkeypatch.setattr(mcap, "survey", survey)
+    result = CliRunner().invoke(cli, ["info", str(log)])
+    assert (result.exit_code, result.output.count("\n")) == (2, 1)
+    assert result.output.startswith(
+        "Error: This is an error of quatprop itself (TypeError: of all \\x1b[2J things, "
+    )
+    assert "please report it, with the log if you can" in result.output
+
+
+def test_what_is_not_known_passes(tmp_path):
+    """An error of this package is not taken for damage of the log."""
+    with pytest.raises(KeyError, match="ours"), as_errors_of(tmp_path):
+        raise KeyError("ours")
