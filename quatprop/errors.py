@@ -24,79 +24,44 @@
     ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
-Constructors take facts and compose the sentence: where, what, and the way out. Text that comes
-from a file goes through :func:`quoted`, so that it cannot command the terminal.
+Constructors take facts and compose the sentence: where, what, and the way out. A choice of the
+user's that settles the matter is a :class:`quatprop.text.Setting` in it, which each interface
+spells in its own way. Text that comes from a file goes through :func:`quatprop.text.quoted`, so
+that it cannot command the terminal.
 """
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
+
+from quatprop.text import Setting, Text, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-MAX_LISTED = 12
-"""How many names an error lists before it says "and N more"."""
 
-_OPTION = re.compile(r"(?<![\w'-])--[a-z][a-z-]*")
-"""An option in a sentence; in quotes it is a name from a file."""
-
-
-def quoted(text: object) -> str:
-    """Return `text` in quotes, with everything unprintable escaped.
+class QuatpropError(Exception):
+    """Base of every error that is meant for the user: one sentence, no traceback.
 
     Parameters
     ----------
+    *parts
+        The sentence and the settings that it mentions, as for :class:`quatprop.text.Text`.
+
+    Attributes
+    ----------
     text
-        A name that comes from a file or a user; topic names may hold terminal escapes.
-
-    Returns
-    -------
-    str
-        The text between single quotes, on one line.
-
-    Examples
-    --------
-    >>> quoted("/imu")
-    "'/imu'"
+        The sentence.
+    side
+        Which of several inputs it is about, where there are several with the same settings: ``"a"``
+        or ``"b"`` of a comparison; empty otherwise.
     """
-    return "'" + plain(text) + "'"
 
-
-def plain(text: object) -> str:
-    """Return `text` on one line with everything unprintable escaped, without quotes."""
-    return "".join(
-        character if character.isprintable() else character.encode("unicode_escape").decode()
-        for character in str(text)
-    )
-
-
-def listed(names: Iterable[object]) -> str:
-    """Return names quoted and separated by commas, cut after :data:`MAX_LISTED`."""
-    every = [quoted(name) for name in names]
-    if len(every) <= MAX_LISTED:
-        return ", ".join(every)
-    return ", ".join(every[:MAX_LISTED]) + f" and {len(every) - MAX_LISTED} more"
-
-
-def _called(sentence: str, names: Mapping[str, str]) -> str:
-    return _OPTION.sub(lambda found: names.get(found[0], found[0]), sentence)
-
-
-class QuatpropError(Exception):
-    """Base of every error that is meant for the user: one sentence, no traceback."""
-
-    def call_options(self, names: Mapping[str, str]) -> None:
-        """Name options as a command has them that reads two series, and so has two of each.
-
-        Parameters
-        ----------
-        names
-            What an option is called elsewhere -> what it is called there.
-        """
-        self.args = (_called(str(self), names),)
+    def __init__(self, *parts: str | Setting | Text) -> None:
+        self.text = Text(*parts)
+        self.side = ""
+        super().__init__(str(self.text))
 
 
 class UsageError(QuatpropError):
@@ -122,7 +87,7 @@ class SuiteError(UsageError):
         where = plain(suite)
         where += f", case {quoted(case)}" if case is not None else ""
         where += f", {quoted(key)}" if key is not None else ""
-        super().__init__(f"{where}: {reason}")
+        super().__init__(f"{where}: ", reason)
 
 
 class SeriesError(QuatpropError, ValueError):
@@ -137,23 +102,19 @@ class LogError(QuatpropError):
     path
         The log.
     reason
-        What is wrong and, after a semicolon, the way out.
+        What is wrong and, after a semicolon, the way out; may mention settings.
     """
 
-    def __init__(self, path: Path | str, reason: str) -> None:
-        super().__init__(f"{plain(path)}: {reason}")
+    def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
+        self.reason = Text(*reason)
+        super().__init__(f"{plain(path)}: ", self.reason)
         self.path = path
-        self.reason = reason
 
     def move_to(self, path: Path | str) -> None:
         """Name another file: the one the user knows, where a copy of it was read."""
         self.path = path
-        self.args = (f"{plain(path)}: {self.reason}",)
-
-    def call_options(self, names: Mapping[str, str]) -> None:
-        """Name options as a command has them; not what looks like one in the path."""
-        self.reason = _called(self.reason, names)
-        self.move_to(self.path)
+        self.text = Text(f"{plain(path)}: ", self.reason)
+        self.args = (str(self.text),)
 
 
 class UnreadableLogError(LogError):
@@ -168,14 +129,15 @@ class UnknownFormatError(LogError):
     path
         The log.
     kinds
-        The kinds that ``--from`` accepts.
+        The kinds of logs there are.
     """
 
     def __init__(self, path: Path | str, kinds: Iterable[str]) -> None:
         super().__init__(
             path,
-            "neither its content nor its suffix is that of a log this version reads; "
-            f"if you know its kind, say --from {'|'.join(kinds)}",
+            "neither its content nor its suffix is that of a log this version reads; if you know "
+            "its kind, use ",
+            Setting("kind", "|".join(kinds)),
         )
 
 
@@ -204,7 +166,7 @@ class MessageError(LogError):
         Which messages of the block, so that a caller can go on without them.
     """
 
-    def __init__(self, path: Path | str, reason: str, positions: Iterable[int] = ()) -> None:
+    def __init__(self, path: Path | str, reason: str | Text, positions: Iterable[int] = ()) -> None:
         super().__init__(path, reason)
         self.positions = tuple(positions)
 
@@ -223,34 +185,36 @@ class _NothingFoundError(LogError):
     """
 
     wanted: str
-    ways_out: Mapping[str, str]
+    ways_out: Mapping[str, Text]
 
     def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
         names = listed(seen)
-        held = f"it has no {what} with messages"
+        held = Text(f"it has no {what} with messages")
         if names:
-            held = f"its {what} are {names}; {self.ways_out[what]}"
-        super().__init__(path, f"no {self.wanted} found; {held}")
+            held = Text(f"its {what} are {names}; ", self.ways_out[what])
+        super().__init__(path, f"no {self.wanted} found; ", held)
 
 
 class NoRatesError(_NothingFoundError):
     """Nothing in the log carries body rates."""
 
     wanted = "body rates"
-    ways_out: Mapping[str, str] = {
-        "topics": "name the field with --topic and --rate-field",
-        "columns": "name the columns with --rate-cols and --time-col",
-    }
+    ways_out: Mapping[str, Text] = {
+        "topics": Text("name the field with ", Setting("topic"), " and ", Setting("rate_field")),
+        "columns": Text("name the columns with ", Setting("rate_cols"), " and ",
+                        Setting("time_col")),
+    }  # fmt: skip
 
 
 class NoAttitudesError(_NothingFoundError):
     """Nothing in the log carries attitudes."""
 
     wanted = "attitudes"
-    ways_out: Mapping[str, str] = {
-        "topics": "name the field with --topic and --quat-field",
-        "columns": "name the columns with --quat-cols, --from-layout and --time-col",
-    }
+    ways_out: Mapping[str, Text] = {
+        "topics": Text("name the field with ", Setting("topic"), " and ", Setting("quat_field")),
+        "columns": Text("name the columns with ", Setting("quat_cols"), ", ",
+                        Setting("from_layout"), " and ", Setting("time_col")),
+    }  # fmt: skip
 
 
 class NotRotationsError(LogError):
@@ -271,13 +235,17 @@ class NoSamplesError(LogError):
     """
 
     def __init__(self, path: Path | str, source: str, outside: Sequence[int] = (0, 0)) -> None:
-        reason = f"no samples in {quoted(source)}; look with info"
-        if any(outside):
-            reason = (
-                f"no samples in {quoted(source)} between --start and --end: {outside[0]} are "
-                f"before, {outside[1]} after; a number without a unit is in ns"
-            )
-        super().__init__(path, reason)
+        if not any(outside):
+            super().__init__(path, f"no samples in {quoted(source)}; look with info")
+            return
+        super().__init__(
+            path,
+            f"no samples in {quoted(source)} between ",
+            Setting("start"),
+            " and ",
+            Setting("end"),
+            f": {outside[0]} are before, {outside[1]} after; a number without a unit is in ns",
+        )
 
 
 class NoSuchTopicError(LogError):
@@ -320,7 +288,9 @@ class AmbiguousTopicError(LogError):
         self, path: Path | str, candidates: Iterable[str], what: str = "body rates"
     ) -> None:
         super().__init__(
-            path, f"several topics carry {what}: {listed(candidates)}; choose one with --topic"
+            path,
+            f"several topics carry {what}: {listed(candidates)}; choose one with ",
+            Setting("topic"),
         )
 
 
@@ -333,12 +303,13 @@ class UndeclaredError(LogError):
         The log.
     unknown
         What is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'".
-    option
-        The option that declares it, such as ``--rate-unit rad/s|deg/s``.
+    way_out
+        The setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``, or what else
+        would.
     """
 
-    def __init__(self, path: Path | str, unknown: str, option: str) -> None:
-        super().__init__(path, f"{unknown} is not declared; say it with {option}")
+    def __init__(self, path: Path | str, unknown: str, way_out: str | Setting | Text) -> None:
+        super().__init__(path, f"{unknown} is not declared; say it with ", way_out)
 
 
 class TimelineError(LogError):
@@ -360,6 +331,6 @@ class OutputError(QuatpropError):
         What is wrong and, after a semicolon, the way out.
     """
 
-    def __init__(self, path: Path | str, reason: str) -> None:
-        super().__init__(f"{plain(path)}: {reason}")
+    def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
+        super().__init__(f"{plain(path)}: ", *reason)
         self.path = path

@@ -23,8 +23,8 @@ from quatprop.errors import (
     UnknownFormatError,
     UnreadableLogError,
     UnsupportedLogError,
-    quoted,
 )
+from quatprop.text import quoted
 from quatprop.third_party_errors import as_errors_of
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, plain
+from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

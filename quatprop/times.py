@@ -11,7 +11,8 @@ from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from typing import Literal
 
-from quatprop.errors import UsageError, quoted
+from quatprop.errors import UsageError
+from quatprop.text import quoted
 
 NS_PER_UNIT = {
     "ns": 1,

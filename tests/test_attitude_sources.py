@@ -279,7 +279,7 @@ def test_components_by_number_are_only_trusted_in_known_files(tmp_path):
     """q[0] is the scalar in what ulog2csv writes, and a question anywhere else."""
     header = "timestamp,q[0],q[1],q[2],q[3]\n1,0.8,0.6,0,0\n2,0.8,0.6,0,0\n"
     assert read(table(tmp_path, header, "x_vehicle_attitude_0.csv"))[1][0, 0] == 0.8
-    with pytest.raises(NoAttitudesError, match=r"--quat-cols"):
+    with pytest.raises(NoAttitudesError, match=r"quat_cols"):
         read(table(tmp_path, header, "other.csv"))
 
 

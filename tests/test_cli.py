@@ -228,7 +228,7 @@ def test_unknown_format(tmp_path):
     refused(
         run("propagate", path, "-o", tmp_path / "out.csv"),
         f"{path}: neither its content nor its suffix is that of a log this version reads; "
-        "if you know its kind, say --from mcap|bag|db3|rosbag2|ulog|parquet|feather|"
+        "if you know its kind, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|"
         "npy|npz|jsonl|csv",
     )
 

@@ -140,7 +140,7 @@ def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
 def test_metadata_of_messages_that_are_damaged_are_refused(tmp_path, monkeypatch, kind):
     """What stands under this package's key and is no JSON is damage."""
     for room in ("mcap", "rosbag1", "rosbag2"):
-        monkeypatch.setattr(f"quatprop.writers.{room}.words_of", lambda _provenance: "{")
+        monkeypatch.setattr(f"quatprop.writers.{room}.attitudes.words_of", lambda _provenance: "{")
     path = written(tmp_path / "log", kind, {})
     with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON it should"):
         told(path)

@@ -112,7 +112,7 @@ def test_averages_of_px4_want_the_method_end():
 
 def test_gx_alone_is_not_a_gyroscope():
     """The name gx may be gravity, so without the gcsv title it is not taken."""
-    with pytest.raises(NoRatesError, match="name the columns with --rate-cols and --time-col"):
+    with pytest.raises(NoRatesError, match="name the columns with rate_cols and time_col"):
         chosen("t,gx,gy,gz")
 
 

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.containers.remote import is_address, without_secret
-from quatprop.errors import QuatpropError, UsageError, plain, quoted
+from quatprop.errors import QuatpropError, UsageError
 from quatprop.parallel import KILLED, map_processes
 from quatprop.pipeline.job import run
+from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
 from quatprop.writers.atomic import Output
 
@@ -44,7 +45,7 @@ class Outcome:
 
     log: str
     output: str
-    error: str = ""
+    error: str | Text = ""
     report: dict[str, Any] | None = None
     seconds: float = 0.0
 
@@ -196,7 +197,7 @@ def propagated(job: Job) -> Outcome:
         Path(job.output).parent.mkdir(parents=True, exist_ok=True)
         report = run(job)
     except QuatpropError as error:
-        return _failed(job, str(error), time.perf_counter() - began)
+        return _failed(job, error.text, time.perf_counter() - began)
     except Exception as error:
         if (sentence := as_user_error(error)) is None:
             raise
@@ -205,7 +206,7 @@ def propagated(job: Job) -> Outcome:
     return Outcome(log, job.output, "", report, time.perf_counter() - began)
 
 
-def _failed(job: Job, error: str, seconds: float = 0.0) -> Outcome:
+def _failed(job: Job, error: str | Text, seconds: float = 0.0) -> Outcome:
     return Outcome(without_secret(job.log), job.output, error, None, seconds)
 
 

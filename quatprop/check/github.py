@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.check.summary import tally
-from quatprop.errors import OutputError, plain
+from quatprop.errors import OutputError
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

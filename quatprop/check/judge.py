@@ -21,9 +21,11 @@ from quatprop.check.measure import (
     measured,
 )
 from quatprop.check.reference import differing_provenance, read_reference
-from quatprop.errors import LogError, QuatpropError, plain, quoted
+from quatprop.check.spelling import sentence
+from quatprop.errors import LogError, QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.signals.compared_series import read_operand
+from quatprop.text import plain, quoted
 from quatprop.third_party_errors import as_user_error
 
 if TYPE_CHECKING:
@@ -59,11 +61,11 @@ def settled(
     try:
         outcome = work(case, pin)
     except QuatpropError as error:
-        outcome = Outcome(case.name, "error", str(error))
+        outcome = Outcome(case.name, "error", sentence(error))
     except Exception as error:
-        if (sentence := as_user_error(error)) is None:
+        if (known := as_user_error(error)) is None:
             raise
-        outcome = Outcome(case.name, "error", str(sentence))
+        outcome = Outcome(case.name, "error", sentence(known))
     return replace(outcome, seconds=time.perf_counter() - began, line=case.line)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
-from quatprop.errors import plain
+from quatprop.text import plain
 from quatprop.writers.atomic import replacing
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from quatprop.check.spelling import sentence
 from quatprop.comparison import compare
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -154,7 +155,7 @@ def compared(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> Difference | s
     try:
         return difference(case, a, b)
     except ComparisonError as error:
-        return str(error)
+        return sentence(error)
 
 
 def angle_text(angle: float, *, in_degrees: bool) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import OutputError, QuatpropError, plain, quoted
+from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
 from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.text import plain, quoted
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import SuiteError, listed, quoted
+from quatprop.errors import SuiteError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.errors import plain
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

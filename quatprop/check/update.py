@@ -11,8 +11,9 @@ from quatprop.check.judge import DIGITS, changed, figure, hashes_of, judge, said
 from quatprop.check.lock import Pin, sha256_of
 from quatprop.check.measure import angle_text, chooses_rows, compared, difference, measured
 from quatprop.check.reference import ROWS, read_reference, refuse_foreign, thinning, write_reference
-from quatprop.errors import QuatpropError, plain
+from quatprop.errors import QuatpropError
 from quatprop.signals.compared_series import read_operand
+from quatprop.text import plain
 from quatprop.writers.overlap import refuse_overlap
 
 if TYPE_CHECKING:

@@ -50,12 +50,13 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error becomes a sentence and an exit code here, and only here."""
+        from quatprop.cli.spelling import sentence
         from quatprop.errors import QuatpropError
 
         try:
             return super().invoke(ctx)
         except QuatpropError as error:
-            raise Unusable(str(error)) from error
+            raise Unusable(sentence(error)) from error
         except BrokenPipeError:
             # The reader of our output has gone, as in `| head`: that is its right.
             ctx.exit(0)
@@ -67,9 +68,9 @@ class Commands(click.Group):
         except Exception as error:
             from quatprop.third_party_errors import as_user_error
 
-            if (sentence := as_user_error(error)) is None:
+            if (known := as_user_error(error)) is None:
                 raise
-            raise Unusable(str(sentence)) from error
+            raise Unusable(sentence(known)) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""

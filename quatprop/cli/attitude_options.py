@@ -162,11 +162,6 @@ def attitude_options(side: str, suffix: str = "") -> list[Option]:
     ]
 
 
-def named_options(suffix: str) -> dict[str, str]:
-    """Return how options are called with a suffix, such as ``"-a"``, by what they are without."""
-    return {name: name + suffix for name, _ in ATTITUDE_OPTIONS.values()}
-
-
 def attitude_selection(chosen: dict[str, Any], suffix: str = "") -> AttitudeSelection:
     """Take the keywords that choose attitudes, but the kind, out of a command's options."""
     from quatprop.selection import Selection

@@ -148,14 +148,15 @@ def _noted(found: Iterator[Outcome], jobs: list[Job], made: BatchManifest) -> It
 
 def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Outcome]:
     """Say what comes of each log as soon as it is known; errors also when asked to be quiet."""
-    from quatprop.errors import plain
+    from quatprop.cli.spelling import spelled
+    from quatprop.text import plain
 
     width = max((len(plain(job.log)) for job in jobs), default=0)
     done = []
     for outcome in found:
         done.append(outcome)
         if outcome.error:
-            click.echo(f"Error: {outcome.error}", err=True)
+            click.echo(f"Error: {spelled(outcome.error)}", err=True)
         elif not quiet:
             click.echo(_line(outcome, width), err=True)
     return done
@@ -163,8 +164,9 @@ def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Out
 
 def _line(outcome: Outcome, width: int) -> str:
     """Return what came of one log in a line, and what is to be said of it beneath."""
+    from quatprop.cli.spelling import spelled
     from quatprop.cli.summary import lost
-    from quatprop.errors import plain
+    from quatprop.text import plain
     from quatprop.times import duration_text
 
     report = outcome.report or {}
@@ -172,7 +174,7 @@ def _line(outcome: Outcome, width: int) -> str:
     span = duration_text(result["last_ns"] - result["first_ns"])
     figures = f"{result['samples']:>12,} samples over {span:<10}"
     lines = [f"{plain(outcome.log):<{width}}  {figures}  -> {plain(outcome.output)}"]
-    lines += [f"  warning: {plain(remark)}" for remark in report["remarks"]]
+    lines += [f"  warning: {spelled(remark)}" for remark in report["remarks"]]
     return "\n".join(lines + [f"  {said}" for said in lost(report["losses"])])
 
 
@@ -190,7 +192,7 @@ def _report(outcome: Outcome) -> dict[str, Any]:
     return {
         "log": outcome.log,
         "output": outcome.output,
-        "error": outcome.error or None,
+        "error": str(outcome.error) or None,
         "seconds": outcome.seconds,
         "report": outcome.report,
     }

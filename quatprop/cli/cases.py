@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-from dataclasses import replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.check.case import BrokenCase, Case
+from quatprop.check.spelling import sentence
 from quatprop.check.suite import read_suite
 from quatprop.cli import compare, propagate
-from quatprop.cli.attitude_options import ATTITUDE_OPTIONS
 from quatprop.cli.types import Angle, InitialAttitude
-from quatprop.errors import QuatpropError, SuiteError, quoted
+from quatprop.errors import QuatpropError, SuiteError
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -60,9 +60,6 @@ COMPARE = {
 }
 """Key -> option of ``compare``; those of its B begin with ``reference-``."""
 
-B_OPTIONS = [option for option, _ in ATTITUDE_OPTIONS.values()]
-"""What errors call the options of B."""
-
 PIN_LOG = "pin-log"
 """Key of a case whose log is made anew each time, where it is false."""
 
@@ -99,7 +96,7 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
                     raise SuiteError(suite.path, reason, case.name, "reference")
             cases.append(case)
         except QuatpropError as error:
-            cases.append(BrokenCase(table.name, str(error), table.line))
+            cases.append(BrokenCase(table.name, sentence(error), table.line))
     return suite, cases
 
 
@@ -155,10 +152,7 @@ class _Parser:
             chosen.pop(name, None)
         unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
         compare.reading_of("A", "a", chosen, unsound)
-        reading = replace(
-            compare.reading_of(against, "b", chosen, unsound),
-            options={option: f"reference-{option.removeprefix('--')}" for option in B_OPTIONS},
-        )
+        reading = compare.reading_of(against, "b", chosen, unsound)
         return Case(
             name=self.table.name,
             job=job,

@@ -122,7 +122,7 @@ def _said(
 ) -> list[Outcome]:
     """Say what comes of each case as soon as it is known."""
     from quatprop.check.summary import line, tally
-    from quatprop.errors import plain
+    from quatprop.text import plain
 
     width = max(len(plain(case.name)) for case in cases)
     done: list[Outcome] = []

@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.attitude_options import (
-    UNSOUND_OPTIONS,
-    attitude_options,
-    attitude_selection,
-    named_options,
-)
+from quatprop.cli.attitude_options import UNSOUND_OPTIONS, attitude_options, attitude_selection
 from quatprop.cli.options import plot_option, refuse_stdin_twice, with_options
 from quatprop.cli.types import Angle, Duration, TimeOffset
 
@@ -149,4 +144,4 @@ def reading_of(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, 
 
     kind = chosen.pop(f"kind_{side}")
     selected = attitude_selection(chosen, f"_{side}")
-    return Reading(path, kind, selected, **unsound, options=named_options(f"-{side}"))
+    return Reading(path, kind, selected, **unsound, side=side)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.cli.summary import lost
 from quatprop.comparison.statistics import FIGURES
-from quatprop.errors import plain
+from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

@@ -104,7 +104,7 @@ def command(**chosen: Any) -> None:
 
 def _summary(output: str, step: dict[str, Any]) -> str:
     """Return what was done in one or two lines."""
-    from quatprop.errors import plain
+    from quatprop.text import plain
 
     source, stored, written, counts = step["source"], step["from"], step["to"], step["counts"]
     said = " ".join(plain(source[key]) for key in ("name", "type") if source[key])

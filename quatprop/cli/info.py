@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
+from quatprop.cli.spelling import sentence, spelled
 from quatprop.cli.summary import lost
-from quatprop.errors import plain
+from quatprop.text import plain
 
 TIMED = {
     "source": "source",
@@ -57,7 +58,7 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
             surveys.append(survey(path, kind, wanted))
         except QuatpropError as error:
             unusable += 1
-            click.echo(f"Error: {error}", err=True)
+            click.echo(f"Error: {sentence(error)}", err=True)
     if as_json:
         click.echo(json.dumps(surveys, indent=2))
     else:
@@ -77,8 +78,8 @@ def _described(facts: dict[str, Any]) -> str:
     for source in (*facts["sources"], *facts["attitudes"]):
         name = _cell(source["source"])
         if source["missing"]:
-            lines.append(f"  {name}: {plain(source['missing'])}")
-        lines += [f"  {name}: {plain(text)}" for text in source["remarks"]]
+            lines.append(f"  {name}: {spelled(source['missing'])}")
+        lines += [f"  {name}: {spelled(text)}" for text in source["remarks"]]
     lines += [f"  {line}" for line in lost(facts["losses"])]
     return "\n".join(lines)
 

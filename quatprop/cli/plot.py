@@ -6,12 +6,7 @@ from typing import Any
 
 import click
 
-from quatprop.cli.attitude_options import (
-    ATTITUDE_OPTIONS,
-    attitude_options,
-    attitude_selection,
-    named_options,
-)
+from quatprop.cli.attitude_options import ATTITUDE_OPTIONS, attitude_options, attitude_selection
 from quatprop.cli.compare import ALIGNMENTS
 from quatprop.cli.options import (
     SELECTION_OPTIONS,
@@ -110,10 +105,10 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
     """
     from quatprop.cli import summary as words
     from quatprop.comparison import Settings
-    from quatprop.errors import plain
     from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
     from quatprop.signals.compared_series import Reading
+    from quatprop.text import plain
 
     reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
     _refuse_idle(reference)
@@ -135,8 +130,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
             attitudes=attitudes,
             **chosen,
         ),
-        reference
-        and Reading(reference, kind_ref, of_reference, drop=True, options=named_options("-ref")),
+        reference and Reading(reference, kind_ref, of_reference, drop=True, side="ref"),
         settings,
     )
     with words.progress(quiet=quiet) as tick:

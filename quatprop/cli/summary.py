@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.errors import plain
+from quatprop.cli.spelling import spelled
+from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def summary(report: dict[str, Any], *, verbose: bool) -> str:
     lines = [f"{name:<9} {value}" for name, value in _facts(report)]
     if verbose:
         lines += [f"{name:<9} {value}" for name, value in _conventions(report)]
-    lines += [f"warning: {plain(remark)}" for remark in report["remarks"]]
+    lines += [f"warning: {spelled(remark)}" for remark in report["remarks"]]
     return "\n".join(lines + lost(report["losses"]))
 
 

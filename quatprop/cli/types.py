@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.spelling import sentence
+
 if TYPE_CHECKING:
     ParamType = click.ParamType[Any]
 else:
@@ -107,7 +109,7 @@ class Duration(ParamType):
         try:
             return duration_ns(value)
         except UsageError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(sentence(error), param, ctx)
 
 
 class TimeOffset(Duration):
@@ -140,7 +142,7 @@ class Angle(ParamType):
         try:
             return angle_rad(value)
         except UsageError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(sentence(error), param, ctx)
 
 
 class Frequency(ParamType):
@@ -174,7 +176,7 @@ class Time(ParamType):
         try:
             return instant(value) if isinstance(value, str) else value
         except UsageError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(sentence(error), param, ctx)
 
 
 class Bias(Numbers):

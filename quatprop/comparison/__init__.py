@@ -22,9 +22,10 @@ from quatprop.comparison.statistics import (
     errors_of,
     window_figures,
 )
-from quatprop.errors import ComparisonError, UsageError, quoted
+from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, normalize
 from quatprop.series import AttitudeSeries, blocks
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

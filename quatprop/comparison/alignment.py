@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import ComparisonError, UsageError, listed, quoted
+from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from quatprop.errors import ComparisonError, UsageError, listed, quoted
+from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
+from quatprop.text import listed, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

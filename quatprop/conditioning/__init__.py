@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, quietest, windows_of
-from quatprop.errors import UsageError, quoted
+from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
+from quatprop.text import quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import re
 
-from quatprop.errors import UsageError, quoted
+from quatprop.errors import UsageError
+from quatprop.text import quoted
 
 CHECKSUMS = "QUATPROP_CHECKSUMS"
 """``ignore``: chunks whose checksum is wrong are read all the same."""

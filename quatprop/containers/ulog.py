@@ -175,7 +175,7 @@ class UlogLog(Closing):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self._lost.note(Loss(f"topic {channel.topic}", error.reason, len(places)))
+                self._lost.note(Loss(f"topic {channel.topic}", str(error.reason), len(places)))
                 continue
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)

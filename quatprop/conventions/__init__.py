@@ -30,8 +30,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS, Representation, euler_zyx
-from quatprop.errors import UsageError, listed, quoted
+from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

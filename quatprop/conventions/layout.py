@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from quatprop.errors import UsageError, listed, quoted
+from quatprop.errors import UsageError
+from quatprop.text import listed, quoted
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,14 @@ from quatprop.conventions import HAMILTON, Meaning, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import forgotten, opened, remarks_on
 from quatprop.conversion.history import extended
-from quatprop.errors import NoSamplesError, UsageError, listed, quoted
+from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import written_kind
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import Fingerprint
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.text import listed, quoted
 from quatprop.writers import has_room
 from quatprop.writers.overlap import refuse_overlap
 

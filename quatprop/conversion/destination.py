@@ -10,10 +10,11 @@ import numpy as np
 
 from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_VERTICAL_DEG, REPRESENTATIONS
-from quatprop.errors import OutputError, UsageError, listed, quoted
+from quatprop.errors import OutputError, UsageError
 from quatprop.into import open_into
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import attitude_stamps
+from quatprop.text import listed, quoted
 from quatprop.writers import WRITERS, has_room, kind_of, layout_of, open_table, open_writer
 
 if TYPE_CHECKING:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError, UsageError, listed, plain, quoted
+from quatprop.errors import OutputError, UsageError
 from quatprop.formats import open_log
 from quatprop.into.log_times import LogTimes
+from quatprop.text import listed, plain, quoted
 from quatprop.writers import WRITERS, kind_of, layout_of
 from quatprop.writers.atomic import is_stdout
 from quatprop.writers.messages.kinds import Message

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from quatprop.containers.rosbag2.parts import folder
-from quatprop.errors import OutputError, UnsupportedLogError, plain
+from quatprop.errors import OutputError, UnsupportedLogError
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
 from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.rosbag2_metadata import extended
 from quatprop.into.topics import refuse_taken
+from quatprop.text import plain
 from quatprop.writers.atomic import Replacement, reported
 from quatprop.writers.base import AttitudeWriter, words_of
 from quatprop.writers.messages.ros_messages import Encoder

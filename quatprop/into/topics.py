@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError, plain, quoted
+from quatprop.errors import UsageError
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

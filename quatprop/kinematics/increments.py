@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.errors import UsageError, listed, quoted
+from quatprop.errors import UsageError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

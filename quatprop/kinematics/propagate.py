@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.errors import SeriesError, UsageError, listed, quoted
+from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.increments import rotation_vectors, rule_of
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, half_angle, normalize
 from quatprop.series import BLOCK, AttitudeSeries, GyroSeries, reblock
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quoted
+from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.columns import Messages, MixedError, TooShortError, follow
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1, XCDR2
 from quatprop.messages.schema import at, numbers
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quatprop.errors import quoted
 from quatprop.messages.placement import Extents, Placement
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Repeat, Segment, Skip, Window
 from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

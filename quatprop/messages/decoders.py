@@ -5,7 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from quatprop.errors import UnsupportedLogError, listed, quoted
+from quatprop.errors import UnsupportedLogError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

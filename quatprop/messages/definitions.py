@@ -12,7 +12,7 @@ from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from quatprop.errors import SchemaError, quoted
+from quatprop.errors import SchemaError
 from quatprop.messages.schema import (
     MAX_DEPTH,
     Array,
@@ -23,6 +23,7 @@ from quatprop.messages.schema import (
     Text,
     Unknown,
 )
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
 from quatprop.arrow_arrays import to_numpy
-from quatprop.errors import SchemaError, UsageError, quoted
+from quatprop.errors import SchemaError, UsageError
 from quatprop.messages.schema import (
     TIME,
     Array,
@@ -31,6 +31,7 @@ from quatprop.messages.schema import (
 )
 from quatprop.messages.stamps import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, Wanted, raw_messages
+from quatprop.text import quoted
 from quatprop.times import instant
 
 if TYPE_CHECKING:

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
-from quatprop.errors import SchemaError, quoted
+from quatprop.errors import SchemaError
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.known_types import KnownTypes
 from quatprop.messages.schema import Struct, find, numbers
 from quatprop.messages.stamps import Stamp, stamp_around
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

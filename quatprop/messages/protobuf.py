@@ -9,9 +9,9 @@ import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import quoted
 from quatprop.messages.schema import BadDefinitionError, Primitive, Sequence, Struct, Text, Unknown
 from quatprop.messages.values import ValueDecoder
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -71,8 +71,8 @@ class RateField:
         to be preferred to one.
     method
         The key of :data:`quatprop.kinematics.increments.METHODS` that fits what the sensor does,
-        where the definition says what that is: ``"end"`` for an average over the interval that ends at the
-        stamp.
+        where the definition says what that is: ``"end"`` for an average over the interval that
+        ends at the stamp.
     span
         The time over which the sensor has integrated, where the field is an increment, in rad
         instead of rad/s, over the interval that ends at the stamp.

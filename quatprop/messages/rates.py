@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.errors import SchemaError, quoted
+from quatprop.errors import SchemaError
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.known_types import KnownTypes
 from quatprop.messages.rate_types import RATES, RateField
 from quatprop.messages.schema import at, find, numbers
 from quatprop.messages.stamps import Stamp, stamp_around, stamp_of
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

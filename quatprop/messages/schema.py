@@ -7,7 +7,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
-from quatprop.errors import SchemaError, listed, quoted
+from quatprop.errors import SchemaError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from quatprop.errors import MessageError, listed
+from quatprop.errors import MessageError
 from quatprop.messages.schema import TIME, Primitive, Struct, around, find
+from quatprop.text import listed
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quatprop.errors import MessageError, SchemaError, UnsupportedLogError, quoted
+from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import ENCAPSULATIONS
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1
 from quatprop.messages.schema import Sequence, Struct, find, numbers
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.errors import quoted
 from quatprop.messages.schema import (
     MAX_DEPTH,
     Array,
@@ -22,6 +21,7 @@ from quatprop.messages.schema import (
     Struct,
     Unknown,
 )
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

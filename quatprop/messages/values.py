@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import MessageError, SchemaError, quoted
+from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Array, Primitive, Struct, at, numbers
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,13 +12,14 @@ import numpy as np
 
 from quatprop.conditioning.static_detection import AT_REST
 from quatprop.containers.base import is_table
-from quatprop.errors import LogError, UsageError, quoted
+from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.messages.rates import rate_field_at
 from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
 from quatprop.signals.lookup import attitude_at, first_orientation
 from quatprop.tables.matching.rate_dialects import column
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -22,7 +22,6 @@ from quatprop.errors import (
     NoSuchTopicError,
     UndeclaredError,
     UsageError,
-    plain,
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
@@ -31,6 +30,7 @@ from quatprop.signals.attitudes import AttitudeSelection, attitude_candidates
 from quatprop.signals.channel_values import channels_of
 from quatprop.signals.rates import sources
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.text import plain
 from quatprop.timeline import OBSERVE, Timeline
 from quatprop.timeline.counts import remarks
 
@@ -142,7 +142,7 @@ def _undeclared(
             continue
         for source in found:
             facts = _measured(source, path)
-            yield {**facts, **dict.fromkeys(unknown), "missing": error.reason, "remarks": []}
+            yield {**facts, **dict.fromkeys(unknown), "missing": str(error.reason), "remarks": []}
         return
     yield _unread(error)
 
@@ -150,7 +150,7 @@ def _undeclared(
 def _unread(error: LogError, name: str | None = None, type_name: str = "") -> Facts:
     """Return what is said of a source that cannot even be counted."""
     facts = dict.fromkeys((*_OF_RATES, *_OF_TIME, "rate", "clock", "samples", "nonfinite"))
-    return {**facts, "source": name, "type": type_name, "missing": error.reason, "remarks": []}
+    return {**facts, "source": name, "type": type_name, "missing": str(error.reason), "remarks": []}
 
 
 def _measured(source: Source, path: str) -> Facts:
@@ -207,7 +207,7 @@ def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
         # One topic that needs more than there is here does not hide the others.
         topics = dict.fromkeys(one.topic for one in cast("MessageLog", log).channels())
         if is_table(log) or selection.topic is not None or len(topics) == 1:
-            yield _unread_attitude("", selection.topic or "", error.reason)
+            yield _unread_attitude("", selection.topic or "", str(error.reason))
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic))
@@ -220,7 +220,7 @@ def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
             continue
         except LogError as error:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
-            yield _unread_attitude(candidate.field, name, error.reason)
+            yield _unread_attitude(candidate.field, name, str(error.reason))
         except UsageError as error:
             reason = str(error).removeprefix(f"{plain(log.path)}: ")
             yield _unread_attitude(candidate.field, candidate.topic, reason)
@@ -240,7 +240,7 @@ def _declared(
         samples = replace(wanted.samples, time_unit="ns")
         try:
             (again,) = attitude_candidates(log, replace(wanted, samples=samples))
-            return again.source(), _OF_TIME, error.reason
+            return again.source(), _OF_TIME, str(error.reason)
         except (UndeclaredError, UsageError):
             raise error from None
 

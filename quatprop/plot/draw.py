@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import UsageError, plain
+from quatprop.errors import UsageError
 from quatprop.plot.axes import draw_row
 from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from quatprop.comparison.statistics import FIGURES
-from quatprop.errors import plain
 from quatprop.plot.accumulators import ERROR, Sketch
 from quatprop.plot.names import lost_text, names_of
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
 from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.text import plain
 from quatprop.timeline import GAP_FACTOR
 from quatprop.times import duration_text
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.errors import plain
 from quatprop.plot.picture import instant_text
+from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

@@ -18,7 +18,6 @@ from quatprop.errors import (
     NoSuchTopicError,
     UndeclaredError,
     UsageError,
-    plain,
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
@@ -30,6 +29,7 @@ from quatprop.selection import Selection
 from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rates import UNITS, choose
+from quatprop.text import Setting, plain
 from quatprop.timeline import OBSERVE, Timeline
 
 if TYPE_CHECKING:
@@ -168,13 +168,22 @@ def _chosen(log: MessageLog | TableLog, view: View) -> Source | tuple[AttitudeSo
             raise _neither(log, error, other) from error
 
 
+_NEITHER = "neither body rates nor attitudes"
+
+_COUNTERPARTS = {"rate_field": "quat_field", "rate_cols": "quat_cols"}
+"""Settings about rates -> those about attitudes."""
+
+
 def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -> LogError:
     """Return the error that says most of a file with neither rates nor attitudes."""
     if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
-        held = rates.reason.removeprefix("no body rates found; ")
-        for option, other in (("--rate-field", "--quat-field"), ("--rate-cols", "--quat-cols")):
-            held = held.replace(f" {option}", f" {option} or {other}")
-        return LogError(log.path, f"neither body rates nor attitudes found; {held}")
+        held, *way_out = rates.reason.parts
+        parts: list[str | Setting] = [str(held).replace("no body rates", _NEITHER, 1)]
+        for part in way_out:
+            parts.append(part)
+            if isinstance(part, Setting) and part.name in _COUNTERPARTS:
+                parts += [" or ", Setting(_COUNTERPARTS[part.name])]
+        return LogError(log.path, *parts)
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import plain
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

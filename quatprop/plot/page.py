@@ -7,9 +7,9 @@ from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.errors import plain
 from quatprop.plot.draw import inline_svg
 from quatprop.plot.palette import BLACK, DARK
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from quatprop.plot.picture import Picture

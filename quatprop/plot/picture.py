@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quatprop.errors import UsageError, plain
+from quatprop.errors import UsageError
 from quatprop.plot.lines import folded, gaps_in, line
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,14 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
-from quatprop.errors import (
-    NoAttitudesError,
-    NoSuchTopicError,
-    UndeclaredError,
-    UsageError,
-    plain,
-    quoted,
-)
+from quatprop.errors import NoAttitudesError, NoSuchTopicError, UndeclaredError, UsageError
 from quatprop.messages.orientations import orientation_field_at, orientation_fields
 from quatprop.messages.stamps import Stamp
 from quatprop.messages.transforms import TRANSFORM_LISTS
@@ -32,6 +25,7 @@ from quatprop.signals.channel_values import (
     timed_values,
 )
 from quatprop.signals.transforms import TransformReading, chosen_frames
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

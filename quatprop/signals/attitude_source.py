@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import Meaning
 from quatprop.conventions.layout import LAYOUTS, layout_named
-from quatprop.errors import UsageError, plain
+from quatprop.errors import UsageError
 from quatprop.selection import Selection
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS
-from quatprop.errors import NoAttitudesError, UsageError, plain, quoted
+from quatprop.errors import NoAttitudesError, UsageError
 from quatprop.signals.attitude_source import BY_NAME, AttitudeSource, meaning_of, recorded_in
 from quatprop.signals.channel_values import ABSENT
 from quatprop.tables.matching.attitude_columns import choose_quaternion
 from quatprop.tables.matching.rotation_columns import OPTION, choose_rotation
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.containers.base import TableLog, TimedColumns

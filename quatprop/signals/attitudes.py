@@ -11,10 +11,11 @@ from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from quatprop.containers.base import is_table
-from quatprop.errors import AmbiguousTopicError, UsageError, listed, plain, quoted
+from quatprop.errors import AmbiguousTopicError, UsageError
 from quatprop.signals.attitude_messages import Candidate, of_messages
 from quatprop.signals.attitude_source import AttitudeSelection, AttitudeSource
 from quatprop.signals.attitude_tables import of_table
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,9 +16,10 @@ import numpy as np
 from quatprop.containers.base import Loss
 from quatprop.containers.coalesce import joined
 from quatprop.containers.merge import Columns, merge_by_time
-from quatprop.errors import MessageError, UndeclaredError, UsageError, quoted
+from quatprop.errors import MessageError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.rates import time_field_at
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -266,7 +267,7 @@ def _kept(log: MessageLog, channel: Channel, reading: Reading, block: MessageBlo
     except MessageError as error:
         if not error.positions:
             raise
-        log.losses.append(Loss(f"topic {channel.topic}", error.reason, len(error.positions)))
+        log.losses.append(Loss(f"topic {channel.topic}", str(error.reason), len(error.positions)))
         return _kept(log, channel, reading, _without(block, error.positions))
 
 

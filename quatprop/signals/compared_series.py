@@ -15,8 +15,6 @@ from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from quatprop.containers.base import Loss
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rotation_check import RowCounts
@@ -38,9 +36,8 @@ class Reading:
         Scale rows of any length but zero to unit length.
     drop
         Leave out rows that are no rotation, instead of refusing the series.
-    options
-        How options that settle what is unclear are called on this side of a comparison, for
-        errors: ``"--topic"`` -> ``"--topic-a"``.
+    side
+        Which side of a comparison it is, ``"a"`` or ``"b"``, for errors.
     """
 
     path: str
@@ -48,7 +45,7 @@ class Reading:
     selection: AttitudeSelection = field(default_factory=AttitudeSelection)
     normalize: bool = False
     drop: bool = False
-    options: Mapping[str, str] = field(default_factory=dict)
+    side: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +114,7 @@ def read_operand(reading: Reading) -> Operand:
     try:
         return _read(reading)
     except QuatpropError as error:
-        error.call_options(reading.options)
+        error.side = reading.side
         raise
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.merge import Columns
-from quatprop.errors import MessageError, quoted
+from quatprop.errors import MessageError
 from quatprop.signals.channel_values import FieldReading, Groups, rows
+from quatprop.text import quoted
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:

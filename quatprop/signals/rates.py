@@ -20,14 +20,12 @@ from quatprop.errors import (
     NoSuchTopicError,
     UndeclaredError,
     UsageError,
-    listed,
-    plain,
-    quoted,
 )
 from quatprop.messages.rates import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.signals.channel_values import channels_of, clock_of, stamps_logged, timed_values
 from quatprop.signals.rate_readings import rate_reading
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

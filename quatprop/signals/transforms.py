@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.coalesce import joined
 from quatprop.containers.merge import Columns
-from quatprop.errors import MessageError, NoSamplesError, UsageError, listed, plain, quoted
+from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.transforms import TransformDecoder
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog

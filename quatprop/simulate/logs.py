@@ -13,7 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError, UsageError, listed, quoted
+from quatprop.errors import OutputError, UsageError
+from quatprop.text import listed, quoted
 from quatprop.writers.base import Uncommitted
 
 if TYPE_CHECKING:

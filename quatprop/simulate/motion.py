@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from quatprop.errors import UsageError, listed, quoted
+from quatprop.errors import UsageError
 from quatprop.simulate import phase
 from quatprop.simulate.product import hamilton, running_product, step
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, plain
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import provenance_in
 from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, Leaf, Part, TypedTable
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from quatprop.containers.base import Loss
-from quatprop.errors import UnreadableLogError, UnsupportedLogError, quoted
+from quatprop.errors import UnreadableLogError, UnsupportedLogError
 from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks
 from quatprop.tables.jsonl_rows import LineParser
 from quatprop.tables.typed_table import Leaf, Part, TypedTable
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

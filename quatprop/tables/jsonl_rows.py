@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 from pyarrow import json as arrow_json
 
-from quatprop.errors import UnsupportedLogError, plain
+from quatprop.errors import UnsupportedLogError
 from quatprop.tables.csv import decimal_time
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

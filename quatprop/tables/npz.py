@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
 
-from quatprop.errors import DamagedLogError, UnsupportedLogError, plain, quoted
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, provenance_in
 from quatprop.tables.npy_arrays import Column, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
 from quatprop.tables.typed_table import DamageError
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from pathlib import Path

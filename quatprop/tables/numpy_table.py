@@ -13,9 +13,10 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.arrow_arrays import to_arrow
-from quatprop.errors import UnsupportedLogError, listed, plain
+from quatprop.errors import UnsupportedLogError
 from quatprop.tables.npy_arrays import Column, read_header
 from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, Part, TypedTable
+from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

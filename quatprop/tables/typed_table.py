@@ -14,11 +14,12 @@ import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.containers.base import Closing, Loss
-from quatprop.errors import UnsupportedLogError, listed, plain, quoted
+from quatprop.errors import UnsupportedLogError
 from quatprop.series import GyroSeries
 from quatprop.tables.csv import decimal_time
 from quatprop.tables.matching import rate_columns as choosing
 from quatprop.tables.matching.column_matcher import Notes
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quatprop.errors import plain
+from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

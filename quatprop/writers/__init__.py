@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import layout_named
-from quatprop.errors import OutputError, UsageError, listed, quoted
+from quatprop.errors import OutputError, UsageError
+from quatprop.text import listed, quoted
 from quatprop.writers.atomic import is_stdout, is_stream
 from quatprop.writers.base import AttitudeTable
 from quatprop.writers.messages.kinds import Message

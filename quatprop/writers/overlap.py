@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError, plain
+from quatprop.errors import OutputError
+from quatprop.text import plain
 from quatprop.writers.atomic import is_stdout, is_stream
 
 if TYPE_CHECKING:

@@ -25,8 +25,9 @@ from quatprop.containers.rosbag1.records import (
     RecordFile,
     surviving_records,
 )
-from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, provenance_of
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

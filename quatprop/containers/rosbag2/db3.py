@@ -13,8 +13,9 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.containers.base import Channel, Closing, Loss, MessageBlock
 from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import custom_data
-from quatprop.errors import DamagedLogError, UnsupportedLogError, quoted
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics, provenance_of
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

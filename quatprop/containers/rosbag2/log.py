@@ -14,15 +14,9 @@ from quatprop.containers.compression import CompressionError
 from quatprop.containers.packed_files import UnpackedCopy, file_compression, unpacked_copy
 from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import folder
-from quatprop.errors import (
-    DamagedLogError,
-    LogError,
-    UnreadableLogError,
-    UnsupportedLogError,
-    plain,
-    quoted,
-)
+from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics, provenance_of
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -140,8 +134,8 @@ class Rosbag2Log(Closing):
         self._lost.note(replace(loss, place=f"{plain(part.path.name)}: {loss.place}"))
 
     def _give_up(self, part: _Part, error: Exception) -> None:
-        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
-        self._lose(part, Loss("the whole part", reason))
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+        self._lose(part, Loss("the whole part", str(reason)))
 
     def _united(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
         """Group the channels of the parts, and count their messages.

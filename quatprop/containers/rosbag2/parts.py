@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Loss
-from quatprop.errors import UnsupportedLogError, listed, quoted
+from quatprop.errors import UnsupportedLogError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

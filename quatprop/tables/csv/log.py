@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from quatprop.containers.base import Closing, Loss
-from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError, quoted
+from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
 from quatprop.series import GyroSeries
 from quatprop.tables.csv.decimal_time import counted
@@ -17,6 +17,7 @@ from quatprop.tables.csv.last_line import TAIL_BYTES, is_cut
 from quatprop.tables.csv.rows import MISFITS, BlockParser, RowParser, Rows
 from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks, pieces, record_end
 from quatprop.tables.matching import rate_columns as choosing
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,9 +11,9 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from quatprop.arrow_arrays import to_numpy
-from quatprop.errors import plain, quoted
 from quatprop.tables.csv import decimal_time
 from quatprop.tables.csv.headers import COMMENTS
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

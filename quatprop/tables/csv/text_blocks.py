@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 import pyarrow as pa
 
 from quatprop.containers.packed_files import file_compression
-from quatprop.errors import plain
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.base import TimedColumns
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
-from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError, listed, plain
+from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError
 from quatprop.tables.matching.attitude_dialects import (
     ABSENT,
     ATTITUDE_DIALECTS,
@@ -22,6 +22,7 @@ from quatprop.tables.matching.attitude_dialects import (
 )
 from quatprop.tables.matching.column_matcher import Chooser
 from quatprop.tables.matching.rate_dialects import TIME_UNITS, column
+from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from quatprop.containers.base import TableLog

@@ -11,8 +11,9 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError, listed, plain, quoted
+from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.tables.matching.rate_dialects import TIME_NAMES, TIME_UNITS, Column, column
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import TableColumns
-from quatprop.errors import NoRatesError, UndeclaredError, listed
+from quatprop.errors import NoRatesError, UndeclaredError
 from quatprop.tables.matching.column_matcher import Chooser, Notes
 from quatprop.tables.matching.rate_dialects import (
     AXES,
@@ -24,6 +24,7 @@ from quatprop.tables.matching.rate_dialects import (
     Dialect,
     column,
 )
+from quatprop.text import listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.base import TimedColumns
-from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError, listed, plain
+from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.tables.matching.column_matcher import Chooser
 from quatprop.tables.matching.rate_dialects import TIME_NAMES, TIME_UNITS, column
+from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from quatprop.containers.base import TableLog

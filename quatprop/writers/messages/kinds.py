@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError, listed, quoted
+from quatprop.errors import UsageError
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import OutputError, UsageError, listed, quoted
+from quatprop.errors import OutputError, UsageError
+from quatprop.text import listed, quoted
 from quatprop.writers.messages.kinds import MESSAGES
 
 if TYPE_CHECKING:

@@ -1,0 +1,28 @@
+"""How a suite spells the settings that sentences mention: ``clock = "log"``."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from quatprop.errors import QuatpropError
+    from quatprop.text import Setting
+
+KEY_NAMES = {"kind": "from"}
+"""Settings whose key has another name."""
+
+
+def key(setting: Setting, side: str = "") -> str:
+    """Return a setting as a key of a case, such as ``clock = "log"``; B is the reference."""
+    name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
+    if side == "b":
+        name = f"reference-{name}"
+    if not setting.value:
+        return name
+    return f"{name} = " + " or ".join(f'"{value}"' for value in setting.value.split("|"))
+
+
+def sentence(error: QuatpropError) -> str:
+    """Return what an error says, with keys in place of the settings it mentions."""
+    return error.text.spelled(partial(key, side=error.side))

@@ -1,0 +1,37 @@
+"""How the command line spells the settings that sentences mention: ``--clock log``."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from quatprop.text import Text, plain
+
+if TYPE_CHECKING:
+    from quatprop.errors import QuatpropError
+    from quatprop.text import Setting
+
+OPTION_NAMES = {"kind": "from", "representation": "as"}
+"""Settings whose option has another name."""
+
+ONCE = {"align", "match", "max_dt", "min_matched", "time_offset", "tol", "window", "normalize",
+        "on_invalid"}  # fmt: skip
+"""Settings that a command with two inputs has once, not once for each."""
+
+
+def option(setting: Setting, side: str = "") -> str:
+    """Return a setting as an option, such as ``--clock log``, or ``--clock-b log`` for side b."""
+    name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
+    if side and setting.name not in ONCE:
+        name += f"-{side}"
+    return f"--{name} {setting.value}" if setting.value else f"--{name}"
+
+
+def sentence(error: QuatpropError) -> str:
+    """Return what an error says, with options in place of the settings it mentions."""
+    return error.text.spelled(partial(option, side=error.side))
+
+
+def spelled(text: str | Text) -> str:
+    """Return a remark on one line, with options in place of the settings it mentions."""
+    return plain(text.spelled(option) if isinstance(text, Text) else text)

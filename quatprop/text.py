@@ -1,0 +1,124 @@
+"""Sentences for users: settings that each interface spells in its own way, and safe quoting.
+
+A choice of the user's is a :class:`Setting` in a :class:`Text`: ``clock='log'`` in Python,
+``--clock log`` on the command line, ``clock = "log"`` in a suite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+MAX_LISTED = 12
+"""Names listed one by one before "and N more"."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A choice of the user's, to be mentioned in a sentence.
+
+    Parameters
+    ----------
+    name
+        The parameter of the library, such as ``"on_backwards"``.
+    value
+        What it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
+        where only the choice is mentioned.
+
+    Examples
+    --------
+    >>> str(Setting("on_backwards", "drop|sort"))
+    "on_backwards='drop' or 'sort'"
+    """
+
+    name: str
+    value: str = ""
+
+    def __str__(self) -> str:
+        if not self.value:
+            return self.name
+        return f"{self.name}=" + " or ".join(repr(value) for value in self.value.split("|"))
+
+
+class Text:
+    """A sentence that may mention settings.
+
+    Parameters
+    ----------
+    *parts
+        Text, settings, and sentences to be joined as they are.
+
+    Examples
+    --------
+    >>> text = Text("several topics carry body rates; choose one with ", Setting("topic"))
+    >>> str(text)
+    'several topics carry body rates; choose one with topic'
+    >>> text.spelled(lambda setting: f"--{setting.name}")
+    'several topics carry body rates; choose one with --topic'
+    """
+
+    __slots__ = ("parts",)
+
+    parts: tuple[str | Setting, ...]
+
+    def __init__(self, *parts: str | Setting | Text) -> None:
+        flat: list[str | Setting] = []
+        for part in parts:
+            flat += part.parts if isinstance(part, Text) else (part,)
+        self.parts = tuple(flat)
+
+    def spelled(self, spell: Callable[[Setting], str]) -> str:
+        """Return the sentence, its settings spelled by a function."""
+        return "".join(part if isinstance(part, str) else spell(part) for part in self.parts)
+
+    def __str__(self) -> str:
+        return self.spelled(str)
+
+    def __repr__(self) -> str:
+        return f"Text({', '.join(map(repr, self.parts))})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Text) and self.parts == other.parts
+
+    def __hash__(self) -> int:
+        return hash(self.parts)
+
+
+def quoted(text: object) -> str:
+    """Return `text` in quotes, with everything unprintable escaped.
+
+    Parameters
+    ----------
+    text
+        A name that comes from a file or a user; topic names may hold terminal escapes.
+
+    Returns
+    -------
+    str
+        The text between single quotes, on one line.
+
+    Examples
+    --------
+    >>> quoted("/imu")
+    "'/imu'"
+    """
+    return "'" + plain(text) + "'"
+
+
+def plain(text: object) -> str:
+    """Return `text` on one line with everything unprintable escaped, without quotes."""
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode()
+        for character in str(text)
+    )
+
+
+def listed(names: Iterable[object]) -> str:
+    """Return names quoted and separated by commas, cut after :data:`MAX_LISTED`."""
+    every = [quoted(name) for name in names]
+    if len(every) <= MAX_LISTED:
+        return ", ".join(every)
+    return ", ".join(every[:MAX_LISTED]) + f" and {len(every) - MAX_LISTED} more"
