@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from typing import Self
 
 _BLOCK_BYTES = 1 << 20
@@ -26,6 +27,31 @@ METADATA_KEY = b"quatprop"
 
 COMMENT = b"# quatprop "
 """How the first line of a text begins that holds the provenance."""
+
+
+def as_json(value: object) -> Any:
+    """Return a value as JSON has it: the one place where reports and results become JSON.
+
+    Dataclasses become objects with their fields as keys, arrays and other sequences become lists,
+    paths and sentences become strings; sentences with settings as the library spells them.
+
+    Examples
+    --------
+    >>> from quatprop.text import Setting, Text
+    >>> as_json({"path": Path("a.bag"), "remarks": (Text("see ", Setting("clock", "log")),)})
+    {'path': 'a.bag', 'remarks': ["see clock='log'"]}
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if is_dataclass(value):
+        return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [as_json(item) for item in value]
+    # NumPy's arrays and scalars, without importing NumPy.
+    convert = getattr(value, "tolist", None)
+    return str(value) if convert is None else convert()
 
 
 def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import threading
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -14,9 +15,11 @@ from mcap.writer import Writer as McapWriter
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
-from quatprop.provenance import Fingerprint, fingerprint
+from quatprop.provenance import Fingerprint, as_json, fingerprint
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.text import Setting, Text
+from quatprop.times import Instant
 from quatprop.writers import WRITERS, has_room, open_writer
 
 COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
@@ -256,3 +259,18 @@ def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):
     (tmp_path / "bad.csv").write_text("t_ns,wx,wy,wz\n5,0,0,1\n1,0,0,1\n")
     run("propagate", tmp_path / "bad.csv", "-o", tmp_path / "out.parquet", code=2)
     assert threading.active_count() == threads
+
+
+def test_results_become_json_in_one_place():
+    """Dataclasses, arrays, paths and sentences are JSON-ready, however they are nested."""
+    place = Instant(5, "first")
+    value = {"at": place, "q": np.array([1.0, 0.0]), "n": np.int64(3), "p": Path("a"), "x": (None,)}
+    value["why"] = [Text("use ", Setting("clock", "header|log"))]
+    assert json.loads(json.dumps(as_json(value))) == {
+        "at": {"ns": 5, "origin": "first"},
+        "q": [1.0, 0.0],
+        "n": 3,
+        "p": "a",
+        "x": [None],
+        "why": ["use clock='header' or 'log'"],
+    }
