@@ -30,8 +30,9 @@ from quatprop.third_party_errors import as_errors_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.containers.packed_files import UnpackedCopy
+    from quatprop.tables.base import TableLog
 
 HEAD_BYTES = 4096
 """How much of a file is looked at to tell its kind."""

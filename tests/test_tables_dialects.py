@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from quatprop.containers.base import TableColumns
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.selection import Selection
+from quatprop.tables.base import TableColumns
 from quatprop.tables.matching.column_matcher import Notes
 from quatprop.tables.matching.rate_columns import choose
 from quatprop.tables.matching.rate_dialects import DIALECTS, column

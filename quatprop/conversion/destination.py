@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.conventions.representations import Representation
     from quatprop.conversion import Conversion
+    from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter, Table, Uncommitted
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], int]

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Log, MessageLog, TableLog
+    from quatprop.containers.base import Log, MessageLog
+    from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter
 
     Int64 = NDArray[np.int64]

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from quatprop.conditioning.static_detection import AT_REST
-from quatprop.containers.base import is_table
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.messages.rates import rate_field_at
 from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
 from quatprop.signals.lookup import attitude_at, first_orientation
+from quatprop.tables.base import is_table
 from quatprop.tables.matching.rate_dialects import column
 from quatprop.text import quoted
 
@@ -26,10 +26,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.selection import Selection
     from quatprop.series import GyroSeries
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
     Rows = Iterator[tuple[NDArray[Any], ...]]

@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from fractions import Fraction
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.kinematics.resample import Times
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter
     from quatprop.writers.messages.kinds import Message
 

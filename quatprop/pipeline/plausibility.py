@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import is_table
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.tables.base import is_table
 from quatprop.times import utc_text
 
 if TYPE_CHECKING:
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from quatprop.containers.base import is_table
 from quatprop.containers.remote import without_secret
 from quatprop.errors import (
     LogError,
@@ -30,6 +29,7 @@ from quatprop.signals.attitudes import AttitudeSelection, attitude_candidates
 from quatprop.signals.channel_values import channels_of
 from quatprop.signals.rates import sources
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.tables.base import is_table
 from quatprop.text import plain
 from quatprop.timeline import OBSERVE, Timeline
 from quatprop.timeline.counts import remarks
@@ -37,11 +37,12 @@ from quatprop.timeline.counts import remarks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.selection import Selection
     from quatprop.signals.attitude_messages import Candidate
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import Counts
 
     Log = MessageLog | TableLog

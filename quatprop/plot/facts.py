@@ -11,9 +11,10 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import Counts
 
 

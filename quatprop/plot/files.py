@@ -37,9 +37,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Loss, MessageLog, TableLog
+    from quatprop.containers.base import Loss, MessageLog
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import Counts
     from quatprop.times import Instant
 

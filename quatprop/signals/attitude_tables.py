@@ -16,9 +16,9 @@ from quatprop.tables.matching.rotation_columns import OPTION, choose_rotation
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import TableLog, TimedColumns
     from quatprop.conventions import Meaning
     from quatprop.signals.attitude_source import AttitudeSelection, Rows
+    from quatprop.tables.base import TableLog, TimedColumns
     from quatprop.tables.matching.attitude_columns import QuaternionColumns
     from quatprop.tables.matching.rotation_columns import RotationColumns
 

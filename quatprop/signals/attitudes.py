@@ -10,11 +10,11 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
-from quatprop.containers.base import is_table
 from quatprop.errors import AmbiguousTopicError, UsageError
 from quatprop.signals.attitude_messages import Candidate, of_messages
 from quatprop.signals.attitude_source import AttitudeSelection, AttitudeSource
 from quatprop.signals.attitude_tables import of_table
+from quatprop.tables.base import is_table
 from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
+    from quatprop.tables.base import TableLog
 
 __all__ = [
     "AttitudeSelection",

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.containers.base import is_table
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
@@ -15,6 +14,7 @@ from quatprop.selection import Selection
 from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
 from quatprop.signals.rates import choose
 from quatprop.signals.rotation_check import RotationCheck
+from quatprop.tables.base import is_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog, TableLog
+    from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries
     from quatprop.signals.rates import Source
+    from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
     Row = tuple[int, Float64]

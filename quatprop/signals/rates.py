@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.containers.base import is_table
 from quatprop.errors import (
     AmbiguousTopicError,
     NoRatesError,
@@ -25,6 +24,7 @@ from quatprop.messages.rates import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.signals.channel_values import channels_of, clock_of, stamps_logged, timed_values
 from quatprop.signals.rate_readings import rate_reading
+from quatprop.tables.base import is_table
 from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Channel, MessageLog, TableLog
+    from quatprop.containers.base import Channel, MessageLog
     from quatprop.messages.rate_types import RateField
     from quatprop.selection import Selection
     from quatprop.signals.channel_values import Clock
+    from quatprop.tables.base import TableLog
 
     Int64 = NDArray[np.int64]
 

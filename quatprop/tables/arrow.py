@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from quatprop.containers.base import TimedColumns
+    from quatprop.tables.base import TimedColumns
 
 
 class _ArrowLog(TypedTable):

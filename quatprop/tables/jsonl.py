@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.containers.base import TimedColumns
+    from quatprop.tables.base import TimedColumns
 
 HEAD_BYTES = 1 << 16
 """How much of the file is looked at for the names of its columns."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.containers.base import TimedColumns
+    from quatprop.tables.base import TimedColumns
 
 _PIECE_BYTES = 1 << 18
 _BLOCK_BYTES = 1 << 24

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import TableColumns, TimedColumns
     from quatprop.selection import Selection
+    from quatprop.tables.base import TableColumns, TimedColumns
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -84,7 +84,7 @@ class Part(NamedTuple):
 
 
 class TypedTable(Closing):
-    """Typed, named columns in parts; see :class:`quatprop.containers.base.TableLog`.
+    """Typed, named columns in parts; see :class:`quatprop.tables.base.TableLog`.
 
     Parameters
     ----------

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import TableColumns, TimedColumns
     from quatprop.selection import Selection
+    from quatprop.tables.base import TableColumns, TimedColumns
     from quatprop.tables.csv.headers import Layout
     from quatprop.tables.csv.text_blocks import Block
     from quatprop.tables.matching.column_matcher import Notes

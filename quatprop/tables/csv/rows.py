@@ -18,7 +18,7 @@ from quatprop.text import plain, quoted
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import TimedColumns
+    from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import Layout
 
 # It would take Ctrl-C to itself while it parses, to no use where blocks are small, and a process

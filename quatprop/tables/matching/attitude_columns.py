@@ -10,9 +10,9 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import TimedColumns
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError
+from quatprop.tables.base import TimedColumns
 from quatprop.tables.matching.attitude_dialects import (
     ABSENT,
     ATTITUDE_DIALECTS,
@@ -25,8 +25,8 @@ from quatprop.tables.matching.rate_dialects import TIME_UNITS, column
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import TableLog
     from quatprop.selection import Selection
+    from quatprop.tables.base import TableLog
 
 OPTION = "--quat-cols"
 

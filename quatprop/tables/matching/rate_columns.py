@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import TableColumns
 from quatprop.errors import NoRatesError, UndeclaredError
+from quatprop.tables.base import TableColumns
 from quatprop.tables.matching.column_matcher import Chooser, Notes
 from quatprop.tables.matching.rate_dialects import (
     AXES,

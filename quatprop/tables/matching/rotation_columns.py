@@ -10,15 +10,15 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.base import TimedColumns
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.tables.base import TimedColumns
 from quatprop.tables.matching.column_matcher import Chooser
 from quatprop.tables.matching.rate_dialects import TIME_NAMES, TIME_UNITS, column
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import TableLog
     from quatprop.selection import Selection
+    from quatprop.tables.base import TableLog
 
 ANGLE_UNITS = {
     "rad": ("rad", "rads", "radian", "radians"),
