@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from quatprop.formats import open_log
     from quatprop.kinematics.propagate import attitudes
     from quatprop.pipeline.job import Job, run
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Policy
 
@@ -72,7 +72,7 @@ __all__ = [
     "Job",
     "Policy",
     "QuatpropError",
-    "Selection",
+    "RateSelection",
     "attitudes",
     "open_log",
     "run",
@@ -86,7 +86,7 @@ _HOME = {
     "Job": "quatprop.pipeline.job",
     "Policy": "quatprop.timeline",
     "QuatpropError": "quatprop.errors",
-    "Selection": "quatprop.selection",
+    "RateSelection": "quatprop.selection",
     "attitudes": "quatprop.kinematics.propagate",
     "open_log": "quatprop.formats",
     "run": "quatprop.pipeline.job",

@@ -1,40 +1,93 @@
-"""What the user says about which samples of a log to use."""
+"""Which samples of a log to read."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Self
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """The options that choose samples; None means "not said".
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSelection:
+    """Which topic to read, and which time base; None means "not given".
 
     Parameters
     ----------
     topic
-        Which topic of a container.
-    rate_field, time_field
-        Dotted paths of message fields, such as ``"imu.angular_velocity"``.
-    rate_cols
-        The x, y and z rate columns of a table, by name or number from 0.
+        Topic of a log of messages.
+    clock
+        ``"header"``, ``"log"`` or ``"publish"``.
+    time_field
+        Dotted path of the message field that is the time.
     time_col
-        The time column of a table, by name or number from 0.
-    rate_unit
-        ``"rad/s"`` or ``"deg/s"``.
+        Time column of a table, by name or number from 0.
     time_unit
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     sample_rate
         Rows a second, Hz, of a table without a time column.
-    clock
-        ``"header"``, ``"log"`` or ``"publish"``.
     """
 
     topic: str | None = None
-    rate_field: str | None = None
+    clock: str | None = None
     time_field: str | None = None
-    rate_cols: tuple[str, str, str] | None = None
     time_col: str | None = None
-    rate_unit: str | None = None
     time_unit: str | None = None
     sample_rate: float | None = None
-    clock: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSelection(SignalSelection):
+    """Which body rates to read; None means "not given".
+
+    Takes the parameters of :class:`SignalSelection` too.
+
+    Parameters
+    ----------
+    rate_field
+        Dotted path of the message field, such as ``"imu.angular_velocity"``.
+    rate_cols
+        The x, y and z columns of a table, by name or number from 0.
+    rate_unit
+        ``"rad/s"`` or ``"deg/s"``.
+    """
+
+    rate_field: str | None = None
+    rate_cols: tuple[str, str, str] | None = None
+    rate_unit: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSelection(SignalSelection):
+    """Which attitudes to read and what their numbers mean; None means "not given".
+
+    Takes the parameters of :class:`SignalSelection` too.
+
+    Parameters
+    ----------
+    quat_field
+        Dotted path of the quaternion in a message.
+    quat_cols
+        The four columns of a table as stored, by name or number from 0.
+    frame
+        Of a list of transforms, ``"child"`` or ``"parent:child"``.
+    from_layout
+        ``"scalar-first"`` or ``"scalar-last"``, also ``"wxyz"`` or ``"xyzw"``.
+    from_convention
+        ``"hamilton"`` or ``"jpl"``.
+    from_direction
+        ``"body-to-ref"`` or ``"ref-to-body"``.
+    from_angle_unit
+        ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
+    """
+
+    quat_field: str | None = None
+    quat_cols: tuple[str, ...] | None = None
+    frame: str | None = None
+    from_layout: str | None = None
+    from_convention: str | None = None
+    from_direction: str | None = None
+    from_angle_unit: str | None = None
+
+    @classmethod
+    def like(cls, other: SignalSelection) -> Self:
+        """Return the attitudes with the topic and the time base of another selection."""
+        return cls(**{f.name: getattr(other, f.name) for f in fields(SignalSelection)})

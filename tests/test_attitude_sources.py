@@ -21,8 +21,8 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.selection import Selection
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.lookup import attitude_at, first_orientation
 from quatprop.signals.rates import choose
 from quatprop.signals.rotation_check import RotationCheck
@@ -33,10 +33,8 @@ HALF = 2.0**-0.5
 
 def read(path, topic=None, clock=None, *, drop=False, normalize=False, **options):
     """Return stamps and wxyz of the attitudes of a log, and the source."""
-    samples = Selection(topic=topic, clock=clock, time_col=options.pop("time_col", None),
-                        time_unit=options.pop("time_unit", None))  # fmt: skip
     with open_log(path) as log:
-        source = choose_attitudes(log, AttitudeSelection(samples, **options))
+        source = choose_attitudes(log, AttitudeSelection(topic=topic, clock=clock, **options))
         check = RotationCheck(path, drop=drop, normalize=normalize)
         batches = list(check.apply(source.rows()))
     t_ns = np.concatenate([np.empty(0, np.int64), *(batch.t_ns for batch in batches)])
@@ -269,10 +267,10 @@ def test_numbered_columns_need_columns_and_a_layout(tmp_path):
         r"with --from-layout scalar-first\|scalar-last",
     ):
         read(path, **named)
-    t_ns, wxyz, _, _ = read(path, **named, layout="scalar-last")
+    t_ns, wxyz, _, _ = read(path, **named, from_layout="scalar-last")
     assert t_ns.tolist() == [10_000, 20_000]
     assert wxyz[0].tolist() == [0.8, 0.6, 0, 0]
-    assert read(path, **named, layout="wxyz")[1][0].tolist() == [0.6, 0, 0, 0.8]
+    assert read(path, **named, from_layout="wxyz")[1][0].tolist() == [0.6, 0, 0, 0.8]
 
 
 def test_components_by_number_are_only_trusted_in_known_files(tmp_path):
@@ -291,9 +289,9 @@ def test_an_option_that_contradicts_the_names_is_refused(tmp_path):
         match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and --from-layout says "
         r"scalar-last; settle it by naming them as stored, with --quat-cols A,B,C,D",
     ):
-        read(path, layout="xyzw")
+        read(path, from_layout="xyzw")
     with pytest.raises(UsageError, match=r"by their names are scalar-first, but --from-layout say"):
-        read(path, quat_cols=("qw", "qx", "qy", "qz"), layout="xyzw")
+        read(path, quat_cols=("qw", "qx", "qy", "qz"), from_layout="xyzw")
 
 
 def test_several_quaternions_are_refused(tmp_path):
@@ -476,7 +474,7 @@ def test_px4_attitudes_are_scalar_first(tmp_path):
         match=r"--from-layout says scalar-last, but 'q' of 'px4_msgs/msg/VehicleAttitude' is "
         r"scalar-first by definition; leave it out",
     ):
-        read(log, layout="scalar-last")
+        read(log, from_layout="scalar-last")
 
 
 def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
@@ -499,7 +497,7 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
     assert read(log, quat_field="o")[1].tolist() == [[0.8, 0.6, 0, 0]]
     with pytest.raises(UndeclaredError, match=r"which of the four numbers in 'q' is the scalar"):
         read(log, quat_field="q")
-    assert read(log, quat_field="q", layout="scalar-last")[1].tolist() == [[0.8, 0, 0.6, 0]]
+    assert read(log, quat_field="q", from_layout="scalar-last")[1].tolist() == [[0.8, 0, 0.6, 0]]
 
 
 # One attitude, for the beginning of a propagation.
@@ -534,7 +532,7 @@ def test_a_series_without_rotations_has_no_attitude(tmp_path):
 def own_orientation(path, topic, t_ns=None):
     """Return the orientation beside the rates of a topic."""
     with open_log(path) as log:
-        return first_orientation(log, choose(log, Selection(topic=topic)), t_ns)
+        return first_orientation(log, choose(log, RateSelection(topic=topic)), t_ns)
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs):

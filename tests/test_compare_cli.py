@@ -291,19 +291,19 @@ def test_an_undeclared_layout_is_asked_for_by_the_name_of_its_side(files, tmp_pa
 
 OF_A_SIDE = {
     "--from": ("parquet", "kind", "parquet"),
-    "--topic": ("/t", "samples.topic", "/t"),
+    "--topic": ("/t", "topic", "/t"),
     "--quat-field": ("a.b", "quat_field", "a.b"),
     "--quat-cols": ("1,2,3,4", "quat_cols", ("1", "2", "3", "4")),
     "--frame": ("map:base", "frame", "map:base"),
-    "--from-layout": ("xyzw", "layout", "xyzw"),
-    "--from-convention": ("jpl", "convention", "jpl"),
-    "--from-direction": ("ref-to-body", "direction", "ref-to-body"),
-    "--from-angle-unit": ("deg", "angle_unit", "deg"),
-    "--clock": ("publish", "samples.clock", "publish"),
-    "--time-field": ("a.t", "samples.time_field", "a.t"),
-    "--time-col": ("3", "samples.time_col", "3"),
-    "--time-unit": ("us", "samples.time_unit", "us"),
-    "--sample-rate": ("12.5", "samples.sample_rate", 12.5),
+    "--from-layout": ("xyzw", "from_layout", "xyzw"),
+    "--from-convention": ("jpl", "from_convention", "jpl"),
+    "--from-direction": ("ref-to-body", "from_direction", "ref-to-body"),
+    "--from-angle-unit": ("deg", "from_angle_unit", "deg"),
+    "--clock": ("publish", "clock", "publish"),
+    "--time-field": ("a.t", "time_field", "a.t"),
+    "--time-col": ("3", "time_col", "3"),
+    "--time-unit": ("us", "time_unit", "us"),
+    "--sample-rate": ("12.5", "sample_rate", 12.5),
 }
 """Option of a side -> what is given, where it arrives in what is read, and as what."""
 
@@ -336,9 +336,7 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
 
     def value(reading):
         holder = reading if where == "kind" else reading.selection
-        for name in where.split("."):
-            holder = getattr(holder, name)
-        return holder
+        return getattr(holder, where)
 
     assert value(asked[place]) == expected
     assert value(asked[1 - place]) is None

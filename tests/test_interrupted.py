@@ -12,7 +12,7 @@ import pytest
 from fuzz_logs import write_logs
 
 from quatprop.formats import open_log
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
@@ -139,14 +139,14 @@ def rows_after(logs, tmp_path, name, change):
     log = tmp_path / name
     log.write_bytes((logs / name).read_bytes())
     with open_log(log) as opened:
-        whole = np.concatenate([one.rate for one in choose(opened, Selection()).batches()])
+        whole = np.concatenate([one.rate for one in choose(opened, RateSelection()).batches()])
     code = (
         "import sys; from quatprop.formats import open_log; from quatprop.errors import LogError\n"
-        "from quatprop.selection import Selection; from quatprop.signals.rates import choose\n"
+        "from quatprop.selection import RateSelection; from quatprop.signals.rates import choose\n"
         "import os\n"
         "try:\n"
         "    with open_log(sys.argv[1]) as log:\n"
-        "        batches = choose(log, Selection()).batches()\n"
+        "        batches = choose(log, RateSelection()).batches()\n"
         f"        {change}\n"
         "        count = sum(len(one) for one in batches)\n"
         "    print(count, bool(log.losses))\n"

@@ -11,7 +11,7 @@ from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.formats import open_log
 from quatprop.messages.rates import rate_fields
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose
 
@@ -104,7 +104,7 @@ def write(path, type_name, schema, messages):
 def read(path, **options):
     """Return the one source, its samples, and what was lost."""
     with open_log(path) as log:
-        source = choose(log, Selection(**options))
+        source = choose(log, RateSelection(**options))
         return source, GyroSeries.joined(list(source.batches())), log.losses
 
 
@@ -148,7 +148,7 @@ def test_any_field_can_be_named(tmp_path):
         assert series.t_ns.tolist() == [5000, 6000]
         assert series.rate.tolist() == [[5, 0.5, 0.25], [6, 0.5, 0.25]]
     with open_log(path) as log, pytest.raises(SchemaError, match=r"'many' of 'own\.Gyro' is not"):
-        choose(log, Selection(rate_field="many", **options))
+        choose(log, RateSelection(rate_field="many", **options))
 
 
 def test_descriptors_that_lack_an_import_are_refused():

@@ -9,7 +9,7 @@ from quatprop.formats import open_log
 from quatprop.kinematics.propagate import attitudes, propagate
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.pipeline.job import Job, run
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose
 
@@ -19,7 +19,7 @@ COUNT = 50
 def read(path, **options):
     """Return the one source of a log and its samples."""
     with open_log(path) as log:
-        source = choose(log, Selection(**options))
+        source = choose(log, RateSelection(**options))
         return source, GyroSeries.joined(list(source.batches()))
 
 
@@ -120,7 +120,7 @@ def test_a_burst_that_cannot_be_is_lost_and_told(tmp_path, damage):
     messages = [fifo(1000, 3), {**fifo(2000, 3), **damage}, fifo(3000, 2)]
     path = write_mcap(tmp_path / "log.mcap", "SensorGyroFifo", messages)
     with open_log(path) as log:
-        series = GyroSeries.joined(list(choose(log, Selection()).batches()))
+        series = GyroSeries.joined(list(choose(log, RateSelection()).batches()))
         (loss,) = log.losses
     assert len(series) == 5
     assert loss.messages == 1
@@ -162,7 +162,7 @@ def test_a_log_without_the_definition_is_refused(tmp_path):
             r"standard type; convert the log to MCAP where its definitions are installed$",
         ),
     ):
-        choose(log, Selection())
+        choose(log, RateSelection())
 
 
 def test_the_report_says_what_ruled_the_intervals(tmp_path):

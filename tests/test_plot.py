@@ -172,9 +172,9 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates):
 
 def see_selection():
     """Return what the columns of the rates here are."""
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
 
-    return Selection(rate_cols=("1", "2", "3"), time_col="0", time_unit="ns", rate_unit="rad/s")
+    return RateSelection(rate_cols=("1", "2", "3"), time_col="0", time_unit="ns", rate_unit="rad/s")
 
 
 def test_attitudes_are_angles_and_a_norm_error(turning):

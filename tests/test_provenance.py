@@ -16,8 +16,9 @@ from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
 from quatprop.provenance import Fingerprint, as_json, fingerprint
+from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text
 from quatprop.times import Instant
 from quatprop.writers import WRITERS, has_room, open_writer
@@ -123,7 +124,7 @@ def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
     with open_log(path) as log:
         with pytest.raises(UsageError, match=sentence):
             choose_attitudes(log, AttitudeSelection())
-        choose_attitudes(log, AttitudeSelection(layout="scalar-last"))
+        choose_attitudes(log, AttitudeSelection(from_layout="scalar-last"))
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
@@ -134,7 +135,7 @@ def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
         source = choose_attitudes(log, AttitudeSelection())
         ((_, wxyz),) = source.rows()
         with pytest.raises(UsageError, match="--from-convention says hamilton, but the metadata"):
-            choose_attitudes(log, AttitudeSelection(convention="hamilton"))
+            choose_attitudes(log, AttitudeSelection(from_convention="hamilton"))
     assert source.meaning.convention == "jpl"
     assert wxyz.tolist() == [[1, 0, 0, 0], [0.6, -0.8, 0, 0]]
 

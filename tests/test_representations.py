@@ -11,7 +11,8 @@ from quatprop.cli import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler_zyx, from_matrices
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.selection import AttitudeSelection
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.lookup import stamps_in
 from quatprop.writers import WRITERS, open_table
 
@@ -87,7 +88,7 @@ def test_angles_are_those_worked_out_by_hand(tmp_path, names, unit):
         (",".join(f"{name} [{unit}]" for name in names.split(",")), None),
         (",".join(f"imu.{name}" for name in names.split(",")), unit),
     ):
-        found = read(written(tmp_path, head, rows.tolist()), angle_unit=option)
+        found = read(written(tmp_path, head, rows.tolist()), from_angle_unit=option)
         np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
@@ -101,7 +102,7 @@ def test_matrices_are_those_worked_out_by_hand(tmp_path, names, first):
     np.testing.assert_allclose(read(path), expected, atol=1e-15)
     backwards = written(tmp_path, ",".join(head[::-1]), [row[::-1] for row in rows])
     np.testing.assert_allclose(read(backwards), expected, atol=1e-15)
-    other = read(path, direction="ref-to-body")
+    other = read(path, from_direction="ref-to-body")
     np.testing.assert_allclose(other * [1, -1, -1, -1], expected, atol=1e-15)
 
 

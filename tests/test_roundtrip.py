@@ -9,8 +9,9 @@ from quatprop.conventions.layout import LAYOUTS
 from quatprop.conversion import Conversion, convert
 from quatprop.errors import NotRotationsError
 from quatprop.formats import READERS, open_log
+from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.writers import WRITERS, open_writer
 
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}

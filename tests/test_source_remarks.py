@@ -9,7 +9,7 @@ from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.survey import survey
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
@@ -39,7 +39,7 @@ def bag(path, stamps):
 
 def remarks(path, tmp_path, **options):
     """Return the remarks of a propagation."""
-    job = Job(log=str(path), output=str(tmp_path / "out.csv"), selection=Selection(**options))
+    job = Job(log=str(path), output=str(tmp_path / "out.csv"), selection=RateSelection(**options))
     return run(job)["remarks"]
 
 
@@ -58,7 +58,7 @@ def test_stamps_since_start_up_are_remarked_on(tmp_path):
         "another clock; for the time of recording choose --clock log"
     )
     assert remarks(path, tmp_path, clock="log") == []
-    (source,) = survey(str(path), None, Selection())["sources"]
+    (source,) = survey(str(path), None, RateSelection())["sources"]
     assert source["remarks"] == [said]
 
 
@@ -86,7 +86,7 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
     """A slip of the pen in --rate-field is answered with the rates of the log."""
     path = bag(tmp_path / "log.bag", [T0])
     with open_log(str(path)) as log, pytest.raises(UsageError) as caught:
-        choose(log, Selection(topic=topic, rate_field="angular_velocty"))
+        choose(log, RateSelection(topic=topic, rate_field="angular_velocty"))
     assert str(caught.value) == (
         f"{path}: no message has a field 'angular_velocty'; the rates that are known are "
         "'angular_velocity (/imu)'"

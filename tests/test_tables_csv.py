@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.tables.csv import decimal_time, text_blocks
 from quatprop.tables.csv.log import CsvLog
 
@@ -32,7 +32,7 @@ def read(source, **options):
         source = source.encode()
     log = CsvLog(io.BytesIO(source) if isinstance(source, bytes) else source)
     with log:
-        batches = list(log.series(log.choose(Selection(**options))))
+        batches = list(log.series(log.choose(RateSelection(**options))))
     t_ns = np.concatenate([np.empty(0, np.int64), *(batch.t_ns for batch in batches)])
     rate = np.concatenate([np.empty((0, 3)), *(batch.rate for batch in batches)])
     return t_ns, rate, log.losses
@@ -359,7 +359,7 @@ def test_a_log_is_read_again_from_the_start(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,wx,wy,wz\n0,1,2,3\n1\n2,1,2,3\n")
     with CsvLog(path) as log:
-        columns = log.choose(Selection(**UNITS))
+        columns = log.choose(RateSelection(**UNITS))
         for _ in range(2):
             assert sum(map(len, log.series(columns))) == 2
         assert len(log.losses) == 1
@@ -368,7 +368,7 @@ def test_a_log_is_read_again_from_the_start(tmp_path):
 def test_stdin_is_read_once():
     """A stream cannot be started again, and that is said."""
     log = CsvLog(io.BytesIO(b"t_ns,wx,wy,wz\n0,1,2,3\n"))
-    columns = log.choose(Selection())
+    columns = log.choose(RateSelection())
     assert len(list(log.series(columns))) == 1
     with pytest.raises(UsageError, match="stdin can be read only once"):
         list(log.series(columns))

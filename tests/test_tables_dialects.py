@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.tables.base import TableColumns
 from quatprop.tables.matching.column_matcher import Notes
 from quatprop.tables.matching.rate_columns import choose
@@ -46,7 +46,7 @@ KNOWN = {
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
     names = header.split(";" if ";" in header else ",")
-    return choose(Path(name), names, Selection(**options), notes)
+    return choose(Path(name), names, RateSelection(**options), notes)
 
 
 @pytest.mark.parametrize("header", KNOWN)

@@ -11,7 +11,7 @@ from quatprop.cli.types import Names
 
 if TYPE_CHECKING:
     from quatprop.cli.options import Option
-    from quatprop.signals.attitudes import AttitudeSelection
+    from quatprop.selection import AttitudeSelection
 
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
@@ -164,12 +164,8 @@ def attitude_options(side: str, suffix: str = "") -> list[Option]:
 
 def attitude_selection(chosen: dict[str, Any], suffix: str = "") -> AttitudeSelection:
     """Take the keywords that choose attitudes, but the kind, out of a command's options."""
-    from quatprop.selection import Selection
-    from quatprop.signals.attitudes import AttitudeSelection
+    from quatprop.selection import AttitudeSelection
 
-    said = {key: chosen.pop(key + suffix) for key in ATTITUDE_OPTIONS if key != "kind"}
-    samples = ("topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
     return AttitudeSelection(
-        Selection(**{key: said.pop(key) for key in samples}),
-        **{key.removeprefix("from_"): value for key, value in said.items()},
+        **{key: chosen.pop(key + suffix) for key in ATTITUDE_OPTIONS if key != "kind"}
     )

@@ -13,7 +13,7 @@ Command = TypeVar("Command", bound="Callable[..., Any]")
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
 
     class Option(Protocol):
         """Gives a command an option."""
@@ -122,10 +122,10 @@ def refuse_stdin_twice(*paths: str | None) -> None:
         raise click.UsageError("stdin can be read only once; name files for the others")
 
 
-def selection(chosen: dict[str, Any]) -> Selection:
+def selection(chosen: dict[str, Any]) -> RateSelection:
     """Take the selection's keywords out of a command's options."""
     from dataclasses import fields
 
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
 
-    return Selection(**{field.name: chosen.pop(field.name) for field in fields(Selection)})
+    return RateSelection(**{field.name: chosen.pop(field.name) for field in fields(RateSelection)})

@@ -18,7 +18,8 @@ from quatprop.formats import open_log
 from quatprop.into import written_kind
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import Fingerprint
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.selection import AttitudeSelection
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 from quatprop.text import listed, quoted
 from quatprop.writers import has_room

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.signals.rates import Source
     from quatprop.tables.base import TableLog
@@ -86,7 +86,7 @@ class Recording(NamedTuple):
 
     log: MessageLog | TableLog
     source: Source
-    selection: Selection
+    selection: RateSelection
     mount: Float64 | None
 
 
@@ -176,7 +176,7 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
 
 
 def _force(
-    log: MessageLog | TableLog, source: Source, selection: Selection, first_ns: int
+    log: MessageLog | TableLog, source: Source, selection: RateSelection, first_ns: int
 ) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     if is_table(log):
@@ -199,7 +199,7 @@ def _force(
     return mean
 
 
-def _forces(log: MessageLog, source: Source, selection: Selection) -> Rows:
+def _forces(log: MessageLog, source: Source, selection: RateSelection) -> Rows:
     for channel in channels_of(log, source.name):
         if channel.type_name != source.type_name:
             continue
@@ -213,7 +213,7 @@ def _forces(log: MessageLog, source: Source, selection: Selection) -> Rows:
     raise _no_accelerations(log)
 
 
-def _table_forces(log: TableLog, selection: Selection) -> Rows:
+def _table_forces(log: TableLog, selection: RateSelection) -> Rows:
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):
         if match := _ACCELERATION.fullmatch(column(name).key):

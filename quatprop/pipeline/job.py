@@ -24,7 +24,7 @@ from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ReportFile, RunResult, report_on
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Fingerprint
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.signals.lookup import stamps_in
 from quatprop.signals.rates import UNITS, choose, stamps_of
 from quatprop.timeline import Policy, Timeline
@@ -91,7 +91,7 @@ class Job:
     into: bool = False
     kind: str | None = None
     to: str | None = None
-    selection: Selection = field(default_factory=Selection)
+    selection: RateSelection = field(default_factory=RateSelection)
     policy: Policy = field(default_factory=Policy)
     layout: str | None = None
     message: Message | None = None

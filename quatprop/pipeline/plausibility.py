@@ -15,8 +15,8 @@ import numpy as np
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.selection import Selection
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.selection import AttitudeSelection
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 from quatprop.tables.base import is_table
 from quatprop.times import utc_text
@@ -191,7 +191,7 @@ def orientation_remarks(log: MessageLog | TableLog, source: Source) -> list[str]
     """
     topic = None if is_table(log) else source.name
     try:
-        own = choose_attitudes(log, AttitudeSelection(samples=Selection(topic=topic)))
+        own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = RotationCheck(log.path, drop=True)
         remark = against_orientation(source.batches(), check.apply(own.rows()))
     except QuatpropError:

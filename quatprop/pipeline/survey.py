@@ -24,8 +24,9 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.selection import AttitudeSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.attitudes import AttitudeSelection, attitude_candidates
+from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.channel_values import channels_of
 from quatprop.signals.rates import sources
 from quatprop.signals.rotation_check import RotationCheck
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.containers.base import MessageLog
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.signals.attitude_messages import Candidate
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
@@ -60,7 +61,7 @@ _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
 """Units by which a table is read that says none, and the facts that are not known then."""
 
 
-def survey(path: str, kind: str | None, selection: Selection) -> Facts:
+def survey(path: str, kind: str | None, selection: RateSelection) -> Facts:
     """Read a log once per source and return what it holds.
 
     Parameters
@@ -109,7 +110,7 @@ def survey(path: str, kind: str | None, selection: Selection) -> Facts:
 # Rates.
 
 
-def _rates(log: Log, selection: Selection, path: str) -> Iterator[Facts]:
+def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[Facts]:
     try:
         found = sources(log, selection)
     except UndeclaredError as error:
@@ -124,7 +125,7 @@ def _rates(log: Log, selection: Selection, path: str) -> Iterator[Facts]:
 
 
 def _undeclared(
-    log: Log, selection: Selection, path: str, error: UndeclaredError
+    log: Log, selection: RateSelection, path: str, error: UndeclaredError
 ) -> Iterator[Facts]:
     """Yield what can be known of sources one of which is not told in full."""
     if not is_table(log):
@@ -198,8 +199,8 @@ def _timed(counts: Counts) -> Facts:
 # Attitudes.
 
 
-def _attitudes(log: Log, selection: Selection) -> Iterator[Facts]:
-    wanted = AttitudeSelection(selection)
+def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
+    wanted = AttitudeSelection.like(selection)
     try:
         found = attitude_candidates(log, wanted)
     except (NoAttitudesError, NoSuchTopicError):
@@ -236,11 +237,10 @@ def _declared(
     try:
         return candidate.source(), (), None
     except UndeclaredError as error:
-        if not is_table(log) or wanted.samples.time_unit is not None:
+        if not is_table(log) or wanted.time_unit is not None:
             raise
-        samples = replace(wanted.samples, time_unit="ns")
         try:
-            (again,) = attitude_candidates(log, replace(wanted, samples=samples))
+            (again,) = attitude_candidates(log, replace(wanted, time_unit="ns"))
             return again.source(), _OF_TIME, str(error.reason)
         except (UndeclaredError, UsageError):
             raise error from None

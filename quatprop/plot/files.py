@@ -25,9 +25,9 @@ from quatprop.plot.accumulators import AttitudeSketch, RateSketch, Sketch
 from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_from
 from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
-from quatprop.selection import Selection
+from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose
 from quatprop.text import Setting, plain
 from quatprop.timeline import OBSERVE, Timeline
@@ -78,7 +78,7 @@ class View:
 
     kind: str | None = None
     show: str | None = None
-    rates: Selection = field(default_factory=Selection)
+    rates: RateSelection = field(default_factory=RateSelection)
     attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
     components: bool = False
     start: Instant | None = None

@@ -10,13 +10,8 @@ from quatprop.errors import NoAttitudesError, NoSuchTopicError, UndeclaredError,
 from quatprop.messages.orientations import orientation_field_at, orientation_fields
 from quatprop.messages.stamps import Stamp
 from quatprop.messages.transforms import TRANSFORM_LISTS
-from quatprop.signals.attitude_source import (
-    BY_NAME,
-    AttitudeSelection,
-    AttitudeSource,
-    meaning_of,
-    recorded_in,
-)
+from quatprop.selection import AttitudeSelection
+from quatprop.signals.attitude_source import BY_NAME, AttitudeSource, meaning_of, recorded_in
 from quatprop.signals.channel_values import (
     FieldReading,
     channels_of,
@@ -55,19 +50,18 @@ class Candidate(NamedTuple):
 
 def of_messages(log: MessageLog, selection: AttitudeSelection) -> list[Candidate]:
     """Return every attitude that the options leave; at least one."""
-    samples = selection.samples
-    for option, value in (("--quat-cols", selection.quat_cols), ("--time-col", samples.time_col),
-                          ("--sample-rate", samples.sample_rate)):  # fmt: skip
+    for option, value in (("--quat-cols", selection.quat_cols), ("--time-col", selection.time_col),
+                          ("--sample-rate", selection.sample_rate)):  # fmt: skip
         if value is not None:
             raise UsageError(f"{option} is for tables, and {quoted(log.path)} holds messages")
-    wanted = channels_of(log, samples.topic)
+    wanted = channels_of(log, selection.topic)
     found = [one for channel in wanted for one in _candidates(log, channel, selection)]
     if found:
         return found
-    if samples.topic is None or (wanted and selection.quat_field is not None):
+    if selection.topic is None or (wanted and selection.quat_field is not None):
         raise NoAttitudesError(log.path, [f"{c.topic} ({c.type_name})" for c in wanted])
     named = [c.topic for c in channels_of(log) if _candidates(log, c, AttitudeSelection())]
-    raise NoSuchTopicError(log.path, samples.topic, named, "attitudes")
+    raise NoSuchTopicError(log.path, selection.topic, named, "attitudes")
 
 
 def _candidates(log: MessageLog, channel: Channel, selection: AttitudeSelection) -> list[Candidate]:
@@ -95,11 +89,11 @@ def _of_field(
         )
     provenance = log.provenance(channel.topic)
     recorded = recorded_in(provenance)
-    layout = _layout(log, channel, found, selection.layout, recorded.get("layout"))
+    layout = _layout(log, channel, found, selection.from_layout, recorded.get("layout"))
     # Fields that are named are fetched in the order w, x, y, z.
     order = layout_named(layout).order if len(found.fields) == 1 else SCALAR_FIRST.order
     meaning = meaning_of(log.path, selection, recorded)
-    clock = clock_of(log, channel, found.stamp, selection.samples)
+    clock = clock_of(log, channel, found.stamp, selection)
     reading = FieldReading(log, channel, found.fields, clock, found.absent)
     return AttitudeSource(
         name=channel.topic,
@@ -151,14 +145,14 @@ def _layout(
 def _of_transforms(
     log: MessageLog, channel: Channel, selection: AttitudeSelection
 ) -> AttitudeSource:
-    if selection.layout is not None and layout_named(selection.layout) is not SCALAR_LAST:
+    if selection.from_layout is not None and layout_named(selection.from_layout) is not SCALAR_LAST:
         raise UsageError(
-            f"{plain(log.path)}: --from-layout says {selection.layout}, but transforms are "
+            f"{plain(log.path)}: --from-layout says {selection.from_layout}, but transforms are "
             "scalar-last by definition; leave it out"
         )
     provenance = log.provenance(channel.topic)
     recorded = recorded_in(provenance)
-    clock = clock_of(log, channel, Stamp.of_time("header.stamp"), selection.samples)
+    clock = clock_of(log, channel, Stamp.of_time("header.stamp"), selection)
     frames = chosen_frames(log, channel, selection.frame)
     meaning = meaning_of(log.path, selection, recorded)
     reading = TransformReading(log, channel, frames, clock)

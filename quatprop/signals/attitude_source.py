@@ -6,13 +6,12 @@ mean; where two of them contradict each other, nothing is read.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import Meaning
 from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.errors import UsageError
-from quatprop.selection import Selection
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -22,40 +21,12 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.selection import AttitudeSelection
+
     Rows = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 
 BY_NAME = "by name"
 """The layout of components that stand in neither order, but have names."""
-
-
-@dataclass(frozen=True, slots=True)
-class AttitudeSelection:
-    """The options that choose attitudes; None means "not said".
-
-    Parameters
-    ----------
-    samples
-        Topic, time and clock; what it says about rates is not looked at.
-    quat_field
-        Dotted path of the quaternion in a message.
-    quat_cols
-        The four columns of a table as stored, by name or number from 0.
-    frame
-        Of a list of transforms, ``"child"`` or ``"parent:child"``.
-    layout, convention, direction
-        What the user says about the stored numbers.
-    angle_unit
-        What the user says about the unit of angles, ``"rad"`` or ``"deg"``.
-    """
-
-    samples: Selection = field(default_factory=Selection)
-    quat_field: str | None = None
-    quat_cols: tuple[str, ...] | None = None
-    frame: str | None = None
-    layout: str | None = None
-    convention: str | None = None
-    direction: str | None = None
-    angle_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +101,8 @@ def meaning_of(path: Path, selection: AttitudeSelection, recorded: dict[str, str
         The user contradicts the metadata.
     """
     return Meaning(
-        _agreed(path, "convention", selection.convention, recorded) or "hamilton",
-        _agreed(path, "direction", selection.direction, recorded) or "body-to-ref",
+        _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
+        _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",
     )
 
 

@@ -17,7 +17,8 @@ from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.conventions import Meaning
-    from quatprop.signals.attitude_source import AttitudeSelection, Rows
+    from quatprop.selection import AttitudeSelection
+    from quatprop.signals.attitude_source import Rows
     from quatprop.tables.base import TableLog, TimedColumns
     from quatprop.tables.matching.attitude_columns import QuaternionColumns
     from quatprop.tables.matching.rotation_columns import RotationColumns
@@ -43,13 +44,13 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSource:
     try:
         columns = choose_quaternion(
             log,
-            selection.samples,
+            selection,
             quat_cols=selection.quat_cols,
-            layout=selection.layout,
+            layout=selection.from_layout,
             recorded=recorded.get("layout"),
         )
     except NoAttitudesError:
-        rotation = choose_rotation(log, selection.samples, selection.angle_unit)
+        rotation = choose_rotation(log, selection, selection.from_angle_unit)
         if rotation is None:
             raise
         return _of_rotation(log, selection, rotation, provenance)
@@ -63,7 +64,7 @@ def _of_quaternion(
     provenance: dict[str, Any],
 ) -> AttitudeSource:
     recorded = recorded_in(provenance)
-    if selection.angle_unit is not None:
+    if selection.from_angle_unit is not None:
         raise UsageError(
             f"{plain(log.path)}: {OPTION} is about angles, and this table has a quaternion; "
             "leave it out"
@@ -88,8 +89,8 @@ def _of_rotation(
     provenance: dict[str, Any],
 ) -> AttitudeSource:
     recorded = recorded_in(provenance)
-    for option, value in (("--from-layout", selection.layout),
-                          ("--from-convention", selection.convention)):  # fmt: skip
+    for option, value in (("--from-layout", selection.from_layout),
+                          ("--from-convention", selection.from_convention)):  # fmt: skip
         if value is not None:
             raise UsageError(
                 f"{plain(log.path)}: {option} is about quaternions, and this table has "

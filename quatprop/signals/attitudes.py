@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import AmbiguousTopicError, UsageError
 from quatprop.signals.attitude_messages import Candidate, of_messages
-from quatprop.signals.attitude_source import AttitudeSelection, AttitudeSource
+from quatprop.signals.attitude_source import AttitudeSource
 from quatprop.signals.attitude_tables import of_table
 from quatprop.tables.base import is_table
 from quatprop.text import listed, plain, quoted
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
+    from quatprop.selection import AttitudeSelection
     from quatprop.tables.base import TableLog
 
 __all__ = [
-    "AttitudeSelection",
     "AttitudeSource",
     "attitude_candidates",
     "attitude_stamps",

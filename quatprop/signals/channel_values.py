@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.stamps import Stamp
-    from quatprop.selection import Selection
+    from quatprop.selection import SignalSelection
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -159,7 +159,9 @@ def _timed(log: MessageLog, channel: Channel, reading: Reading) -> Iterator[Colu
     return merge_by_time([batches])
 
 
-def clock_of(log: MessageLog, channel: Channel, stamp: Stamp | None, selection: Selection) -> Clock:
+def clock_of(
+    log: MessageLog, channel: Channel, stamp: Stamp | None, selection: SignalSelection
+) -> Clock:
     """Return whose time to read, from the options and what a message has.
 
     Parameters

@@ -10,8 +10,9 @@ import numpy as np
 from quatprop.containers.remote import without_secret
 from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.formats import open_log
+from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rotation_check import RotationCheck
 
 if TYPE_CHECKING:

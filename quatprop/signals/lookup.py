@@ -10,8 +10,8 @@ import numpy as np
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
-from quatprop.selection import Selection
-from quatprop.signals.attitudes import AttitudeSelection, choose_attitudes
+from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose
 from quatprop.signals.rotation_check import RotationCheck
 from quatprop.tables.base import is_table
@@ -87,7 +87,7 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
         except (NoAttitudesError, UndeclaredError):
-            stamps = [batch.t_ns for batch in choose(opened, Selection()).batches()]
+            stamps = [batch.t_ns for batch in choose(opened, RateSelection()).batches()]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
@@ -123,10 +123,9 @@ def first_orientation(
     selection = AttitudeSelection()
     if not is_table(log):
         messages = cast("MessageLog", log)
-        samples = Selection(topic=source.name)
+        selection = AttitudeSelection(topic=source.name, quat_field=_beside(messages, source))
         if source.clock in {"header", "log", "publish"}:
-            samples = replace(samples, clock=source.clock)
-        selection = AttitudeSelection(samples, quat_field=_beside(messages, source))
+            selection = replace(selection, clock=source.clock)
     found = choose_attitudes(log, selection)
     batches = RotationCheck(log.path, drop=True).apply(found.rows())
     try:

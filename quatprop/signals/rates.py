@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.messages.rate_types import RateField
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.signals.channel_values import Clock
     from quatprop.tables.base import TableLog
 
@@ -102,7 +102,7 @@ class Source:
         return [said]
 
 
-def choose(log: MessageLog | TableLog, selection: Selection) -> Source:
+def choose(log: MessageLog | TableLog, selection: RateSelection) -> Source:
     """Return the one source that the options leave.
 
     Raises
@@ -131,7 +131,9 @@ def choose(log: MessageLog | TableLog, selection: Selection) -> Source:
     return replace(found[0], remarks=(*found[0].remarks, remark))
 
 
-def stamps_of(selection: Selection, log: MessageLog | TableLog) -> Iterator[tuple[Int64, Int64]]:
+def stamps_of(
+    selection: RateSelection, log: MessageLog | TableLog
+) -> Iterator[tuple[Int64, Int64]]:
     """Yield the stamps of the messages that :func:`choose` chooses, and when they were logged.
 
     Yields
@@ -143,7 +145,7 @@ def stamps_of(selection: Selection, log: MessageLog | TableLog) -> Iterator[tupl
     return iter(()) if read is None else read()
 
 
-def sources(log: MessageLog | TableLog, selection: Selection) -> list[Source]:
+def sources(log: MessageLog | TableLog, selection: RateSelection) -> list[Source]:
     """Return every source of body rates that the options leave, at least one.
 
     Raises
@@ -156,7 +158,7 @@ def sources(log: MessageLog | TableLog, selection: Selection) -> list[Source]:
     return _of_messages(cast("MessageLog", log), selection)
 
 
-def _of_table(log: TableLog, selection: Selection) -> Source:
+def _of_table(log: TableLog, selection: RateSelection) -> Source:
     for option, value in (("--topic", selection.topic), ("--rate-field", selection.rate_field),
                           ("--time-field", selection.time_field)):  # fmt: skip
         if value is not None:
@@ -178,7 +180,7 @@ def _of_table(log: TableLog, selection: Selection) -> Source:
     )
 
 
-def _of_messages(log: MessageLog, selection: Selection) -> list[Source]:
+def _of_messages(log: MessageLog, selection: RateSelection) -> list[Source]:
     for option, value in (("--rate-cols", selection.rate_cols), ("--time-col", selection.time_col),
                           ("--sample-rate", selection.sample_rate)):  # fmt: skip
         if value is not None:
@@ -216,7 +218,7 @@ def _no_such_field(log: MessageLog, channels: list[Channel], name: str) -> Usage
     return UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
 
 
-def _fields(log: MessageLog, channel: Channel, selection: Selection) -> list[RateField]:
+def _fields(log: MessageLog, channel: Channel, selection: RateSelection) -> list[RateField]:
     """Return the rates of a channel: those of known types, or the one the options name."""
     if selection.rate_field is None:
         return rate_fields(channel, log.path)
@@ -225,7 +227,7 @@ def _fields(log: MessageLog, channel: Channel, selection: Selection) -> list[Rat
 
 
 def _of_channel(
-    log: MessageLog, channel: Channel, field: RateField, selection: Selection
+    log: MessageLog, channel: Channel, field: RateField, selection: RateSelection
 ) -> Source:
     unit = _unit(log, channel, field, selection)
     clock = clock_of(log, channel, field.stamp, selection)
@@ -260,7 +262,7 @@ def _unit_remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str
         )
 
 
-def _unit(log: MessageLog, channel: Channel, field: RateField, selection: Selection) -> str:
+def _unit(log: MessageLog, channel: Channel, field: RateField, selection: RateSelection) -> str:
     unit = selection.rate_unit or field.unit
     if unit is None:
         raise UndeclaredError(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.tables.matching.column_matcher import Notes
 
@@ -104,7 +104,7 @@ class TableLog(Log, Protocol):
     def provenance(self) -> dict[str, Any]:
         """Return how the content came about, as written beside it; empty where it is not."""
 
-    def choose(self, selection: Selection) -> TableColumns:
+    def choose(self, selection: RateSelection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header.
 
         Raises

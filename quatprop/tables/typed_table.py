@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.tables.base import TableColumns, TimedColumns
 
     Int64 = NDArray[np.int64]
@@ -125,7 +125,7 @@ class TypedTable(Closing):
         """
         return {}
 
-    def choose(self, selection: Selection) -> TableColumns:
+    def choose(self, selection: RateSelection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header."""
         columns = choosing.choose(self.path, self.columns(), selection, self.notes)
         self._refuse_other_than_numbers(columns.timed)

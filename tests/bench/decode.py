@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
 from quatprop.formats import open_log
-from quatprop.selection import Selection
+from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
@@ -21,7 +21,7 @@ CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 def ours(path: Path) -> int:
     """Decode every sample with quatprop."""
     with open_log(path) as log:
-        return sum(len(batch) for batch in choose(log, Selection()).batches())
+        return sum(len(batch) for batch in choose(log, RateSelection()).batches())
 
 
 def with_rosbags(path: Path) -> int:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
     from quatprop.tables.base import TableColumns, TimedColumns
     from quatprop.tables.csv.headers import Layout
     from quatprop.tables.csv.text_blocks import Block
@@ -101,7 +101,7 @@ class CsvLog(Closing):
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
 
-    def choose(self, selection: Selection) -> TableColumns:
+    def choose(self, selection: RateSelection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header."""
         return choosing.choose(self.path, self._layout.names, selection, self.notes)
 

@@ -25,7 +25,7 @@ from quatprop.tables.matching.rate_dialects import TIME_UNITS, column
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
-    from quatprop.selection import Selection
+    from quatprop.selection import SignalSelection
     from quatprop.tables.base import TableLog
 
 OPTION = "--quat-cols"
@@ -54,7 +54,7 @@ class QuaternionColumns:
 
 def choose_quaternion(
     log: TableLog,
-    selection: Selection,
+    selection: SignalSelection,
     *,
     quat_cols: tuple[str, ...] | None = None,
     layout: str | None = None,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.selection import Selection
+    from quatprop.selection import SignalSelection
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class Chooser:
 
     path: Path
     columns: list[Column]
-    selection: Selection
+    selection: SignalSelection
     notes: Notes
 
     def matching(self, pattern: str) -> list[int]:
@@ -182,7 +182,7 @@ class Chooser:
         named: bool,
     ) -> str:
         """Return the unit from option, header or convention; ``""`` where none says it."""
-        said = self.selection.rate_unit if what == "rate" else self.selection.time_unit
+        said: str | None = getattr(self.selection, f"{what}_unit", None)
         texts = {self.notes.declared.get(k, self.columns[k].unit) for k in positions}
         declared = (texts.pop() if len(texts) == 1 else "") or convention
         if said is not None:
@@ -232,7 +232,7 @@ class Chooser:
         """Refuse the options that are for messages."""
         given = (
             ("--topic", self.selection.topic),
-            ("--rate-field", self.selection.rate_field),
+            ("--rate-field", getattr(self.selection, "rate_field", None)),
             ("--time-field", self.selection.time_field),
         )
         for option, value in given:

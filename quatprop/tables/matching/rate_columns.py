@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.selection import Selection
+    from quatprop.selection import RateSelection
 
 
 def choose(
-    path: Path, names: Sequence[str], selection: Selection, notes: Notes | None = None
+    path: Path, names: Sequence[str], selection: RateSelection, notes: Notes | None = None
 ) -> TableColumns:
     """Return which columns hold time and rates, and their units.
 
@@ -84,6 +84,8 @@ def in_rad_s(rate: NDArray[np.float64], columns: TableColumns) -> NDArray[np.flo
 
 class _Chooser(Chooser):
     __slots__ = ()
+
+    selection: RateSelection
 
     def choose(self) -> TableColumns:
         self.refuse_topics("--rate-cols")

@@ -17,7 +17,7 @@ from quatprop.tables.matching.rate_dialects import TIME_NAMES, TIME_UNITS, colum
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
-    from quatprop.selection import Selection
+    from quatprop.selection import SignalSelection
     from quatprop.tables.base import TableLog
 
 ANGLE_UNITS = {
@@ -97,7 +97,7 @@ class RotationColumns:
 
 
 def choose_rotation(
-    log: TableLog, selection: Selection, unit: str | None = None
+    log: TableLog, selection: SignalSelection, unit: str | None = None
 ) -> RotationColumns | None:
     """Return which columns hold the time and the rotation; None where there is none.
 
