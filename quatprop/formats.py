@@ -13,7 +13,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from quatprop.containers.base import Loss
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.packed_files import file_compression, unpacked_copy
 from quatprop.containers.remote import is_address, local_copy, without_secret
@@ -144,7 +143,7 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
             log = _open(kind or _kind(inside, _head(copy.path)), copy.path)
             stack.enter_context(log)
             if copy.damage:
-                log.losses.append(Loss("end of the file", copy.damage))
+                log.losses.note("end of the file", copy.damage)
             yield log
 
 

@@ -14,6 +14,9 @@ from typing import Literal
 from quatprop.errors import UsageError
 from quatprop.text import quoted
 
+NS_PER_S = 1_000_000_000
+"""Nanoseconds in a second."""
+
 NS_PER_UNIT = {
     "ns": 1,
     "us": 1_000,

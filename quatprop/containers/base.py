@@ -6,13 +6,16 @@ mean is the business of :mod:`quatprop.messages`. Tables are in :mod:`quatprop.t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from quatprop.provenance import provenance_of
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Self
 
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that promises nothing about the blocks after it."""
+
+LATEST = int(np.iinfo(np.int64).max)
+"""The last nanosecond that fits int64, in the year 2262; `not_before_ns` of the last block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,45 +112,54 @@ class Loss:
 
 
 class Losses(list[Loss]):
-    """Losses, of which each is noted once, however often the log is read.
+    """Losses, each of which is noted once, however often the log is read.
 
     Examples
     --------
     >>> losses = Losses()
     >>> for _ in range(2):
-    ...     losses.note(Loss("line 17", "it has 3 columns instead of 4", 1))
+    ...     losses.note("line 17", "it has 3 columns instead of 4", 1)
     >>> len(losses)
     1
     """
 
-    def __init__(self, losses: Iterable[Loss] = ()) -> None:
-        super().__init__(losses)
-        self._noted = set(self)
+    def __init__(self) -> None:
+        super().__init__()
+        self._entries: dict[tuple[str, str], tuple[int, dict[str, int]]] = {}
 
-    def note(self, loss: Loss) -> None:
-        """Add a loss unless it was noted before; a damaged log may have a hundred thousand."""
-        if loss not in self._noted:
-            self._noted.add(loss)
-            self.append(loss)
+    def note(self, place: str, reason: str, messages: int | None = None, topic: str = "") -> None:
+        """Add a loss unless it was noted before.
+
+        Parameters
+        ----------
+        place, reason, messages
+            As for :class:`Loss`.
+        topic
+            Of which topic the messages are, where those of others may be lost at the same place:
+            the loss then counts the messages of all topics that were read.
+        """
+        number, counts = self._entries.setdefault((place, reason), (len(self), {}))
+        if messages is not None:
+            counts[topic] = max(messages, counts.get(topic, 0))
+        loss = Loss(place, reason, sum(counts.values()) if counts else None)
+        self[number : number + 1] = [loss]
+
+    def restart(self, count: int) -> None:
+        """Forget all but the first `count`, since what comes after them is read again."""
+        earlier = self[:count]
+        self.clear()
+        self._entries.clear()
+        for loss in earlier:
+            self.note(loss.place, loss.reason, loss.messages)
 
 
-class Closing:
-    """Closes when its ``with`` block ends."""
+class Log(ABC):
+    """A log of any kind, open for reading; closed when its ``with`` block ends.
 
-    remarks: Sequence[str] = ()
-
-    def close(self) -> None:
-        """Release files and temporary copies; nothing, where files are open only while read."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
-
-
-class Log(Protocol):
-    """What message logs and tables have in common.
+    Parameters
+    ----------
+    path
+        The file or folder.
 
     Attributes
     ----------
@@ -155,34 +170,46 @@ class Log(Protocol):
     losses
         What could not be read; grows while the log is read.
     remarks
-        What may be wrong with the log and nobody can tell; grows while the log is read.
+        What may be wrong with the log, though it cannot be told for certain; grows while the log
+        is read.
     """
 
     kind: str
-    path: Path
-    losses: list[Loss]
-    remarks: Sequence[str]
+    remarks: Sequence[str] = ()
 
-    def close(self) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.losses = Losses()
+
+    def close(self) -> None:  # noqa: B027  # nothing to do where files are open only while read
         """Release files and temporary copies."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_error: object) -> None: ...
+    def __exit__(self, *_error: object) -> None:
+        self.close()
 
 
-class MessageLog(Log, Protocol):
-    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag."""
+class MessageLog(Log):
+    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog."""
 
+    @abstractmethod
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with or without rates."""
 
+    @abstractmethod
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk.
 
         Within a block messages are in the container's order. Blocks come so that
         `not_before_ns` rises as early as it can;
         :func:`quatprop.containers.merge.merge_by_time` turns them into time order.
+
+        Parameters
+        ----------
+        channel
+            One of :meth:`channels`.
         """
 
     def provenance(self, topic: str) -> dict[str, Any]:
@@ -193,3 +220,8 @@ class MessageLog(Log, Protocol):
         DamagedLogError
             What is written there is not what this package writes.
         """
+        return provenance_of(self.recorded_provenance(), topic, self.path)
+
+    def recorded_provenance(self) -> Mapping[str, str]:
+        """Return the provenance of each topic as JSON, under ``""`` that of all others."""
+        return {}

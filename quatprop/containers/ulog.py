@@ -14,11 +14,11 @@ import re
 import struct
 from array import array
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import Channel, Closing, Loss, Losses, MessageBlock
+from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog
 from quatprop.containers.mcap.regions import Source
 from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
 from quatprop.messages.decoders import decoder_of
@@ -54,15 +54,15 @@ _WORD = re.compile(r"\w+")
 class _Records:
     """What a walk over the records found."""
 
+    losses: Losses
     formats: dict[str, str] = field(default_factory=dict)
     subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
     offsets: array[int] = field(default_factory=lambda: array("q"))
     sizes: array[int] = field(default_factory=lambda: array("H"))
     ids: array[int] = field(default_factory=lambda: array("H"))
-    damage: list[Loss] = field(default_factory=list)
 
 
-class UlogLog(Closing):
+class UlogLog(MessageLog):
     """A ULog file; see :class:`quatprop.containers.base.MessageLog`.
 
     Topics are named ``sensor_combined/0``: the message and which of its instances.
@@ -85,9 +85,7 @@ class UlogLog(Closing):
     kind = "ulog"
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lost = Losses()
-        self.losses: list[Loss] = self._lost
+        super().__init__(path)
         try:
             self._source = Source(path)
         except OSError as error:
@@ -97,8 +95,6 @@ class UlogLog(Closing):
         except BaseException:
             self._source.close()
             raise
-        for loss in records.damage:
-            self._lost.note(loss)
         self._offsets = np.array(records.offsets, np.int64)
         self._sizes = np.array(records.sizes, np.int64)
         self._ids = np.array(records.ids, np.int64)
@@ -108,7 +104,7 @@ class UlogLog(Closing):
         """Follow the records, of the file as it was and of what was appended to it."""
         if self._source.size < HEADER_SIZE:
             raise DamagedLogError(self.path, "it ends within its header; was it copied whole?")
-        records = _Records()
+        records = _Records(self.losses)
         ends = [*self._appended(), self._source.size]
         for start, end in zip([HEADER_SIZE, *ends], ends, strict=False):
             _walk(self._source, start, end, records)
@@ -175,7 +171,7 @@ class UlogLog(Closing):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self._lost.note(Loss(f"topic {channel.topic}", str(error.reason), len(places)))
+                self.losses.note(f"topic {channel.topic}", str(error.reason), len(places))
                 continue
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
@@ -198,20 +194,16 @@ class UlogLog(Closing):
             data = self._source.read(base, int(offsets[-1] + sizes[-1]) + _HEAD.size - base)
         except OSError as error:
             data = b""
-            self._lost.note(Loss(f"byte {base}", f"it cannot be read: {error.strerror}"))
+            self.losses.note(f"byte {base}", f"it cannot be read: {error.strerror}")
         begin = offsets - base + _HEAD.size
         ends = begin + sizes
         there = int(ends.searchsorted(len(data), "right"))
         if there < len(places):
             place = f"byte {base + len(data)}"
-            self._lost.note(Loss(place, "the file has become shorter", len(places) - there))
+            self.losses.note(place, "the file has become shorter", len(places) - there)
         # The id of the subscription is no part of the message.
         begin, ends = begin[:there] + 2, ends[:there]
         return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
-
-    def provenance(self, topic: str) -> dict[str, Any]:  # noqa: ARG002  # of the protocol
-        """Return nothing: this format has no place for it."""
-        return {}
 
     def close(self) -> None:
         """Close the file."""
@@ -228,11 +220,11 @@ def _walk(source: Source, position: int, end: int, records: _Records) -> None:
         if not taken:
             after = _behind_mark(source, position, end)
             reason = f"its records cannot be followed for {after - position} bytes"
-            records.damage.append(Loss(f"byte {position}", reason))
+            records.losses.note(f"byte {position}", reason)
             taken = after - position
         position += taken
     if position < end:
-        records.damage.append(Loss(f"byte {position}", "the last record is cut off"))
+        records.losses.note(f"byte {position}", "the last record is cut off")
 
 
 def _followed(data: bytes, base: int, records: _Records) -> int:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from quatprop.containers.base import Log
 
@@ -87,23 +88,29 @@ class TableColumns:
         return TimedColumns(self.rate, self.time, self.time_unit, self.sample_rate)
 
 
-class TableLog(Log, Protocol):
-    """Rows of named or numbered columns: CSV, Parquet, Feather.
+class TableLog(Log):
+    """Rows of named or numbered columns: CSV, Parquet, Feather."""
 
-    Attributes
-    ----------
-    notes
-        What is known besides the column names.
-    """
+    @property
+    @abstractmethod
+    def notes(self) -> Notes:
+        """What is known besides the column names."""
 
-    notes: Notes
-
+    @abstractmethod
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
 
     def provenance(self) -> dict[str, Any]:
-        """Return how the content came about, as written beside it; empty where it is not."""
+        """Return how the content came about, as written beside it; empty where it is not.
 
+        Raises
+        ------
+        DamagedLogError
+            What is written there is not what this package writes.
+        """
+        return {}
+
+    @abstractmethod
     def choose(self, selection: RateSelection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header.
 
@@ -115,13 +122,15 @@ class TableLog(Log, Protocol):
             A unit or the time is said neither by the header nor by an option.
         """
 
+    @abstractmethod
     def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
         """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch."""
 
+    @abstractmethod
     def rows(self, columns: TimedColumns) -> Iterator[tuple[NDArray[np.int64], Numbers]]:
         """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``."""
 
 
 def is_table(log: MessageLog | TableLog) -> TypeGuard[TableLog]:
     """Tell a table from a container of messages."""
-    return hasattr(log, "rows")
+    return isinstance(log, TableLog)

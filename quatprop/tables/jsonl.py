@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from quatprop.containers.base import Loss
 from quatprop.errors import UnreadableLogError, UnsupportedLogError
 from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks
 from quatprop.tables.jsonl_rows import LineParser
@@ -101,7 +100,7 @@ class JsonLinesLog(TypedTable):
                 if parser.lost:
                     self._note(lines.at(block.offset), parser)
             if text.damage:
-                self.losses.append(Loss("end of the file", text.damage))
+                self.losses.note("end of the file", text.damage)
         finally:
             lines.close()
             text.close()
@@ -111,11 +110,12 @@ class JsonLinesLog(TypedTable):
         lost = [(line + place, reason) for place, reason in parser.lost]
         parser.lost.clear()
         if len(lost) <= _LOSSES_A_BLOCK:
-            self.losses += [Loss(f"line {place}", reason, 1) for place, reason in lost]
+            for number, reason in lost:
+                self.losses.note(f"line {number}", reason, 1)
         else:
             place = f"lines {lost[0][0]} to {lost[-1][0]}"
             reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
-            self.losses.append(Loss(place, reason, len(lost)))
+            self.losses.note(place, reason, len(lost))
 
 
 def _leaves(lines: list[bytes]) -> list[Leaf]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, BinaryIO
 
-from quatprop.containers.base import Loss
 from quatprop.errors import DamagedLogError
 from quatprop.tables.npy_arrays import HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable
@@ -47,7 +46,7 @@ class NpyLog(NumpyTable):
             self._hold(name, "", column)
         beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
         if beyond > 0:
-            self.losses.append(Loss("end of the file", f"{beyond} bytes follow its array"))
+            self.losses.note("end of the file", f"{beyond} bytes follow its array")
 
     def _opened(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
         return self.path.open("rb")

@@ -6,16 +6,16 @@ unit, what is no number and what is damaged are dealt with once.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
-from quatprop.containers.base import Closing, Loss
 from quatprop.errors import UnsupportedLogError
 from quatprop.series import GyroSeries
+from quatprop.tables.base import TableLog
 from quatprop.tables.csv import decimal_time
 from quatprop.tables.matching import rate_columns as choosing
 from quatprop.tables.matching.column_matcher import Notes
@@ -83,7 +83,7 @@ class Part(NamedTuple):
     batches: Iterable[pa.RecordBatch | int]
 
 
-class TypedTable(Closing):
+class TypedTable(TableLog):
     """Typed, named columns in parts; see :class:`quatprop.tables.base.TableLog`.
 
     Parameters
@@ -95,8 +95,7 @@ class TypedTable(Closing):
     kind: str
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.losses: list[Loss] = []
+        super().__init__(path)
         self._leaves: list[Leaf] = []
         self._known_losses: int | None = None
 
@@ -114,16 +113,6 @@ class TypedTable(Closing):
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
             }
         )
-
-    def provenance(self) -> dict[str, Any]:
-        """Return how the content came about, as written beside it; empty where it is not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
-        return {}
 
     def choose(self, selection: RateSelection) -> TableColumns:
         """Return which columns hold time and rates, from the options and the header."""
@@ -153,7 +142,7 @@ class TypedTable(Closing):
         self._refuse_other_than_numbers(columns)
         if self._known_losses is None:
             self._known_losses = len(self.losses)
-        del self.losses[self._known_losses :]
+        self.losses.restart(self._known_losses)
         first = 0
         for part in self._parts(columns):
             read = 0
@@ -166,7 +155,7 @@ class TypedTable(Closing):
                         batch.validate()
                 except DAMAGE as error:
                     rows = max(part.rows - read, 0) or None
-                    self.losses.append(Loss(part.place, f"it is damaged: {plain(error)}", rows))
+                    self.losses.note(part.place, f"it is damaged: {plain(error)}", rows)
                     break
                 if batch is None:
                     break
@@ -218,7 +207,7 @@ class TypedTable(Closing):
         if not timed.all():
             lost = int(np.count_nonzero(~timed))
             place = f"rows {first + 1} to {first + batch.num_rows}"
-            self.losses.append(Loss(place, "rows without a time", lost))
+            self.losses.note(place, "rows without a time", lost)
             batch, numbers = batch.filter(to_arrow(timed)), numbers[timed]
         return self._stamps(batch, columns), numbers
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.containers.base import Channel, Closing, Loss, Losses, MessageBlock
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import LARGE
-from quatprop.containers.mcap.messages import LATEST, at_offsets, indexed, walk, with_marks
+from quatprop.containers.mcap.messages import at_offsets, indexed, walk, with_marks
 from quatprop.containers.mcap.metadata import recorded
 from quatprop.containers.mcap.picked import picked
 from quatprop.containers.mcap.regions import (
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
 
-class McapLog(Closing):
+class McapLog(MessageLog):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
     Parameters
@@ -64,9 +64,7 @@ class McapLog(Closing):
     kind = "mcap"
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lost = Losses()
-        self.losses: list[Loss] = self._lost
+        super().__init__(path)
         try:
             with Source(path) as source:
                 magic = source.read(0, len(MAGIC))
@@ -78,8 +76,7 @@ class McapLog(Closing):
         self._regions = found.regions
         self._ids = _by_identity(found)
         self._stated = found.counts
-        for loss in found.losses:
-            self._lost.note(loss)
+        self.losses = found.losses
         if self.losses and not (self._ids or self._regions):
             first = self.losses[0]
             raise DamagedLogError(path, f"nothing of it can be read; {first.place}: {first.reason}")
@@ -134,7 +131,7 @@ class McapLog(Closing):
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _total([region], ids)
-                    self._lost.note(Loss(region.place, content.reason, lost))
+                    self.losses.note(region.place, content.reason, lost, channel.topic)
                     found += lost or 0
                     continue
                 if isinstance(content, Loaded):
@@ -144,7 +141,7 @@ class McapLog(Closing):
                 if messages:
                     found += len(messages)
                     yield _block(data, messages, bound)
-        self._check_count(ids, found)
+        self._check_count(channel.topic, ids, found)
 
     def provenance(self, topic: str) -> dict[str, Any]:
         """Return how a topic came about, as a metadata record may say; empty where none does.
@@ -159,14 +156,14 @@ class McapLog(Closing):
         except OSError as error:
             raise self._unreadable(error) from error
 
-    def _check_count(self, ids: Sequence[int], told: int) -> None:
+    def _check_count(self, topic: str, ids: Sequence[int], told: int) -> None:
         """Note when the file states more messages than were read or told as lost."""
         if self._stated is None:
             return
         missing = sum(self._stated.get(one, 0) for one in ids) - told
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
-            self._lost.note(Loss("summary", reason, missing))
+            self.losses.note("summary", reason, missing, topic)
 
     def _unreadable(self, error: OSError) -> UnreadableLogError:
         return UnreadableLogError(self.path, f"{error.strerror}; check the path")
@@ -181,12 +178,12 @@ class McapLog(Closing):
                 return messages
         walked = walk(data)
         if damage:
-            self._lost.note(Loss(region.place, damage))
+            self.losses.note(region.place, damage)
         elif walked.end < len(data):
             reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
-            self._lost.note(Loss(region.place, reason))
+            self.losses.note(region.place, reason)
         if walked.malformed:
-            self._lost.note(Loss(region.place, "too short to be messages", walked.malformed))
+            self.losses.note(region.place, "too short to be messages", walked.malformed)
         every = indexed(raw, region.start, region, list(region.holds or ()))
         if walked.end < len(data) and every is not None:
             messages = with_marks(data, walked.offsets, every)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.containers.base import LATEST
 from quatprop.containers.mcap.regions import (
     CHANNEL,
     INDEX_ENTRY,
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.mcap.regions import Region
-
-LATEST = int(np.iinfo(np.int64).max)
-"""The last nanosecond that fits int64, in the year 2262."""
 
 _MESSAGE_HEAD = np.dtype(
     {

@@ -12,9 +12,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 
 from quatprop.checksum import crc32
-from quatprop.containers.base import Loss
+from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ class Survey:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     counts: dict[int, int] | None = None
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
 
     def define(self, opcode: int, content: Buffer, place: str) -> None:
         """Take a schema or channel record; the first of an id stands."""
@@ -64,7 +63,7 @@ class Survey:
                 self.channels.setdefault(channel.id, channel)
         except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"
-            self.losses.append(Loss(f"{what} {place}", "it is damaged"))
+            self.losses.note(f"{what} {place}", "it is damaged")
 
     def is_defined(self, channel: int) -> bool:
         """Return whether a channel and its schema are known."""

@@ -13,10 +13,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.checksum import crc32
-from quatprop.containers.base import Loss
+from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.limits import checksums_matter
-from quatprop.containers.mcap.messages import LATEST, at_offsets, walk
+from quatprop.containers.mcap.messages import at_offsets, walk
 from quatprop.containers.mcap.regions import (
     CHANNEL,
     CHUNK,
@@ -76,13 +76,13 @@ def survey(source: Source) -> Survey:
         scan = _Scan(source, end, {})
         scan.run(is_closed=footer is not None)
     found = summary.found
-    found.regions, found.losses = scan.regions, [*found.losses, *scan.losses]
+    found.regions, found.losses = scan.regions, scan.losses
     for opcode, content, place in scan.definitions:
         found.define(opcode, content, place)
     _look_inside(source, found, is_complete=summary.is_complete)
     for channel in {id_ for region in found.regions for id_ in region.holds or ()}:
         if channel not in found.channels:
-            found.losses.append(Loss(f"channel {channel}", "no record says what it is"))
+            found.losses.note(f"channel {channel}", "no record says what it is")
     return found
 
 
@@ -134,7 +134,7 @@ class _Scan:
         self.starts = sorted(known)
         self.regions: list[Region] = []
         self.definitions: list[tuple[int, Buffer, str]] = []
-        self.losses: list[Loss] = []
+        self.losses = Losses()
         self.summary_start = 0
 
     def run(self, *, is_closed: bool) -> None:
@@ -155,8 +155,8 @@ class _Scan:
         if is_closed or self.summary_start:
             return
         if not self.losses or self.losses[-1].reason != TORN:
-            self.losses.append(
-                Loss(f"byte {self.end}", "the file ends without a footer; it was not closed")
+            self.losses.note(
+                f"byte {self.end}", "the file ends without a footer; it was not closed"
             )
         if self.regions and self.regions[-1].is_chunk:
             # Message indexes may be missing after the last chunk.
@@ -194,7 +194,7 @@ class _Scan:
         """
         if self.end < self.source.size or self._found(position + 1, self.end, CHUNKS) is not None:
             return False
-        self.losses.append(Loss(f"chunk at byte {position}", TORN))
+        self.losses.note(f"chunk at byte {position}", TORN)
         return True
 
     def _found(self, start: int, stop: int, kinds: Container[int]) -> int | None:
@@ -216,11 +216,11 @@ class _Scan:
         is_opcode = 0 < opcode <= DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
         if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
-            self.losses.append(Loss(place, TORN))
+            self.losses.note(place, TORN)
         else:
             size = max(0, skipped_to - position)
             reason = f"no record begins there; {size} bytes are skipped"
-            self.losses.append(Loss(f"byte {position}", reason))
+            self.losses.note(f"byte {position}", reason)
         return skipped_to
 
     def _next_known(self, position: int) -> int:
@@ -244,7 +244,7 @@ class _Scan:
                 "its checksum is wrong: something in it is not what was recorded, and nothing "
                 "tells what"
             )
-            self.losses.append(Loss("data section", reason))
+            self.losses.note("data section", reason)
 
     def _chunk(self, position: int, length: int, head: bytes) -> None:
         first, *_ = CHUNK_HEAD.unpack_from(head, RECORD.size)
@@ -263,14 +263,14 @@ class _Scan:
     def _messages(self, position: int, end: int) -> int:
         """Take the messages outside chunks from `position` on; return where they end."""
         if end - position > MAX_SIZE:
-            self.losses.append(Loss(f"message at byte {position}", "it is too large"))
+            self.losses.note(f"message at byte {position}", "it is too large")
             return end
         size = min(max(_STRETCH, end - position), self.end - position)
         data = self.source.read(position, size)
         walked = walk(data, stop_at=_NOT_MESSAGES)
         if walked.malformed:
             place = f"messages at byte {position}"
-            self.losses.append(Loss(place, "too short to be messages", walked.malformed))
+            self.losses.note(place, "too short to be messages", walked.malformed)
         for opcode, begin, stop in walked.definitions:
             place = f"at byte {position + begin - RECORD.size}"
             self.definitions.append((opcode, data[begin:stop], place))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import Loss
+from quatprop.containers.base import Losses
 from quatprop.containers.compression import CompressionError, decompress, front
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
@@ -29,14 +29,13 @@ from quatprop.containers.rosbag1.records import (
     surviving_records,
 )
 from quatprop.containers.rosbag1.resync import CHUNKS, RECORDS, is_chunk, next_record
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LOOSE_SIZE = 1 << 20
 """Bytes of messages outside any chunk that are read as if they were one."""
-
-_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
@@ -110,7 +109,7 @@ class Index:
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
 
     def add_connection(self, record: Record, data: bytes) -> None:
         """Keep the first record of a connection; later ones repeat it."""
@@ -248,10 +247,10 @@ def _behind(file: RecordFile, index: Index, at: int, reason: str) -> int:
     if found is None:
         found = next_record(file, at + 1, file.size, RECORDS)
     if found is None:
-        index.losses.append(Loss(f"byte {at}", f"{reason}; what follows is not read"))
+        index.losses.note(f"byte {at}", f"{reason}; what follows is not read")
         return file.size
     size = max(0, found - at)
-    index.losses.append(Loss(f"byte {at}", f"{reason}; {size} bytes are skipped"))
+    index.losses.note(f"byte {at}", f"{reason}; {size} bytes are skipped")
     return found
 
 
@@ -295,7 +294,7 @@ def _enter_times(chunk: Chunk, record: bytes) -> None:
     for conn, entries in index_offsets(record).items():
         if len(entries):
             sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
-            earliest = int((sec * _NS + nsec).min())
+            earliest = int((sec * NS_PER_S + nsec).min())
             chunk.start_ns = min(chunk.start_ns, earliest) if chunk.counts else earliest
             chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
 
@@ -305,7 +304,7 @@ def _survey(file: RecordFile, index: Index, chunk: Chunk) -> None:
     try:
         loaded = content(file, chunk)
     except (MalformedRecordError, CompressionError) as error:
-        index.losses.append(Loss(chunk.place, str(error)))
+        index.losses.note(chunk.place, str(error))
         return
     times: list[int] = []
     counts: Counter[int] = Counter()
@@ -320,6 +319,6 @@ def _survey(file: RecordFile, index: Index, chunk: Chunk) -> None:
     except MalformedRecordError as error:
         damage = damage or str(error)
     if loaded.damage or damage:
-        index.losses.append(Loss(chunk.place, loaded.damage or damage))
+        index.losses.note(chunk.place, loaded.damage or damage)
     if times:
         chunk.counts, chunk.start_ns = counts, min(times)

@@ -7,12 +7,12 @@ from collections import Counter
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.prefetch import prefetch
 from quatprop.containers.rosbag1.index import Chunk, Content, Index, content, indexed, walked
@@ -26,7 +26,7 @@ from quatprop.containers.rosbag1.records import (
     surviving_records,
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.provenance import METADATA_KEY, provenance_of
+from quatprop.provenance import METADATA_KEY
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -37,10 +37,9 @@ if TYPE_CHECKING:
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
-_LAST = int(np.iinfo(np.int64).max)
 
 
-class Rosbag1Log(Closing):
+class Rosbag1Log(MessageLog):
     """A ROS 1 bag.
 
     Parameters
@@ -61,8 +60,7 @@ class Rosbag1Log(Closing):
     kind = "bag"
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.losses: list[Loss] = []
+        super().__init__(path)
         self._handle = path.open("rb")
         try:
             self._file = RecordFile(self._handle)
@@ -70,11 +68,10 @@ class Rosbag1Log(Closing):
         except BaseException:
             self._handle.close()
             raise
-        self.losses += index.losses
-        self._lost_places = {loss.place for loss in self.losses}
+        self.losses = index.losses
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
         self._channels = self._described(index)
-        self._provenance = {
+        self._recorded = {
             fields[b"topic"].decode(errors="replace"): fields[METADATA_KEY].decode(errors="replace")
             for fields in index.connections.values()
             if fields.keys() >= {b"topic", METADATA_KEY}
@@ -123,7 +120,7 @@ class Rosbag1Log(Closing):
                 )
         totals = self._totals()
         for conn in totals.keys() - channels.keys():
-            self._lose(f"connection {conn}", "its connection record is missing", totals[conn])
+            self.losses.note(f"connection {conn}", "its connection record is missing", totals[conn])
         return channels
 
     def _totals(self) -> Counter[int]:
@@ -132,12 +129,6 @@ class Rosbag1Log(Closing):
         for chunk in self._chunks:
             totals.update(chunk.counts)
         return totals
-
-    def _lose(self, place: str, reason: str, messages: int | None = None) -> None:
-        # The log may be read more than once.
-        if place not in self._lost_places:
-            self._lost_places.add(place)
-            self.losses.append(Loss(place, reason, messages))
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with its number of messages."""
@@ -152,7 +143,7 @@ class Rosbag1Log(Closing):
         """Yield the messages of one channel, chunk after chunk, in order of their start."""
         wanted = {conn for conn, found in self._channels.items() if found == channel}
         chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
-        bounds = [*(chunk.start_ns for chunk in chunks[1:]), _LAST]
+        bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
         self._file.restart()
         load = partial(self._messages, wanted)
         # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
@@ -162,19 +153,14 @@ class Rosbag1Log(Closing):
                 expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
                 missing = expected - len(messages.starts)
                 if damage or missing > 0:
-                    self._lose(chunk.place, damage or "it has fewer messages than it says", missing)
+                    reason = damage or "it has fewer messages than it says"
+                    self.losses.note(chunk.place, reason, missing or None, channel.topic)
                 if len(messages.starts):
                     yield MessageBlock(data, *messages, messages.log_ns, bound)
 
-    def provenance(self, topic: str) -> dict[str, Any]:
-        """Return how a topic came about, as its connection may say; empty where it does not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
-        return provenance_of(self._provenance, topic, self.path)
+    def recorded_provenance(self) -> dict[str, str]:
+        """Return the provenance of each topic, which its connection may carry, as JSON."""
+        return self._recorded
 
     def _is_packed(self, chunk: Chunk) -> bool:
         try:

@@ -12,11 +12,10 @@ from quatprop.containers.rosbag1.records import (
     fields_of,
     header_end_of,
 )
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-_NS = 1_000_000_000
 
 
 class MessageColumns(NamedTuple):
@@ -70,7 +69,7 @@ def indexed_messages(
     if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
         return None
     log_ns = headers["sec"].astype(np.int64)
-    log_ns *= _NS
+    log_ns *= NS_PER_S
     log_ns += headers["nsec"]
     return MessageColumns(starts, ends, log_ns)
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.limits import too_large, unpacked_limit
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,7 +45,6 @@ _HEAD = 512
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
 _LENGTH = struct.Struct("<I")
-_NS = 1_000_000_000
 
 
 class MalformedRecordError(ValueError):
@@ -78,7 +78,7 @@ class Record:
     def time(self, name: bytes) -> int:
         """Return a time from the header, ns."""
         both = self.number(name, 8)
-        return (both & 0xFFFFFFFF) * _NS + (both >> 32)
+        return (both & 0xFFFFFFFF) * NS_PER_S + (both >> 32)
 
     @property
     def op(self) -> int:

@@ -10,11 +10,11 @@ import apsw
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, Closing, Loss, MessageBlock
+from quatprop.containers.base import Channel, MessageBlock, MessageLog
 from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.provenance import of_all_topics, provenance_of
+from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class _Fetch(NamedTuple):
     data: bytes
 
 
-class Db3Log(Closing):
+class Db3Log(MessageLog):
     """A ROS 2 bag in an SQLite database.
 
     Parameters
@@ -68,8 +68,7 @@ class Db3Log(Closing):
                 f"its messages are packed with {quoted(message_compression)} and only zstd is "
                 "read; unpack it with `ros2 bag convert`",
             )
-        self.path = path
-        self.losses: list[Loss] = []
+        super().__init__(path)
         self._packed = message_compression is not None
         try:
             self._database = self._connected()
@@ -92,7 +91,7 @@ class Db3Log(Closing):
                 database.execute("SELECT count(*) FROM sqlite_master").fetchall()
             except apsw.Error as error:
                 reason = f"it cannot be applied ({error}); the last messages may be missing"
-                self.losses.append(Loss(beside[0], reason))
+                self.losses.note(beside[0], reason)
             else:
                 return database
         return _opened(read_only(self.path))
@@ -199,19 +198,10 @@ class Db3Log(Closing):
             self._lose(channel, f"what follows message {count} cannot be read ({damage})")
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
-        loss = Loss(f"topic {quoted(channel.topic)}", reason, messages)
-        # The log may be read more than once.
-        if loss not in self.losses:
-            self.losses.append(loss)
+        self.losses.note(f"topic {quoted(channel.topic)}", reason, messages)
 
-    def provenance(self, topic: str) -> dict[str, Any]:
-        """Return how a topic came about, as the metadata inside may say; empty where they do not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
+    def recorded_provenance(self) -> dict[str, str]:
+        """Return the provenance of each topic, which the metadata may carry, as JSON."""
         try:
             rows = self._database.execute("SELECT metadata FROM metadata ORDER BY rowid DESC")
             (text,) = next(rows, ("",))
@@ -219,7 +209,7 @@ class Db3Log(Closing):
             # Older bags have no such table.
             text = ""
         custom = custom_data(text) if isinstance(text, str) else {}
-        return provenance_of(of_all_topics(custom), topic, self.path)
+        return of_all_topics(custom)
 
     def close(self) -> None:
         """Close the database."""

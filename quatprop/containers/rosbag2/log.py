@@ -5,26 +5,20 @@ from __future__ import annotations
 import heapq
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from quatprop.containers.base import NO_BOUND, Channel, Closing, Loss, Losses, MessageBlock
+from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.packed_files import UnpackedCopy, file_compression, unpacked_copy
 from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
-from quatprop.provenance import of_all_topics, provenance_of
+from quatprop.provenance import of_all_topics
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Generator, Iterable, Iterator
     from pathlib import Path
-
-    from quatprop.containers.base import MessageLog
-
-_LAST = int(np.iinfo(np.int64).max)
 
 
 @dataclass(slots=True)
@@ -46,7 +40,7 @@ class _Part:
     channels: dict[Channel, Channel]
 
 
-class Rosbag2Log(Closing):
+class Rosbag2Log(MessageLog):
     """A ROS 2 bag folder.
 
     Parameters
@@ -67,14 +61,13 @@ class Rosbag2Log(Closing):
     kind = "rosbag2"
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        super().__init__(path)
         try:
             found = folder(path)
         except OSError as error:
             raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
-        self._lost = Losses(found.losses)
-        self.losses: list[Loss] = self._lost
-        self._provenance = of_all_topics(found.custom)
+        self.losses = found.losses
+        self._recorded = of_all_topics(found.custom)
         self._packing = found.message_compression
         if self._packing not in (None, "zstd"):
             raise UnsupportedLogError(
@@ -105,11 +98,10 @@ class Rosbag2Log(Closing):
             if file_compression(head):
                 part.copy = unpacked_copy(file)
                 if part.copy.damage:
-                    self._lose(part, Loss("end of the file", part.copy.damage))
+                    self._note(part, [Loss("end of the file", part.copy.damage)])
             with self._opened(part) as log:
                 part.channels = {channel: channel for channel in log.channels()}
-                for loss in log.losses:
-                    self._lose(part, loss)
+                self._note(part, log.losses)
         except (LogError, CompressionError, OSError) as error:
             self._give_up(part, error)
             if part.copy:
@@ -130,12 +122,15 @@ class Rosbag2Log(Closing):
 
         return McapLog(path)
 
-    def _lose(self, part: _Part, loss: Loss) -> None:
-        self._lost.note(replace(loss, place=f"{plain(part.path.name)}: {loss.place}"))
+    def _note(self, part: _Part, losses: Iterable[Loss], topic: str = "") -> None:
+        """Note losses of a part; `topic` where they are of one topic only."""
+        for loss in losses:
+            place = f"{plain(part.path.name)}: {loss.place}"
+            self.losses.note(place, loss.reason, loss.messages, topic)
 
     def _give_up(self, part: _Part, error: Exception) -> None:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
-        self._lose(part, Loss("the whole part", str(reason)))
+        self._note(part, [Loss("the whole part", str(reason))])
 
     def _united(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
         """Group the channels of the parts, and count their messages.
@@ -221,26 +216,20 @@ class Rosbag2Log(Closing):
             return
         damaged = 0
         with log:
+            opened = len(log.losses)
             for block in log.blocks(own):
                 whole, lost = unpacked(block) if self._is_packed(log, own, block) else (block, 0)
                 damaged += lost
                 if len(whole):
                     yield whole
-            for loss in log.losses:
-                self._lose(part, loss)
+            self._note(part, log.losses[opened:], own.topic)
         if damaged:
             place = f"topic {quoted(own.topic)}"
-            self._lose(part, Loss(place, "their zstd data is damaged", damaged))
+            self._note(part, [Loss(place, "their zstd data is damaged", damaged)])
 
-    def provenance(self, topic: str) -> dict[str, Any]:
-        """Return how a topic came about, as metadata.yaml may say; empty where it does not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
-        return provenance_of(self._provenance, topic, self.path)
+    def recorded_provenance(self) -> dict[str, str]:
+        """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""
+        return self._recorded
 
     def _is_packed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
         """Tell whether the messages of a block are still packed one by one."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Loss
+from quatprop.containers.base import Losses
 from quatprop.errors import UnsupportedLogError
 from quatprop.text import listed, quoted
 
@@ -46,7 +46,7 @@ class Folder:
     parts: list[Path] = field(default_factory=list)
     message_compression: str | None = None
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
-    losses: list[Loss] = field(default_factory=list)
+    losses: Losses = field(default_factory=Losses)
     custom: dict[str, str] = field(default_factory=dict)
 
 
@@ -74,7 +74,7 @@ def folder(path: Path) -> Folder:
     there = {
         file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
     }
-    losses: list[Loss] = []
+    losses = Losses()
     metadata = _metadata(path / "metadata.yaml", losses)
     found = Folder(losses=losses)
     if metadata is None:
@@ -84,7 +84,7 @@ def folder(path: Path) -> Folder:
     return found
 
 
-def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
+def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
     """Return what metadata.yaml says, None where it is missing or says nothing of use."""
     if not path.exists():
         return None
@@ -95,7 +95,7 @@ def _metadata(path: Path, losses: list[Loss]) -> dict[str, Any] | None:
                 return metadata
     except (OSError, KeyError, ValueError):
         pass
-    losses.append(Loss("metadata.yaml", "it is damaged; the parts are found by their names"))
+    losses.note("metadata.yaml", "it is damaged; the parts are found by their names")
     return None
 
 
@@ -168,14 +168,12 @@ def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) ->
         named.update(_spellings(name))
         if file is None:
             count = sizes.get(name)
-            found.losses.append(
-                Loss(f"part {quoted(relative)}", "it is not in the folder", _count(count))
-            )
+            found.losses.note(f"part {quoted(relative)}", "it is not in the folder", _count(count))
         elif file not in found.parts:
             found.parts.append(file)
     for name in sorted(there.keys() - named):
         reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
-        found.losses.append(Loss(f"part {quoted(name)}", reason))
+        found.losses.note(f"part {quoted(name)}", reason)
     if _text(metadata.get("compression_mode")).lower() == "message":
         found.message_compression = _text(metadata.get("compression_format")) or "zstd"
     found.custom = _custom(metadata)

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from quatprop.containers.base import Closing, Loss
+from quatprop.containers.base import Losses
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
 from quatprop.series import GyroSeries
+from quatprop.tables.base import TableLog
 from quatprop.tables.csv.decimal_time import counted
 from quatprop.tables.csv.headers import HEAD_BYTES, sniff
 from quatprop.tables.csv.last_line import TAIL_BYTES, is_cut
@@ -42,7 +43,7 @@ _SHOWN = 12
 _STDIN = Path("-")
 
 
-class CsvLog(Closing):
+class CsvLog(TableLog):
     """A text table.
 
     Parameters
@@ -63,7 +64,7 @@ class CsvLog(Closing):
 
     def __init__(self, source: Path | BinaryIO) -> None:
         self.path = source if isinstance(source, Path) else _STDIN
-        self.losses: list[Loss] = []
+        self.losses = Losses()
         self.remarks: list[str] = []
         self._file = None if isinstance(source, Path) else source
         self._text: TextStream | None = self._open()
@@ -139,7 +140,7 @@ class CsvLog(Closing):
                 if len(t_ns):
                     yield t_ns, numbers
             if text.damage:
-                self.losses.append(Loss("end of the file", text.damage))
+                self.losses.note("end of the file", text.damage)
         finally:
             lines.close()
             if self._file is None:
@@ -174,7 +175,7 @@ class CsvLog(Closing):
             return block, b""
         line = lines.at(block.offset) + whole.count(b"\n", 0, begin)
         reason = "it has no line end, and its last cell was cut off"
-        self.losses.append(Loss(f"line {line}", reason, 1))
+        self.losses.note(f"line {line}", reason, 1)
         return block._replace(data=data[:begin]), b""
 
     def close(self) -> None:
@@ -196,7 +197,7 @@ class CsvLog(Closing):
         """Return the text from its first row on, and forget what an earlier reading lost."""
         if self._known_losses is None:
             self._known_losses = len(self.losses)
-        del self.losses[self._known_losses :]
+        self.losses.restart(self._known_losses)
         self.remarks.clear()
         if self._file is None:
             return self._open_rows()
@@ -211,7 +212,7 @@ class _Scan:
     """One reading of a table: what it has to remember from block to block."""
 
     def __init__(
-        self, layout: Layout, columns: TimedColumns, lines: LineCounter, losses: list[Loss]
+        self, layout: Layout, columns: TimedColumns, lines: LineCounter, losses: Losses
     ) -> None:
         self._layout = layout
         self._columns = columns
@@ -266,11 +267,12 @@ class _Scan:
     def _note(self, lost: list[tuple[int, str]]) -> None:
         self._lost += len(lost)
         if len(lost) <= _LOSSES_A_BLOCK:
-            self._losses += [Loss(f"line {line}", reason, 1) for line, reason in lost]
+            for line, reason in lost:
+                self._losses.note(f"line {line}", reason, 1)
         else:
             place = f"lines {lost[0][0]} to {lost[-1][0]}"
             reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
-            self._losses.append(Loss(place, reason, len(lost)))
+            self._losses.note(place, reason, len(lost))
 
     def _stamps(self, rows: Rows) -> Int64:
         t_ns = rows.t_ns
