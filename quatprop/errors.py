@@ -82,7 +82,11 @@ class SuiteError(UsageError):
     """
 
     def __init__(
-        self, suite: Path | str, reason: str, case: str | None = None, key: str | None = None
+        self,
+        suite: Path | str,
+        reason: str | Text,
+        case: str | None = None,
+        key: str | None = None,
     ) -> None:
         where = plain(suite)
         where += f", case {quoted(case)}" if case is not None else ""

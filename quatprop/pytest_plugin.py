@@ -1,7 +1,7 @@
-"""Cases of ``quatprop check`` as tests of pytest: ``pytest --quatprop-suite SUITE.toml``.
+"""The cases of ``quatprop check`` as pytest tests: ``pytest --quatprop-suite SUITE.toml``.
 
-Each case is an item, so pytest's own ``-k``, ``-x``, ``--junit-xml`` and plugins apply. References
-are updated by the command, ``quatprop check SUITE.toml --update``.
+Each case is an item, so pytest's own ``-k``, ``-x``, ``--junit-xml`` and plugins apply. The command
+updates references: ``quatprop check SUITE.toml --update``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ OPTION = "--quatprop-suite"
 
 
 class RegressionFailure(Exception):  # noqa: N818  # its name is what pytest shows
-    """A case that failed, or could not be judged; its words are the outcome's."""
+    """A case that did not pass; its text is the reason."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,26 +31,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="append",
         default=[],
         metavar="SUITE.toml",
-        help="Collect the cases of a suite of quatprop check, too; can be repeated.",
+        help="Also collect the cases of a quatprop check suite; can be repeated.",
     )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let pytest look at the suites, beside what it was told to look at."""
-    told = {(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args}
-    config.args += [str(path) for path in _named(config) if path.resolve() not in told]
+    """Add the suites to the paths that pytest collects."""
+    paths = {(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args}
+    config.args += [str(path) for path in _suites(config) if path.resolve() not in paths]
 
 
-def _named(config: pytest.Config) -> list[Path]:
-    """Return the suites: relative to where pytest was called, else to its configuration."""
-    called, root = config.invocation_params.dir, config.rootpath
+def _suites(config: pytest.Config) -> list[Path]:
+    """Return the suites, relative to the current folder, else to the one of the configuration."""
+    current, root = config.invocation_params.dir, config.rootpath
     paths: list[str] = config.getoption(OPTION)
-    return [called / path if (called / path).exists() else root / path for path in paths]
+    return [current / path if (current / path).exists() else root / path for path in paths]
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile | None:
-    """Collect a suite that was named."""
-    if file_path.resolve() not in {path.resolve() for path in _named(parent.config)}:
+    """Collect the cases of a suite."""
+    if file_path.resolve() not in {path.resolve() for path in _suites(parent.config)}:
         return None
     suite: SuiteFile = SuiteFile.from_parent(parent, path=file_path)
     return suite
@@ -62,6 +62,7 @@ class SuiteFile(pytest.File):
     def collect(self) -> Iterable[CaseItem]:
         """Return its cases."""
         from quatprop.check.lock import read_lock
+        from quatprop.check.spelling import sentence
         from quatprop.cli.cases import load_cases
         from quatprop.errors import QuatpropError
 
@@ -69,7 +70,7 @@ class SuiteFile(pytest.File):
             suite, cases = load_cases(self.path)
             pins = read_lock(suite.lock)
         except QuatpropError as error:
-            raise self.CollectError(str(error)) from None
+            raise self.CollectError(sentence(error)) from None
         for case in cases:
             yield CaseItem.from_parent(self, name=case.name, case=case, pin=pins.get(case.name))
 
@@ -77,8 +78,8 @@ class SuiteFile(pytest.File):
 class CaseItem(pytest.Item):
     """A case as a test."""
 
-    def __init__(self, *, case: Case | BrokenCase, pin: Pin | None, **known: Any) -> None:
-        super().__init__(**known)
+    def __init__(self, *, case: Case | BrokenCase, pin: Pin | None, **options: Any) -> None:
+        super().__init__(**options)
         self.case, self.pin = case, pin
 
     def runtest(self) -> None:
@@ -87,17 +88,17 @@ class CaseItem(pytest.Item):
         Raises
         ------
         RegressionFailure
-            It failed, or could not be judged.
+            It did not pass.
         """
-        from quatprop.check.judge import judge, settled
+        from quatprop.check.runner import run_case
 
-        outcome = settled(self.case, judge, self.pin)
-        if outcome.verdict != "pass":
-            raise RegressionFailure("; ".join(filter(None, [outcome.figure, outcome.reason])))
-        self.add_report_section("call", "quatprop", "\n".join([outcome.figure, *outcome.notes]))
+        result = run_case((self.case, self.pin))
+        if result.verdict != "pass":
+            raise RegressionFailure("; ".join(filter(None, [result.summary, result.reason])))
+        self.add_report_section("call", "quatprop", "\n".join([result.summary, *result.notes]))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Say why in words; what is no outcome is shown with its traceback."""
+        """Return the reason; other errors are shown with their traceback."""
         if isinstance(excinfo.value, RegressionFailure):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)

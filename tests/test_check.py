@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop import __version__
-from quatprop.check.case import Outcome, exit_code
-from quatprop.check.reference import thinning
+from quatprop.check.case import CaseResult, exit_code
+from quatprop.check.reference import decimation
 from quatprop.cli import cli
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
@@ -244,7 +244,9 @@ def test_a_log_that_git_lfs_has_not_brought_is_told(suite):
     log = suite.parent / "logs" / "spin.csv"
     log.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     assert verdicts(suite) == (2, only("spin", "error"))
-    assert "run git lfs pull" in outcomes(suite)[1]["spin"]["reason"]
+    assert outcomes(suite)[1]["spin"]["reason"] == (
+        f"{log}: it is a Git LFS pointer, not the file itself; download the file with git lfs pull"
+    )
 
 
 @pytest.mark.parametrize(
@@ -357,7 +359,7 @@ def test_a_missing_reference_is_an_error(suite):
     reference.unlink()
     assert verdicts(suite) == (2, only("rest", "error"))
     assert outcomes(suite)[1]["rest"]["reason"] == (
-        f"{reference}: the reference is not there; restore it, or make it with --update"
+        f"{reference}: the reference is missing; restore it, or write it with --update"
     )
 
 
@@ -366,7 +368,7 @@ def test_a_case_that_was_never_updated_is_an_error(suite):
     suite.with_suffix(".lock.json").unlink()
     code, found = verdicts(suite)
     assert (code, set(found.values())) == (2, {"error"})
-    assert "nothing is pinned for this case yet" in outcomes(suite)[1]["spin"]["reason"]
+    assert "the lock has no entry for this case yet" in outcomes(suite)[1]["spin"]["reason"]
 
 
 def _pretend(suite, name, **facts):
@@ -392,7 +394,7 @@ def test_another_count_of_samples_fails(suite):
     _pretend(suite, "rest", samples=2901)
     assert verdicts(suite) == (1, only("rest", "fail"))
     assert outcomes(suite)[1]["rest"]["reason"].startswith(
-        "2900 samples were propagated, and 2901 when it was pinned"
+        "2900 samples were propagated, and 2901 when pinned"
     )
 
 
@@ -401,7 +403,7 @@ def test_another_end_fails(suite):
     _pretend(suite, "rest", final_wxyz=[0.0, 1.0, 0.0, 0.0])
     assert verdicts(suite) == (1, only("rest", "fail"))
     assert (
-        "the attitude at the last sample is 3.14 rad from what it was"
+        "the attitude at the last sample is 3.14 rad from the one that was pinned"
         in (outcomes(suite)[1]["rest"]["reason"])
     )
 
@@ -416,14 +418,14 @@ def test_other_stamps_fail(suite):
     accept(suite, "rest")
     assert verdicts(suite) == (1, only("rest", "fail"))
     assert outcomes(suite)[1]["rest"]["reason"].startswith(
-        "1 of 580 stamps are not those of the reference, the first at attitude 7: "
+        "1 of 580 timestamps differ from the reference, the first at attitude 7: "
         f"{t_ns[7] - 1} ns, not {t_ns[7]} ns"
     )
 
 
 def test_trouble_comes_before_failure():
     """0 if all pass, 1 if one fails, 2 as soon as one could not be judged."""
-    passed, failed, error = (Outcome("a", verdict) for verdict in ("pass", "fail", "error"))
+    passed, failed, error = (CaseResult("a", verdict) for verdict in ("pass", "fail", "error"))
     assert exit_code([passed, passed]) == 0
     assert exit_code([passed, failed]) == 1
     assert exit_code([failed, error, passed]) == exit_code([error]) == 2
@@ -435,5 +437,5 @@ def test_trouble_comes_before_failure():
 )
 def test_references_are_thinned_in_round_steps(samples, every):
     """At most 1000 attitudes are kept, and at least 400 of a long log."""
-    assert thinning(samples) == every
+    assert decimation(samples) == every
     assert samples <= 1000 or 400 <= samples / every <= 1000

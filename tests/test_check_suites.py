@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
-from quatprop.check.measure import measured
+from quatprop.check.case_run import propagate_case
 from quatprop.cli import cases, cli, compare, propagate
 from quatprop.third_party_errors import TRACEBACK
 
@@ -145,7 +145,7 @@ def test_what_cannot_be_used_is_named(folder, more, where, words):
     assert first.startswith("pass   coning  ")
     assert second.startswith(f"ERROR  spin    {suite}, case 'spin'{where}: ")
     assert words in second
-    assert last == "2 cases: 1 passed, 1 could not be judged"
+    assert last == "2 cases: 1 passed, 1 error"
 
 
 @pytest.mark.parametrize(
@@ -154,8 +154,8 @@ def test_what_cannot_be_used_is_named(folder, more, where, words):
         ("[case.a\n", ": it is not TOML: Expected ']'"),
         ("", ": it has no cases; a suite has a table [defaults] and one table [case.NAME]"),
         ("[cases.a]\n", ": unknown 'cases'; a suite has"),
-        ("case = 1\n", ": 'case' is no table; a suite has"),
-        ('[case]\nlog = "a"\n', ": 'case.log' is no table; a suite has"),
+        ("case = 1\n", ": 'case' is not a table; a suite has"),
+        ('[case]\nlog = "a"\n', ": 'case.log' is not a table; a suite has"),
         (
             "[defaults]\nmethd = 1\n[case.a]\n",
             ", 'defaults.methd': no such key; did you mean 'method'?",
@@ -288,7 +288,7 @@ def test_a_damaged_log_is_held_to_what_can_be_saved(folder):
     result = check(suite)
     assert result.exit_code == 0
     assert result.stdout.splitlines()[1].strip() == (
-        f"of {log} something was lost or left out, see propagate"
+        f"data of {log} were lost or left out, see propagate"
     )
 
 
@@ -386,15 +386,29 @@ def test_a_case_chooses_its_rows(folder):
     assert check(suite).exit_code == 0
 
 
-def test_a_lock_that_is_none_is_refused(folder):
+CONFLICT = (
+    "line 3 is a conflict marker of a merge; remove the markers, keeping one side of each case, "
+    "and check with --update"
+)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"\xff", "it is not the lock that --update writes; restore it, or remove it and update"),
+        (
+            b'{\n "cases": {\n<<<<<<< ours\n',
+            CONFLICT,
+        ),
+    ],
+)
+def test_a_damaged_lock_is_refused(folder, content, reason):
     """A merge that went wrong does not pass for an empty lock."""
     suite = write(folder, stored())
-    (folder / "suite.lock.json").write_text("<<<<<<< ours\n")
+    lock = folder / "suite.lock.json"
+    lock.write_bytes(content)
     result = check(suite)
-    assert result.exit_code == 2
-    assert result.stderr.startswith(
-        f"Error: {folder / 'suite.lock.json'}: it is not the lock that --update writes; restore it"
-    )
+    assert (result.exit_code, result.stderr) == (2, f"Error: {lock}: {reason}\n")
 
 
 @pytest.mark.parametrize(
@@ -439,10 +453,10 @@ def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch,
     def fails(case, every):
         if case.name == "bad":
             raise error
-        return measured(case, every)
+        return propagate_case(case, every)
 
     monkeypatch.delenv(TRACEBACK, raising=False)
-    monkeypatch.setattr("quatprop.check.update.measured", fails)
+    monkeypatch.setattr("quatprop.check.update.propagate_case", fails)
     suite = write(folder, stored("bad") + stored("good"))
     result = check(suite, "--update")
     assert result.exit_code == 2
@@ -524,7 +538,7 @@ def test_github_gets_a_summary_and_annotations(folder, monkeypatch):
     )
     lines = summary.read_text().splitlines()
     assert lines[:2] == [
-        "before", "### suite.toml: 3 cases: 1 passed, 1 failed, 1 could not be judged",
+        "before", "### suite.toml: 3 cases: 1 passed, 1 failed, 1 error",
     ]  # fmt: skip
     assert lines[3:5] == ["| case | verdict | worst error | why |", "|---|---|---|---|"]
     assert [line.split(" | ")[:2] for line in lines[5:8]] == [

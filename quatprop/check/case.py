@@ -1,11 +1,13 @@
-"""The nouns of a regression: a case, and what came of it."""
+"""The cases of a suite and their results."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
     from quatprop.check.lock import Pin
     from quatprop.comparison import Settings
     from quatprop.pipeline.job import Job
@@ -16,32 +18,32 @@ Verdict = Literal["pass", "fail", "error"]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A log, how it is propagated, and what it is held against.
+    """A log, how it is propagated, and what the attitudes are compared with.
 
     Parameters
     ----------
     name
-        Its name in the suite.
+        Name in the suite.
     job
-        How its log is propagated; the output is chosen when it is run.
+        How the log is propagated; the output is chosen when the case is run.
     settings
-        How the attitudes are compared, the tolerance included.
+        How the attitudes are compared, with the tolerance.
     reference
-        Where an update stores the reference; None where `external` is what it is held against.
+        Path of the stored reference, which an update writes; None where there is `external`.
     external
-        A series from elsewhere, or a topic of a log.
+        An independent attitude series, such as motion capture, or a topic of a log.
     options
-        What the suite says of the propagation, as it is written, without what is the default.
+        The propagation settings of the suite that are not the default, as text.
     inputs
-        What is read: the key of the suite -> its path.
+        The files that are read: key of the suite -> path.
     strict
-        Whether the stamps have to be those of the reference.
+        Whether the timestamps must be those of the reference.
     pins_log
-        Whether the log has to be the same bytes; not so if what is tested makes it.
+        Whether the log must be the same bytes; False where the system under test makes the log.
     in_degrees
-        Whether the tolerance is written in degrees; angles are then told in them.
+        Whether the tolerance is written in degrees; results are then shown in degrees.
     line
-        Where it begins in the suite.
+        Line of the suite where the case begins.
     """
 
     name: str
@@ -49,8 +51,8 @@ class Case:
     settings: Settings
     reference: str | None
     external: Reading | None
-    options: dict[str, str]
-    inputs: dict[str, str]
+    options: Mapping[str, str]
+    inputs: Mapping[str, str]
     strict: bool = True
     pins_log: bool = True
     in_degrees: bool = False
@@ -59,7 +61,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class BrokenCase:
-    """A case that says something that cannot be used.
+    """A case with a key or a value that cannot be used.
 
     Parameters
     ----------
@@ -75,68 +77,67 @@ class BrokenCase:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of a case.
+class CaseResult:
+    """The result of a case.
 
     Parameters
     ----------
     name, line
         Those of the case.
     verdict
-        ``"pass"``; ``"fail"``: it was measured and is not as it was, or not within the tolerance;
-        ``"error"``: it could not be judged.
+        ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
+        ``"error"``: there is no result, because an input is missing or something has changed.
     reason
-        Why, in sentences; empty for a pass.
-    figure
-        The worst error against the tolerance, and where, in words; empty where there is none.
+        Why it did not pass; empty for a pass.
+    summary
+        The worst error, the tolerance and where, or what an update wrote; may be empty.
     error_rad
-        The worst error, rad; None where there is none.
+        The worst error, rad; None where nothing was compared.
     notes
-        What else is to be said.
+        Remarks that do not change the verdict.
     changes
         What an update has changed.
     updated
-        What an update has done: ``"new"``, ``"updated"``, ``"kept"``; None without one.
+        ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update.
     comparison
-        The report of the comparison, where there was one.
+        The report of the comparison, JSON-ready; None where nothing was compared.
     pin
-        What the case rests on now, after an update.
+        What an update pins.
     seconds
-        How long it took.
+        Duration, s.
     """
 
     name: str
     verdict: Verdict
     reason: str = ""
-    figure: str = ""
+    summary: str = ""
     error_rad: float | None = None
     notes: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
     updated: str | None = None
-    comparison: dict[str, Any] | None = None
+    comparison: Mapping[str, object] | None = None
     pin: Pin | None = field(default=None, repr=False)
     seconds: float = 0.0
     line: int = 1
 
-    def report(self) -> dict[str, Any]:
-        """Return what a script needs, JSON-ready; the same at every run."""
+    def report(self) -> dict[str, object]:
+        """Return the fields that are the same in every run, for JSON."""
         return {
             "name": self.name,
             "verdict": self.verdict,
             "reason": self.reason or None,
             "error_rad": self.error_rad,
-            "notes": list(self.notes),
+            "notes": self.notes,
             "updated": self.updated,
-            "changes": list(self.changes),
+            "changes": self.changes,
             "comparison": self.comparison,
         }
 
 
-def exit_code(outcomes: list[Outcome]) -> int:
-    """Return 0 if all pass, 2 if one could not be judged, else 1 if one failed.
+def exit_code(results: Iterable[CaseResult]) -> int:
+    """Return 0 if all cases pass, 2 if there was an error, else 1.
 
-    As with diff and grep, trouble comes before a difference: where something could not be judged,
-    the answer is incomplete.
+    As with diff and grep, an error comes before a difference: the answer is incomplete.
     """
-    verdicts = {outcome.verdict for outcome in outcomes}
+    verdicts = {result.verdict for result in results}
     return 2 if "error" in verdicts else int("fail" in verdicts)

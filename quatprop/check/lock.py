@@ -1,85 +1,93 @@
-"""What the cases of a suite rest on, pinned in a JSON file beside it.
+"""The lock of a suite: a JSON file that pins the inputs, options and references of its cases.
 
-A lock is text, so that whoever reviews a change sees which log, option or reference moved with it;
-a reference alone is binary, and a series from elsewhere has no place to keep such things.
+It is text, so that a review shows which log, option or reference has changed. A reference is
+binary, and an independent series has no place for such a record.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from quatprop.errors import SuiteError, UnreadableLogError
-from quatprop.provenance import fingerprint
+from quatprop.errors import LogError, SuiteError, UnreadableLogError
+from quatprop.provenance import as_json, fingerprint
+from quatprop.text import Setting, Text
 from quatprop.writers.atomic import replacing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
+    from typing import Any
+
+LFS_POINTER = b"version https://git-lfs"
+"""How a Git LFS pointer begins: the small file in place of one that was not downloaded."""
+
+CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
+"""How lines begin that an unfinished merge leaves."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """What one case rested on when it was last updated.
+    """What a case depended on when it was last updated.
 
     Parameters
     ----------
     quatprop
-        The version that did it.
+        The version that did the update.
     inputs
-        Key of the suite -> SHA-256 of what it names.
+        Key of the suite -> SHA-256 of the file or folder that it names.
     options
         As in :class:`quatprop.check.case.Case`.
     samples
-        How many samples were propagated.
+        Number of samples that were propagated.
     every
-        The reference holds every so-manieth attitude; None where the case says which.
+        The reference holds every N-th attitude; None where the case itself chooses them.
     reference
         SHA-256 of the stored reference; None where there is none.
     final_wxyz
-        The last attitude, which a thinned reference does not hold.
+        The attitude at the last sample, which the reference may lack.
     error_rad
-        The worst error against a series from elsewhere, rad; None for a stored reference.
+        The worst error against an independent series, rad; None for a stored reference.
     """
 
     quatprop: str
-    inputs: dict[str, str]
-    options: dict[str, str]
+    inputs: Mapping[str, str]
+    options: Mapping[str, str]
     samples: int
     every: int | None
     reference: str | None
-    final_wxyz: list[float]
+    final_wxyz: tuple[float, ...]
     error_rad: float | None
 
 
-def _is_count(value: Any) -> bool:
+def _is_count(value: object) -> bool:
     return type(value) is int and value > 0
 
 
-def _is_texts(value: Any) -> bool:
+def _is_text_table(value: object) -> bool:
     return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return type(value) in {int, float}
 
 
-SOUND: Mapping[str, Callable[[Any], bool]] = {
+VALID: Mapping[str, Callable[[Any], bool]] = {
     "quatprop": lambda value: isinstance(value, str),
-    "inputs": _is_texts,
-    "options": _is_texts,
+    "inputs": _is_text_table,
+    "options": _is_text_table,
     "samples": _is_count,
     "every": lambda value: value is None or _is_count(value),
     "reference": lambda value: value is None or isinstance(value, str),
     "final_wxyz": lambda value: len(value) == len("wxyz") and all(map(_is_number, value)),
     "error_rad": lambda value: value is None or _is_number(value),
 }
-"""Field of :class:`Pin` -> whether a value of the lock can be that."""
+"""Field of :class:`Pin` -> whether a value in the lock is valid."""
 
 
 def read_lock(path: Path) -> dict[str, Pin]:
-    """Return what is pinned for each case; nothing where there is no lock yet.
+    """Return the pin of each case; empty where there is no lock yet.
 
     Raises
     ------
@@ -87,32 +95,43 @@ def read_lock(path: Path) -> dict[str, Pin]:
         The lock is not what an update writes.
     """
     try:
-        told = json.loads(path.read_bytes())
-        return {name: _pin(entry) for name, entry in told["cases"].items()}
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise SuiteError(path, f"it cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError:
+        text = ""
+    try:
+        return {name: _pin(entry) for name, entry in json.loads(text)["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SuiteError(
-            path, "it is not the lock that --update writes; restore it, or remove it and update"
-        ) from error
+        raise SuiteError(path, _defect(text)) from error
+
+
+def _defect(text: str) -> Text:
+    """Return what is wrong with a lock that cannot be used."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith(CONFLICT_MARKERS):
+            reason = f"line {number} is a conflict marker of a merge; remove the markers, keeping "
+            return Text(reason, "one side of each case, and check with ", Setting("update"))
+    reason = "; restore it, or remove it and update"
+    return Text("it is not the lock that ", Setting("update"), " writes", reason)
 
 
 def _pin(entry: dict[str, Any]) -> Pin:
-    if entry.keys() != SOUND.keys() or not all(SOUND[key](entry[key]) for key in SOUND):
+    if entry.keys() != VALID.keys() or not all(VALID[key](entry[key]) for key in VALID):
         raise ValueError(entry)
-    return Pin(**entry)
+    return Pin(**{**entry, "final_wxyz": tuple(entry["final_wxyz"])})
 
 
-def write_lock(path: Path, pins: dict[str, Pin]) -> None:
-    """Write what is pinned; a case a block, so that changes of two cases do not collide."""
-    told = {"cases": {name: asdict(pin) for name, pin in sorted(pins.items())}}
-    text = json.dumps(told, indent=1, ensure_ascii=False) + "\n"
-    if path.exists() and path.read_bytes() == text.encode():
+def write_lock(path: Path, pins: Mapping[str, Pin]) -> None:
+    """Write the lock; each case is a block of lines, so that changes of two cases merge."""
+    content = as_json({"cases": dict(sorted(pins.items()))})
+    text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+    if path.exists() and path.read_bytes() == text:
         return
     with replacing(path) as stream:
-        stream.write(text.encode())
+        stream.write(text)
 
 
 def sha256_of(path: str) -> str:
@@ -120,10 +139,31 @@ def sha256_of(path: str) -> str:
 
     Raises
     ------
-    UnreadableLogError
-        It is not there, or cannot be read.
+    LogError
+        It is missing, unreadable, or a Git LFS pointer.
     """
-    found = fingerprint(path)["sha256"]
-    if found is None:
+    refuse_lfs_pointer(path)
+    digest = fingerprint(path)["sha256"]
+    if digest is None:
         raise UnreadableLogError(path, "no such file or folder; check the path")
-    return str(found)
+    return str(digest)
+
+
+def refuse_lfs_pointer(path: str) -> None:
+    """Refuse a Git LFS pointer in place of a file, or of a file in a folder.
+
+    Raises
+    ------
+    LogError
+        There is one.
+    """
+    place = Path(path)
+    for file in sorted(place.iterdir()) if place.is_dir() else [place]:
+        if file.is_file():
+            with file.open("rb") as stream:
+                if stream.read(len(LFS_POINTER)) == LFS_POINTER:
+                    raise LogError(
+                        file,
+                        "it is a Git LFS pointer, not the file itself; download the file with "
+                        "git lfs pull",
+                    )

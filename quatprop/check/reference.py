@@ -1,49 +1,52 @@
-"""Stored references: small Parquet files that say how they came about."""
+"""Stored references: small Parquet files with their provenance."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
 from quatprop.signals.compared_series import Reading, read_operand
-from quatprop.text import plain, quoted
+from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
     from quatprop.check.case import Case
+    from quatprop.check.case_run import CaseRun
     from quatprop.check.lock import Pin
-    from quatprop.check.measure import Measured
     from quatprop.signals.compared_series import Operand
 
-MARK = "check"
-"""Key of the provenance that makes a file a stored reference."""
+PROVENANCE_KEY = "check"
+"""Key of the provenance that only stored references have."""
 
-SHARED = ("product", "attitude")
-"""What every reference has to say of its convention, in the same words."""
+CONVENTION_KEYS = ("product", "attitude")
+"""Entries of the convention that are the same in every reference."""
 
-NOT_SAID = "the default"
-"""What an option is where nothing is said."""
+DEFAULT = "the default"
+"""How an option that is not set is shown."""
 
-ROWS = 1000
-"""At most so many attitudes are kept, where the case does not say which."""
+MAX_ROWS = 1000
+"""Most attitudes in a reference, unless the case itself chooses them."""
 
 
-def thinning(samples: int) -> int:
-    """Return which so-manieth attitude to keep of a log: 1, 2, 5, 10, 20, 50...
+def decimation(samples: int) -> int:
+    """Return N, where a reference keeps every N-th attitude of a log: 1, 2, 5, 10, 20, 50...
 
-    Round steps, so that a few samples more or less do not ask for other ones.
+    The steps are round, so that a few samples more or less do not change N.
 
     Examples
     --------
-    >>> [thinning(samples) for samples in (0, 1000, 1001, 5580, 1_000_000)]
+    >>> [decimation(samples) for samples in (0, 1000, 1001, 5580, 1_000_000)]
     [1, 1, 2, 10, 1000]
     """
     decade = 1
     while True:
         for step in (decade, 2 * decade, 5 * decade):
-            if samples <= ROWS * step:
+            if samples <= MAX_ROWS * step:
                 return step
         decade *= 10
 
@@ -53,7 +56,7 @@ def read_reference(path: str) -> Operand:
     return read_operand(Reading(path, "parquet"))
 
 
-def write_reference(case: Case, now: Measured, hashes: dict[str, str], every: int | None) -> None:
+def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None) -> None:
     """Write the reference of a case, with its provenance.
 
     Raises
@@ -62,72 +65,77 @@ def write_reference(case: Case, now: Measured, hashes: dict[str, str], every: in
         It cannot be written.
     """
     target = Path(str(case.reference))
-    report = {key: value for key, value in now.report.items() if key != "timings"}
-    # What is kept must not depend on where it was made.
+    report = {key: value for key, value in run.report.items() if key != "timings"}
+    # The content must not depend on the folder in which it was made.
     report["source"] = {**report["source"], "path": Path(case.job.log).name}
     if "q0" in hashes:
         report["convention"] = {**report["convention"], "q0_from": case.options["q0"]}
-    report[MARK] = {
+    report[PROVENANCE_KEY] = {
         "case": case.name,
-        "options": case.options,
+        "options": dict(case.options),
         "every": every,
-        "inputs": hashes,
+        "inputs": dict(hashes),
     }
     target.parent.mkdir(parents=True, exist_ok=True)
     with open_writer(target, "parquet", layout="scalar-first") as writer:
-        writer.write(now.series)
+        writer.write(run.series)
         writer.commit(report)
 
 
-def refuse_foreign(target: Path) -> None:
-    """Refuse to replace a file that no update has written.
+def refuse_replacing(target: Path) -> None:
+    """Refuse to replace a file that is no stored reference.
 
-    An external series under this name is somebody's only copy; what --update writes can be
-    written again.
+    A stored reference can be made again; an independent series under this name may be the only
+    copy.
 
     Raises
     ------
     OutputError
-        It is something else.
+        It is no stored reference.
     """
     if not target.exists():
         return
     try:
-        known = MARK in _provenance(str(target))
+        is_reference = PROVENANCE_KEY in _provenance(str(target))
     except QuatpropError:
-        known = False
-    if not known:
+        is_reference = False
+    if not is_reference:
         raise OutputError(
             target,
-            "this was not written by check --update, which would replace it; move it away, or "
-            "say reference-log for a series from elsewhere",
+            "this was not written by check ",
+            Setting("update"),
+            ", which would replace it; move it away, or name an independent series as "
+            "reference-log",
         )
 
 
-def differing_provenance(case: Case, pin: Pin) -> str:
-    """Say what a file that is not the pinned reference tells of itself, and should not."""
+def describe_provenance(case: Case, pin: Pin) -> str:
+    """Return how the provenance of a file that is not the pinned reference differs."""
     try:
-        told = _provenance(str(case.reference))
+        provenance = _provenance(str(case.reference))
     except QuatpropError:
         return ", and cannot be read"
-    if MARK not in told:
-        return ", and was not written by check --update"
-    made = told[MARK]
-    facts: list[tuple[str, Any, Any]] = [("quatprop", told.get("quatprop"), pin.quatprop)]
-    facts += [(key, (told.get("convention") or {}).get(key), CONVENTION[key]) for key in SHARED]
-    facts += [("case", made.get("case"), case.name), ("every", made.get("every"), pin.every)]
-    options = made.get("options") or {}
+    if PROVENANCE_KEY not in provenance:
+        return ", and was not written by quatprop check"
+    check = provenance[PROVENANCE_KEY]
+    convention, options = provenance.get("convention") or {}, check.get("options") or {}
+    facts: list[tuple[str, object, object]] = [
+        ("quatprop", provenance.get("quatprop"), pin.quatprop),
+        *((key, convention.get(key), CONVENTION[key]) for key in CONVENTION_KEYS),
+        ("case", check.get("case"), case.name),
+        ("every", check.get("every"), pin.every),
+    ]
     facts += [
-        (key, options.get(key, NOT_SAID), case.options.get(key, NOT_SAID))
+        (key, options.get(key, DEFAULT), case.options.get(key, DEFAULT))
         for key in sorted(options.keys() | case.options.keys())
     ]
-    words = [
-        f"{plain(key)} {quoted(is_)} instead of {quoted(wanted)}"
-        for key, is_, wanted in facts
-        if is_ != wanted
-    ]
-    return f", and says of itself: {', '.join(words)}" if words else ""
+    differences = ", ".join(
+        f"{plain(key)} {quoted(actual)} instead of {quoted(expected)}"
+        for key, actual, expected in facts
+        if actual != expected
+    )
+    return f"; its metadata have {differences}" if differences else ""
 
 
-def _provenance(path: str) -> dict[str, Any]:
+def _provenance(path: str) -> Mapping[str, Any]:
     return read_reference(path).source.provenance

@@ -1,16 +1,21 @@
-"""Many cases, one after the other or in processes, their outcomes in the order of the suite."""
+"""Run cases, one after the other or in processes; results come in the order of the suite."""
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.check.case import BrokenCase, Case, Outcome
-from quatprop.check.judge import judge, settled
+from quatprop.check.case import BrokenCase, Case, CaseResult
+from quatprop.check.judge import judge
 from quatprop.check.lock import write_lock
+from quatprop.check.spelling import sentence
 from quatprop.check.update import update
+from quatprop.errors import QuatpropError
 from quatprop.parallel import KILLED, map_processes
+from quatprop.third_party_errors import as_user_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -18,8 +23,12 @@ if TYPE_CHECKING:
 
     from quatprop.check.lock import Pin
 
+    PinnedCase = tuple[Case | BrokenCase, Pin | None]
 
-def chosen(cases: Sequence[Case | BrokenCase], patterns: Sequence[str]) -> list[Case | BrokenCase]:
+
+def select_cases(
+    cases: Sequence[Case | BrokenCase], patterns: Sequence[str]
+) -> list[Case | BrokenCase]:
     """Return the cases whose names match one of the patterns; all where there are none.
 
     Parameters
@@ -30,75 +39,95 @@ def chosen(cases: Sequence[Case | BrokenCase], patterns: Sequence[str]) -> list[
         Parts of names, or with ``*``, ``?`` or ``[...]`` patterns of whole names.
     """
 
-    def wanted(name: str) -> bool:
+    def matches(name: str) -> bool:
         return not patterns or any(
             fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
             for pattern in patterns
         )
 
-    return [case for case in cases if wanted(case.name)]
+    return [case for case in cases if matches(case.name)]
 
 
-def outcomes(
+def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
+    """Judge or update a case; an error becomes its result.
+
+    Parameters
+    ----------
+    pinned
+        The case, and what it depended on when it was last updated.
+    updating
+        Write its reference anew instead of judging.
+    """
+    case, pin = pinned
+    if isinstance(case, BrokenCase):
+        return CaseResult(case.name, "error", case.reason, line=case.line)
+    began = time.perf_counter()
+    try:
+        result = (update if updating else judge)(case, pin)
+    except QuatpropError as error:
+        result = CaseResult(case.name, "error", sentence(error))
+    except Exception as error:
+        if (user_error := as_user_error(error)) is None:
+            raise
+        result = CaseResult(case.name, "error", sentence(user_error))
+    return replace(result, seconds=time.perf_counter() - began, line=case.line)
+
+
+def run_cases(
     cases: Sequence[Case | BrokenCase],
     pins: dict[str, Pin],
     *,
     updating: bool = False,
     processes: int = 1,
-    record: Callable[[Outcome], None] = lambda _outcome: None,
-) -> Generator[Outcome]:
-    """Yield what comes of each case, in their order, as soon as those before are done.
+    record: Callable[[CaseResult], None] = lambda _result: None,
+) -> Generator[CaseResult]:
+    """Yield the result of each case, in their order, as soon as those before are done.
 
     Parameters
     ----------
     cases
         The cases.
     pins
-        What they rested on, by name.
+        What they depended on when they were last updated, by name.
     updating
-        Make references anew instead of judging.
+        Write references anew instead of judging.
     processes
-        How many cases at a time; the outcomes are the same for any number.
+        Number of cases at a time; the results are the same for any number.
     record
-        Called with each outcome as soon as it is there, which may be long before its turn.
+        Called with each result as soon as it is there, which may be long before its turn.
     """
-    pairs = [(case, pins.get(case.name)) for case in cases]
-    work = partial(_outcome, updating=updating)
-    yield from map_processes(work, pairs, processes, _killed, record)
+    pinned = [(case, pins.get(case.name)) for case in cases]
+    work = partial(run_case, updating=updating)
+    yield from map_processes(work, pinned, processes, _killed, record)
 
 
-def _outcome(pair: tuple[Case | BrokenCase, Pin | None], *, updating: bool) -> Outcome:
-    case, pin = pair
-    return settled(case, pin=pin, work=update if updating else judge)
+def _killed(pinned: PinnedCase) -> CaseResult:
+    case, _ = pinned
+    return CaseResult(case.name, "error", KILLED, line=case.line)
 
 
-def _killed(pair: tuple[Case | BrokenCase, Pin | None]) -> Outcome:
-    case, _ = pair
-    return Outcome(case.name, "error", KILLED, line=case.line)
-
-
-def updates(
+def update_cases(
     cases: Sequence[Case | BrokenCase], pins: dict[str, Pin], lock: Path, *, processes: int = 1
-) -> Generator[Outcome]:
-    """Yield what comes of updating each case, and write what they pin into the lock at the end.
+) -> Generator[CaseResult]:
+    """Yield the result of updating each case, and write the lock at the end.
 
     Parameters
     ----------
     cases, processes
-        As for :func:`outcomes`.
+        As for :func:`run_cases`.
     pins
-        What is pinned; of cases that are not updated it stays.
+        What is pinned; the pins of other cases stay.
     lock
-        The lock of the suite.
+        Path of the lock.
     """
-    made = dict(pins)
+    pinned = dict(pins)
 
-    def record(outcome: Outcome) -> None:
-        if outcome.pin is not None:
-            made[outcome.name] = outcome.pin
+    def record(result: CaseResult) -> None:
+        if result.pin is not None:
+            pinned[result.name] = result.pin
 
     try:
-        yield from outcomes(cases, pins, updating=True, processes=processes, record=record)
+        yield from run_cases(cases, pins, updating=True, processes=processes, record=record)
     finally:
-        # Interrupted or not: the references that were written have to be known.
-        write_lock(lock, made)
+        # After an interruption, too: the lock must have the references that were written.
+        write_lock(lock, pinned)

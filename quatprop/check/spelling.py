@@ -1,4 +1,4 @@
-"""How a suite spells the settings that sentences mention: ``clock = "log"``."""
+"""How settings are written in a suite: ``clock = "log"``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,15 @@ if TYPE_CHECKING:
 KEY_NAMES = {"kind": "from"}
 """Settings whose key has another name."""
 
+COMMAND_OPTIONS = {"update"}
+"""Settings that are options of the command, not keys of a case."""
+
 
 def key(setting: Setting, side: str = "") -> str:
     """Return a setting as a key of a case, such as ``clock = "log"``; B is the reference."""
     name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
+    if name in COMMAND_OPTIONS:
+        return f"--{name}"
     if side == "b":
         name = f"reference-{name}"
     if not setting.value:
@@ -24,5 +29,5 @@ def key(setting: Setting, side: str = "") -> str:
 
 
 def sentence(error: QuatpropError) -> str:
-    """Return what an error says, with keys in place of the settings it mentions."""
+    """Return the sentence of an error, with keys in place of the settings it mentions."""
     return error.text.spelled(partial(key, side=error.side))

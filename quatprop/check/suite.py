@@ -1,4 +1,4 @@
-"""A suite as it is written: TOML with ``[defaults]`` and one table a case."""
+"""Read a suite: TOML with ``[defaults]`` and a table for each case."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quatprop.errors import SuiteError
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """One case as it is written, the defaults included.
+class CaseTable:
+    """A case as it is written.
 
     Parameters
     ----------
     name
-        Its name.
+        Name of the case.
     values
-        Key -> value, as TOML has them.
+        Key -> value, as TOML has them, with the defaults.
     line
-        Where its table begins in the suite, from 1.
+        Line of the suite where its table begins, from 1.
     """
 
     name: str
-    values: dict[str, Any]
+    values: Mapping[str, object]
     line: int
 
 
@@ -45,28 +45,28 @@ class Suite:
     path
         The file, as the user named it.
     defaults
-        What holds for every case that does not say otherwise.
+        Values of every case that has no own.
     tables
         The cases, in the order of the file.
     """
 
     path: Path
-    defaults: dict[str, Any]
-    tables: tuple[Table, ...]
+    defaults: Mapping[str, object]
+    tables: tuple[CaseTable, ...]
 
     @property
     def lock(self) -> Path:
-        """Where what the cases rest on is pinned."""
+        """Path of the lock."""
         return self.path.with_suffix(".lock.json")
 
 
 def read_suite(path: Path | str) -> Suite:
-    """Read a suite; what its keys mean is for the caller to know.
+    """Read a suite; its keys are checked when its cases are parsed.
 
     Raises
     ------
     SuiteError
-        It cannot be read, is not TOML, or is not of a suite's shape.
+        It cannot be read, is not TOML, or has other tables than those of a suite.
     """
     path = Path(path)
     try:
@@ -81,12 +81,12 @@ def read_suite(path: Path | str) -> Suite:
     if unknown := tables.keys() - {"defaults", "case"}:
         raise SuiteError(path, f"unknown {listed(sorted(unknown))}; {SHAPE}")
     defaults, cases = tables.get("defaults", {}), tables.get("case", {})
-    every = [("defaults", defaults), ("case", cases)]
+    named = [("defaults", defaults), ("case", cases)]
     if isinstance(cases, dict):
-        every += [(f"case.{name}", case) for name, case in cases.items()]
-    for name, table in every:
+        named += [(f"case.{name}", case) for name, case in cases.items()]
+    for name, table in named:
         if not isinstance(table, dict):
-            raise SuiteError(path, f"{quoted(name)} is no table; {SHAPE}")
+            raise SuiteError(path, f"{quoted(name)} is not a table; {SHAPE}")
     if not cases:
         raise SuiteError(path, f"it has no cases; {SHAPE}")
     lines = text.splitlines()
@@ -94,12 +94,13 @@ def read_suite(path: Path | str) -> Suite:
         path,
         defaults,
         tuple(
-            Table(name, {**defaults, **case}, _line_of(name, lines)) for name, case in cases.items()
+            CaseTable(name, {**defaults, **case}, _line_of(name, lines))
+            for name, case in cases.items()
         ),
     )
 
 
 def _line_of(name: str, lines: Iterable[str]) -> int:
-    """Return where a case's table begins, from 1; 1 where it is written in another way."""
+    """Return the line where a case's table begins, from 1; 1 where its header is unusual."""
     header = re.compile(rf"\s*\[\s*case\s*\.\s*([\"']?){re.escape(name)}\1\s*\]")
     return next((k for k, line in enumerate(lines, 1) if header.match(line)), 1)

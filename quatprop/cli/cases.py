@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.check.suite import Suite, Table
+    from quatprop.check.suite import CaseTable, Suite
 
 OUTPUT_ONLY = {
     "output", "to", "layout", "header-comment", "message", "out-topic", "frames", "into",
@@ -114,7 +114,7 @@ def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
 class _Parser:
     """Makes a case of its table."""
 
-    def __init__(self, suite: Suite, table: Table) -> None:
+    def __init__(self, suite: Suite, table: CaseTable) -> None:
         self.suite, self.table = suite, table
         self.folder = suite.path.parent
         self.inputs: dict[str, str] = {}
@@ -162,7 +162,7 @@ class _Parser:
             options=self._said(job_context),
             inputs=self.inputs,
             strict=not {"time-offset", "match", "max-dt"} & values.keys(),
-            pins_log=values.get(PIN_LOG, True),
+            pins_log=bool(values.get(PIN_LOG, True)),
             in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
             line=self.table.line,
         )

@@ -14,7 +14,7 @@ from quatprop.cli.options import quiet_option
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from quatprop.check.case import BrokenCase, Case, Outcome
+    from quatprop.check.case import BrokenCase, Case, CaseResult
     from quatprop.check.suite import Suite
 
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     "patterns",
     metavar="EXPR",
     multiple=True,
-    help="Only cases whose names hold EXPR, or match it where it has *, ? or [...]; can be "
+    help="Only cases whose names contain EXPR, or match it where it has *, ? or [...]; can be "
     "repeated.  [default: all]",
 )
 @click.option(
@@ -35,21 +35,21 @@ if TYPE_CHECKING:
     metavar="N",
     default=1,
     show_default=True,
-    help="Cases at a time, each in a process of its own; what is said is the same for any N.",
+    help="Cases at a time, each in a process of its own; the output is the same for any N.",
 )
 @click.option(
     "--update",
     is_flag=True,
-    help="Make references of what is new, changed or fails, and show what changed. What passes "
-    "is left as it is.",
+    help="Write the references of cases that are new, changed or fail, and show what changed. "
+    "Cases that pass are left as they are.",
 )
 @click.option(
-    "--junit", metavar="FILE", help="Write the outcomes as JUnit XML, too.  [default: none]"
+    "--junit", metavar="FILE", help="Also write the results as JUnit XML.  [default: none]"
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @quiet_option
-def command(suite: str, **asked: Any) -> None:
-    """Hold recorded logs against references.
+def command(suite: str, **options: Any) -> None:
+    """Compare recorded logs with references.
 
     SUITE.toml has one table [case.NAME] for each case, and [defaults] for all of them:
 
@@ -67,97 +67,99 @@ def command(suite: str, **asked: Any) -> None:
       tol = "3deg"
 
     Keys are the options of propagate (topic, method, bias...) and of compare (tol, align,
-    max-dt...; of its B as reference-topic, reference-log, reference-from-layout...); paths are
-    relative to the suite. --update writes the references, and SUITE.lock.json, which pins what
-    every case rests on: the SHA-256 of its inputs and its options. Keep all of them with the
-    suite. Say pin-log = false where what is tested makes the log anew.
+    max-dt...; those of its B begin with reference-, as reference-topic); paths are relative to
+    the suite. --update writes the references, and SUITE.lock.json, which pins the SHA-256 of the
+    inputs and the options of each case. Keep all of them with the suite. Use pin-log = false
+    where the system under test makes the log.
 
-    Exit code 0: all pass; 2: a case could not be judged (its log is missing, or something that it
-    rests on changed), whatever the others do; 1: a case failed.
+    Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
+    that is pinned changed), whatever the other cases do.
     """
     from quatprop.check.case import exit_code
     from quatprop.check.lock import read_lock
-    from quatprop.check.runner import chosen, outcomes, updates
+    from quatprop.check.runner import run_cases, select_cases, update_cases
     from quatprop.cli.cases import load_cases
 
-    written, every = load_cases(suite)
-    patterns = asked["patterns"]
-    cases = chosen(every, patterns)
+    loaded, all_cases = load_cases(suite)
+    patterns = options["patterns"]
+    cases = select_cases(all_cases, patterns)
     if not cases:
         raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
-    names = {case.name for case in every}
-    pins = {name: pin for name, pin in read_lock(written.lock).items() if name in names}
-    _refuse_overlap(written, every, asked["junit"])
-    processes = asked["processes"]
-    found = (
-        updates(cases, pins, written.lock, processes=processes)
-        if asked["update"]
-        else outcomes(cases, pins, processes=processes)
+    names = {case.name for case in all_cases}
+    pins = {name: pin for name, pin in read_lock(loaded.lock).items() if name in names}
+    _refuse_overlap(loaded, all_cases, options["junit"])
+    processes = options["processes"]
+    running = (
+        update_cases(cases, pins, loaded.lock, processes=processes)
+        if options["update"]
+        else run_cases(cases, pins, processes=processes)
     )
-    with closing(found):
-        done = _said(found, cases, speaks=not (asked["as_json"] or asked["quiet"]))
-    if asked["as_json"]:
-        click.echo(json.dumps(_report(written, done), indent=2))
-    _report_elsewhere(written, done, asked["junit"])
-    if code := exit_code(done):
+    with closing(running):
+        results = _show(running, cases, quiet=options["as_json"] or options["quiet"])
+    if options["as_json"]:
+        click.echo(json.dumps(_report(loaded, results), indent=2))
+    _report_to_ci(loaded, results, options["junit"])
+    if code := exit_code(results):
         raise click.exceptions.Exit(code)
 
 
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | BrokenCase], junit: str | None) -> None:
-    """Refuse to write over what a case reads, or over another output."""
+    """Refuse to replace an input of a case, or another output."""
     from quatprop.check.case import Case
     from quatprop.writers.atomic import checked_place
     from quatprop.writers.overlap import refuse_overlap
 
-    known = [case for case in cases if isinstance(case, Case)]
-    inputs = [path for case in known for path in case.inputs.values()]
-    references = [case.reference for case in known]
+    valid = [case for case in cases if isinstance(case, Case)]
+    inputs = [path for case in valid for path in case.inputs.values()]
+    references = [case.reference for case in valid]
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
     if junit is not None:
         checked_place(junit)
 
 
-def _said(
-    found: Iterable[Outcome], cases: Sequence[Case | BrokenCase], *, speaks: bool
-) -> list[Outcome]:
-    """Say what comes of each case as soon as it is known."""
-    from quatprop.check.summary import line, tally
+def _show(
+    running: Iterable[CaseResult], cases: Sequence[Case | BrokenCase], *, quiet: bool
+) -> list[CaseResult]:
+    """Show the result of each case as soon as it is there, and return all of them."""
+    from quatprop.check.reports import result_text, totals
     from quatprop.text import plain
 
     width = max(len(plain(case.name)) for case in cases)
-    done: list[Outcome] = []
-    for outcome in found:
-        done.append(outcome)
-        if speaks:
-            click.echo(line(outcome, width))
-    if speaks:
-        click.echo(tally(done))
-    return done
+    results = []
+    for result in running:
+        results.append(result)
+        if not quiet:
+            click.echo(result_text(result, width))
+    if not quiet:
+        click.echo(totals(results))
+    return results
 
 
-def _report(suite: Suite, done: list[Outcome]) -> dict[str, object]:
+def _report(suite: Suite, results: list[CaseResult]) -> Any:
     from quatprop import __version__
+    from quatprop.provenance import as_json
 
-    verdicts = [outcome.verdict for outcome in done]
-    return {
-        "quatprop": __version__,
-        "suite": str(suite.path),
-        "passed": verdicts.count("pass"),
-        "failed": verdicts.count("fail"),
-        "errors": verdicts.count("error"),
-        "cases": [outcome.report() for outcome in done],
-    }
+    verdicts = [result.verdict for result in results]
+    return as_json(
+        {
+            "quatprop": __version__,
+            "suite": suite.path,
+            "passed": verdicts.count("pass"),
+            "failed": verdicts.count("fail"),
+            "errors": verdicts.count("error"),
+            "cases": [result.report() for result in results],
+        }
+    )
 
 
-def _report_elsewhere(suite: Suite, done: list[Outcome], junit: str | None) -> None:
-    """Tell CI what it understands."""
-    from quatprop.check.github import annotated, append_summary
-    from quatprop.check.junit import write_junit
+def _report_to_ci(suite: Suite, results: list[CaseResult], junit: str | None) -> None:
+    """Write what CI services read."""
+    from quatprop.check.reports import append_github_summary, github_annotations, write_junit
 
     if junit is not None:
-        write_junit(junit, suite.path, done)
+        write_junit(junit, suite.path, results)
     if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
-        append_summary(summary, suite.path, done)
+        append_github_summary(summary, suite.path, results)
     if os.environ.get("GITHUB_ACTIONS") == "true":
-        for words in annotated(suite.path, done):
-            click.echo(words, err=True)
+        for annotation in github_annotations(suite.path, results):
+            click.echo(annotation, err=True)

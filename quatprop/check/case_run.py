@@ -1,0 +1,183 @@
+"""Run a case: propagate its log, and compare the attitudes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from quatprop.check.spelling import sentence
+from quatprop.comparison import compare
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.pipeline.job import run
+from quatprop.provenance import as_json
+from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
+    from quatprop.check.case import Case
+    from quatprop.series import AttitudeSeries
+
+
+@dataclass(frozen=True, slots=True)
+class CaseRun:
+    """The attitudes of a case.
+
+    Parameters
+    ----------
+    series
+        The attitudes, as they were written.
+    report
+        The report of the run.
+    """
+
+    series: AttitudeSeries
+    report: Mapping[str, Any]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples that were propagated."""
+        return int(self.report["result"]["samples"])
+
+    @property
+    def final_wxyz(self) -> tuple[float, ...]:
+        """The attitude at the last sample."""
+        return tuple(self.report["result"]["final_wxyz"])
+
+
+@dataclass(frozen=True, slots=True)
+class CaseComparison:
+    """How the attitudes of a case differ from those that they are compared with.
+
+    Parameters
+    ----------
+    error_rad
+        The worst error, rad; None where they cannot be compared.
+    where
+        The time of the worst error.
+    failure
+        Why the error is not accepted; empty where it is.
+    cause
+        The likely cause of the error; empty where none is known.
+    report
+        The report of the comparison, JSON-ready; None where there is none.
+    """
+
+    error_rad: float | None
+    where: str = ""
+    failure: str = ""
+    cause: str = ""
+    report: Mapping[str, object] | None = None
+
+
+def propagate_case(case: Case, every: int | None) -> CaseRun:
+    """Propagate the log of a case.
+
+    Parameters
+    ----------
+    case
+        The case.
+    every
+        Keep every N-th attitude, unless the case itself chooses them.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be propagated with these settings.
+    """
+    with TemporaryDirectory(prefix="quatprop-") as folder:
+        output = str(Path(folder) / "attitude.parquet")
+        job = replace(case.job, output=output, to="parquet", report=None)
+        report = run(job if chooses_rows(case) else replace(job, every=every))
+        return CaseRun(read_operand(Reading(output, "parquet")).series, report)
+
+
+def chooses_rows(case: Case) -> bool:
+    """Return whether the case itself says which attitudes are kept."""
+    return any(choice is not None for choice in (case.job.every, case.job.rate, case.job.at))
+
+
+def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
+    """Compare the attitudes of a case, `a`, with others, `b`.
+
+    Raises
+    ------
+    ComparisonError
+        They cannot be compared with these settings.
+    """
+    limit = math.inf if case.settings.tolerance is None else case.settings.tolerance
+    if len(a) == len(b) == 1 and a.t_ns[0] == b.t_ns[0]:
+        # A comparison needs two pairs; a log of one sample has one attitude.
+        error = float(geodesic_angle(a.wxyz[0], b.wxyz[0]))
+        failure = "" if error <= limit else "the only attitude is above the tolerance"
+        return CaseComparison(error, "at the only sample", failure)
+    result = compare(a, b, case.settings)
+    first_ns = int(result.pairs.t_ns[0])
+    failure = ""
+    if result.exceeded is not None:
+        failure = (
+            f"above the tolerance, first at {_since(result.exceeded.t_ns, first_ns)} "
+            f"({result.exceeded.t_ns} ns)"
+        )
+    return CaseComparison(
+        error_rad=result.worst.error_rad,
+        where=f"at {_since(result.worst.t_ns, first_ns)}",
+        failure=failure,
+        cause=f"{result.cause.sentence} ({result.cause.name})" if result.cause else "",
+        report=as_json(result.report()),
+    )
+
+
+def try_compare(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
+    """Compare as :func:`compare_case`, where attitudes that cannot be compared are a failure."""
+    try:
+        return compare_case(case, a, b)
+    except ComparisonError as error:
+        return CaseComparison(None, failure=sentence(error))
+
+
+def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
+    """Return how timestamps differ from those of a reference; empty where they do not."""
+    if len(a) != len(b):
+        return f"there are {len(a)} attitudes, and {len(b)} in the reference"
+    (differing,) = (a.t_ns != b.t_ns).nonzero()
+    if not len(differing):
+        return ""
+    first = int(differing[0])
+    return (
+        f"{len(differing)} of {len(a)} timestamps differ from the reference, the first at attitude "
+        f"{first}: {a.t_ns[first]} ns, not {b.t_ns[first]} ns"
+    )
+
+
+def angle_text(angle: float, *, in_degrees: bool) -> str:
+    """Return an angle, rad, in the unit of the tolerance.
+
+    Examples
+    --------
+    >>> angle_text(0.5, in_degrees=True)
+    '28.6479 deg'
+    """
+    return f"{math.degrees(angle):.6g} deg" if in_degrees else f"{angle:.3g} rad"
+
+
+def error_text(case: Case, comparison: CaseComparison) -> str:
+    """Return the worst error, the tolerance, and where; empty where nothing was compared."""
+    if comparison.error_rad is None:
+        return ""
+    error, *limit = (
+        angle_text(angle, in_degrees=case.in_degrees)
+        for angle in (comparison.error_rad, case.settings.tolerance)
+        if angle is not None
+    )
+    return f"{' of '.join([error, *limit])} {comparison.where}"
+
+
+def _since(t_ns: int, first_ns: int) -> str:
+    return f"+{duration_text(t_ns - first_ns)}"

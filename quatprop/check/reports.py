@@ -1,0 +1,169 @@
+"""Results of cases as text, as JUnit XML, and as GitHub shows them.
+
+References
+----------
+"Workflow commands for GitHub Actions", docs.github.com: ``::error file=,line=,title=::message``,
+and Markdown appended to the file that ``GITHUB_STEP_SUMMARY`` names.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree as ET
+
+from quatprop.errors import OutputError
+from quatprop.text import plain
+from quatprop.writers.atomic import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.check.case import CaseResult
+
+VERDICTS = {"pass": "pass", "fail": "FAIL", "error": "ERROR"}
+"""Verdicts in text."""
+
+GITHUB_VERDICTS = {"pass": "passed", "fail": ":x: failed", "error": ":warning: error"}
+"""Verdicts in the summary on GitHub."""
+
+JUNIT_ELEMENTS = {"fail": "failure", "error": "error"}
+"""Verdict -> element of JUnit XML."""
+
+WIDTH = max(map(len, VERDICTS.values()))
+
+
+def result_text(result: CaseResult, width: int) -> str:
+    """Return the result of a case: one line, and its reason, changes and notes below.
+
+    Parameters
+    ----------
+    result
+        The result.
+    width
+        Width of the column of names.
+    """
+    summary = result.summary
+    if result.updated is not None and result.verdict != "error":
+        summary = f"{result.updated:<7}  {summary}"
+    name = f"{plain(result.name):<{width}}"
+    first = f"{VERDICTS[result.verdict]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
+    below = [result.reason] if summary and result.reason else []
+    below += [*result.changes, *(() if result.reason else result.notes)]
+    indent = " " * (WIDTH + 2)
+    return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
+
+
+def totals(results: Sequence[CaseResult]) -> str:
+    """Return how many cases passed, failed, and had errors.
+
+    Examples
+    --------
+    >>> from quatprop.check.case import CaseResult
+    >>> totals([CaseResult("a", "pass"), CaseResult("b", "fail"), CaseResult("c", "pass")])
+    '3 cases: 2 passed, 1 failed'
+    """
+    verdicts = [result.verdict for result in results]
+    passed, failed, errors = (verdicts.count(verdict) for verdict in ("pass", "fail", "error"))
+    counts = [f"{passed} passed"]
+    counts += [f"{failed} failed"] if failed else []
+    counts += [f"{errors} error{'s' * (errors != 1)}"] if errors else []
+    return f"{len(results)} case{'s' * (len(results) != 1)}: {', '.join(counts)}"
+
+
+def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:
+    """Write results as JUnit XML.
+
+    Parameters
+    ----------
+    target
+        Where to write.
+    suite
+        The suite, whose name is that of the test suite.
+    results
+        The results.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    verdicts = [result.verdict for result in results]
+    counts = {
+        "tests": str(len(results)),
+        "failures": str(verdicts.count("fail")),
+        "errors": str(verdicts.count("error")),
+        "skipped": "0",
+        "time": f"{sum(result.seconds for result in results):.3f}",
+    }
+    root = ET.Element("testsuites", counts)
+    tests = ET.SubElement(root, "testsuite", {"name": plain(suite.name), **counts})
+    for result in results:
+        case = ET.SubElement(
+            tests,
+            "testcase",
+            {
+                "classname": plain(suite.stem),
+                "name": plain(result.name),
+                "file": plain(suite.as_posix()),
+                "line": str(result.line),
+                "time": f"{result.seconds:.3f}",
+            },
+        )
+        if result.verdict in JUNIT_ELEMENTS:
+            reason = plain(result.reason)
+            element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
+            element.text = "\n".join(filter(None, [result.summary, reason]))
+        elif text := "\n".join(filter(None, [result.summary, *map(plain, result.notes)])):
+            ET.SubElement(case, "system-out").text = text
+    ET.indent(root)
+    with replacing(target) as stream:
+        ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
+        stream.write(b"\n")
+
+
+def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
+    """Append a table of results to the summary of a step on GitHub.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    rows = [f"### {_markdown(suite.as_posix())}: {totals(results)}", ""]
+    rows += ["| case | verdict | worst error | why |", "|---|---|---|---|"]
+    for result in results:
+        why = result.reason or "; ".join([*result.changes, *result.notes])
+        cells = [result.name, GITHUB_VERDICTS[result.verdict], result.summary, why]
+        rows.append(f"| {' | '.join(map(_markdown, cells))} |")
+    try:
+        with Path(target).open("a", encoding="utf-8") as stream:
+            stream.write("\n".join(rows) + "\n\n")
+    except OSError as error:
+        raise OutputError(target, f"cannot be written: {error.strerror or error}") from error
+
+
+def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[str]:
+    """Yield a line for each case that did not pass, which GitHub shows beside the suite."""
+    for result in results:
+        if result.verdict != "pass":
+            where = f"file={_property(suite.as_posix())},line={result.line}"
+            title = _property(f"{result.name}: {result.verdict}")
+            message = "; ".join(filter(None, [result.summary, result.reason]))
+            yield f"::error {where},title={title}::{_message(message)}"
+
+
+def _markdown(text: str) -> str:
+    """Return text that a cell of a Markdown table shows as it is."""
+    text = plain(text)
+    for mark in "\\`*_[]<>|":
+        text = text.replace(mark, "\\" + mark)
+    return text
+
+
+def _message(text: str) -> str:
+    return plain(text).replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    return _message(text).replace(":", "%3A").replace(",", "%2C")
