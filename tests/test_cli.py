@@ -66,7 +66,7 @@ def test_the_summary_goes_to_stderr_and_can_be_silenced(log, tmp_path):
         "method    start, body rates: rates resolved in the body frame; q[k+1] = q[k] * dq[k]",
         "spread    0 deg: how far method coning would end from here",
         "final     w +0.877582562  x +0.000000000  y +0.000000000  z +0.479425539",
-        "rotation  57.2958 deg from q0 to the end, 57.2958 deg turned on the way, "  # noqa: ISC004
+        "rotation  57.2958 deg from q0 to the end, 57.2958 deg traversed in total, "  # noqa: ISC004
         "at most 57.2958 deg/s",
     ]
     assert run("propagate", log, "-o", out, "-q").output == ""
@@ -200,7 +200,7 @@ def test_dropped_samples_end_with_code_3(tmp_path):
     result = run("propagate", path, "-o", tmp_path / "out.csv", "--on-nonfinite", "drop")
     assert result.exit_code == 3, result.output
     assert "samples   2 of 3 over 2 s, 0.5 Hz" in result.stderr
-    assert "warning: 1 rate that is not finite (dropped), first at sample 1" in result.stderr
+    assert "warning: 1 non-finite rate (dropped), first at sample 1" in result.stderr
 
 
 def test_missing_file(tmp_path):

@@ -1,4 +1,4 @@
-"""Stretch after stretch: the attitude reached, and memory that stays flat."""
+"""Stretch after segment: the attitude reached, and memory that stays flat."""
 
 import tracemalloc
 
@@ -22,9 +22,9 @@ def peak_bytes(blocks):
             t_ns = np.arange(k * BLOCK, (k + 1) * BLOCK)
             yield GyroSeries(t_ns, np.zeros((BLOCK, 3)))
 
-    stretches = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
+    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
     tracemalloc.start()
-    for _ in stretches.attitudes(batches()):
+    for _ in segments.attitudes(batches()):
         pass
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -41,8 +41,8 @@ def test_the_difference_of_methods_is_that_of_their_ends(method):
     """It is the angle between the ends of coning and of start, whichever was asked for."""
     random = np.random.default_rng(1)
     t_ns, rate = np.arange(500) * 10_000_000, random.normal(0, 2, (500, 3))
-    stretches = Segments(Timeline(Policy(), "log"), IDENTITY, method=method, rates="body")
-    (series,) = stretches.attitudes([GyroSeries(t_ns, rate)])
+    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method=method, rates="body")
+    (series,) = segments.attitudes([GyroSeries(t_ns, rate)])
     assert (series.wxyz == attitudes(t_ns, rate, method=method)).all()
     ends = [attitudes(t_ns, rate, method=each)[-1] for each in ("start", "coning")]
-    assert stretches.method_difference == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)
+    assert segments.method_sensitivity_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)

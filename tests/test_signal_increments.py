@@ -127,11 +127,34 @@ def test_time_that_no_increment_covers_is_remarked_on():
     series = GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), np.full(3, 3 * 10**9))
     timeline = Timeline(OBSERVE, "log")
     list(timeline.apply([series]))
-    assert timeline.counts.turned == pytest.approx(6 * 3**0.5)
+    assert timeline.counts.path_angle_rad == pytest.approx(6 * 3**0.5)
     (remark,) = remarks(timeline.counts, OBSERVE)
-    assert remark == (
-        "the increments were integrated over 6 s of the 8 s between the first stamp and the last"
-        ": the rest is taken as no rotation"
+    assert str(remark) == (
+        "the increments were integrated over 6 s of the 8 s between the first timestamp "
+        "and the last: no rotation is assumed for the rest"
+    )
+
+
+@pytest.mark.parametrize("missed_ns", [0, 7_999_999, -7_999_999])
+def test_increments_that_cover_the_time_are_not_remarked_on(missed_ns):
+    """Less than a thousandth of the time may be missing, or covered twice."""
+    span_ns = np.full(3, 4 * 10**9)
+    span_ns[2] -= missed_ns
+    timeline = Timeline(OBSERVE, "log")
+    list(timeline.apply([GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), span_ns)]))
+    assert timeline.counts.integrated_ns == 8 * 10**9 - missed_ns
+    assert remarks(timeline.counts, OBSERVE) == []
+
+
+def test_increments_that_cover_more_than_the_time_are_remarked_on():
+    """Intervals that were integrated twice are not rest."""
+    timeline = Timeline(OBSERVE, "log")
+    spans = np.full(3, 5 * 10**9)
+    list(timeline.apply([GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), spans)]))
+    (remark,) = remarks(timeline.counts, OBSERVE)
+    assert str(remark) == (
+        "the increments were integrated over 10 s of the 8 s between the first timestamp "
+        "and the last"
     )
 
 

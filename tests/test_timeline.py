@@ -1,5 +1,6 @@
 """What the timeline counts, refuses, drops, sorts and holds."""
 
+from dataclasses import asdict
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
-from quatprop.timeline import OBSERVE, Policy, Timeline
+from quatprop.timeline import OBSERVE, Policy, StampChecks, Timeline
 from quatprop.timeline.counts import remarks
 
 MS = 1_000_000
@@ -40,7 +41,7 @@ def test_a_clean_timeline_passes_unchanged():
     assert (counts.read, counts.used, counts.span_ns) == (5, 5, 45 * MS)
     assert (counts.min_dt_ns, counts.median_dt_ns, counts.max_dt_ns) == (10 * MS, 10 * MS, 15 * MS)
     assert counts.max_rate == 3.0
-    assert counts.turned == pytest.approx(3.0 * 0.045, rel=1e-15)
+    assert counts.path_angle_rad == pytest.approx(3.0 * 0.045, rel=1e-15)
     assert remarks(counts, Policy()) == []
 
 
@@ -56,9 +57,9 @@ def test_duplicates_are_kept_and_counted_across_batches():
     assert stamps == [0, 10, 10, 10, 20]
     assert (counts.duplicates.count, counts.duplicates.first_index) == (2, 2)
     assert counts.duplicates.first_ns == 10 * MS
-    (said,) = remarks(counts, Policy())
-    assert said == (
-        "2 repeated stamps (kept: a step of zero time turns nothing), "
+    (remark,) = remarks(counts, Policy())
+    assert str(remark) == (
+        "2 repeated timestamps (kept: a zero-length step leaves the attitude unchanged), "
         "first at sample 2, t = 10000000 ns"
     )
 
@@ -69,7 +70,7 @@ def test_a_backward_step_is_an_error_by_default(batches):
     with pytest.raises(
         TimelineError,
         match=r"^log\.csv: time steps back by 5 ms at sample 2 \(t = 5000000 ns\); "
-        r"choose --on-backwards drop\|sort, or another --clock$",
+        r"choose on_backwards='drop' or 'sort', or another clock$",
     ):
         applied(Policy(), *map(gyro, batches))
 
@@ -112,7 +113,7 @@ def test_a_rate_that_is_not_finite_is_an_error_by_default(bad):
     with pytest.raises(
         TimelineError,
         match=r"^log\.csv: the rate of sample 5 \(t = 20000000 ns\) is not finite; "
-        r"choose --on-nonfinite drop\|hold$",
+        r"choose on_nonfinite='drop' or 'hold'$",
     ):
         applied(Policy(), gyro([-20, -10, 0]), gyro([0, 10, 20], rate))
 
@@ -136,6 +137,17 @@ def test_held_rates_repeat_the_last_finite_one_across_batches():
     assert (counts.nonfinite.count, counts.dropped) == (2, 0)
 
 
+@pytest.mark.parametrize("bad_in_first", [1, 2])
+def test_a_rate_is_held_from_one_batch_to_the_next(bad_in_first):
+    """Where a batch ends with rates that are not finite, the next one goes on with the same."""
+    good = [[1, 2, 3], [4, 5, 6], [7, 8, 9]][: 3 - bad_in_first]
+    first = gyro([0, 10, 20], good + [[np.nan] * 3] * bad_in_first)
+    second = gyro([30, 40], [[np.nan] * 3, [8, 8, 8]])
+    _, rates, counts = applied(Policy(on_nonfinite="hold"), first, second)
+    assert rates.tolist() == [*good, *[good[-1]] * (bad_in_first + 1), [8, 8, 8]]
+    assert counts.nonfinite.count == bad_in_first + 1
+
+
 def test_there_must_be_a_rate_to_hold():
     """Before the first finite rate there is none, and zero would be a guess."""
     rate = np.ones((3, 3))
@@ -143,7 +155,7 @@ def test_there_must_be_a_rate_to_hold():
     with pytest.raises(
         TimelineError,
         match=r"the rate of sample 0 \(t = 0 ns\) is not finite and there is none before it to "
-        r"hold; choose --on-nonfinite drop, or begin later with --start$",
+        r"hold; choose on_nonfinite='drop', or begin later with start$",
     ):
         applied(Policy(on_nonfinite="hold"), gyro([0, 10, 20], rate))
 
@@ -152,7 +164,7 @@ def test_gaps_are_intervals_over_ten_medians():
     """Ten medians are no gap; more is one, located by the sample after it."""
     _, _, counts = applied(Policy(), gyro([0, 10, 20, 30, 130, 231, 241, 251, 261]))
     assert (counts.gap_limit_ns, counts.gaps.count, counts.gaps.first_index) == (100 * MS, 1, 5)
-    assert remarks(counts, Policy()) == [
+    assert list(map(str, remarks(counts, Policy()))) == [
         "1 interval longer than 100 ms (propagated across), first at sample 5, t = 231000000 ns"
     ]
 
@@ -175,45 +187,44 @@ def test_not_every_gap_of_very_many_is_listed():
 
 
 def test_a_gap_can_be_an_error():
-    """With --on-gap error the first interval over --max-gap is refused."""
+    """With on_gap="error" the first interval over max_gap is refused."""
     with pytest.raises(
         TimelineError,
         match=r"^log\.csv: a gap ends at sample 2 \(t = 40000000 ns\), longer than 20 ms; "
-        r"choose --on-gap hold\|zero\|split or a "
-        r"longer --max-gap$",
+        r"choose on_gap='hold' or 'zero' or 'split' or a longer max_gap$",
     ):
         applied(Policy(on_gap="error", max_gap_ns=20 * MS), gyro([0, 10, 40, 50]))
 
 
 @pytest.mark.parametrize("on_gap", ["zero", "split"])
 @pytest.mark.parametrize("size", [1, 2, 3, 100])
-def test_stretches_end_where_gaps_begin(on_gap, size, monkeypatch):
-    """A gap ends a stretch, also between blocks; gaps in a row make stretches of one sample."""
+def test_segments_end_where_gaps_begin(on_gap, size, monkeypatch):
+    """A gap ends a segment, also between blocks; gaps in a row make segments of one sample."""
     monkeypatch.setattr("quatprop.timeline.reblock", lambda batches: batches)
     t_ms = [0, 10, 20, 90, 100, 200, 300, 310]
     batches = [gyro(t_ms[at : at + size]) for at in range(0, len(t_ms), size)]
     timeline = Timeline(Policy(on_gap=on_gap, max_gap_ns=50 * MS), "log.csv")
-    stretches = [
-        [int(t_ns) // MS for series in stretch for t_ns in series.t_ns]
-        for stretch in timeline.stretches(batches)
+    segments = [
+        [int(t_ns) // MS for series in segment for t_ns in series.t_ns]
+        for segment in timeline.segments(batches)
     ]
-    assert stretches == [[0, 10, 20], [90, 100], [200], [300, 310]]
+    assert segments == [[0, 10, 20], [90, 100], [200], [300, 310]]
     assert timeline.counts.gaps.count == 3
-    assert timeline.counts.turned == pytest.approx(3.0 * 0.040, rel=1e-12)
+    assert timeline.counts.path_angle_rad == pytest.approx(3.0 * 0.040, rel=1e-12)
 
 
-def test_other_gap_policies_know_one_stretch():
+def test_other_gap_policies_know_one_segment():
     """Held gaps are propagated across."""
     timeline = Timeline(Policy(max_gap_ns=50 * MS), "log.csv")
-    (stretch,) = timeline.stretches([gyro([0, 10, 100])])
-    assert sum(map(len, stretch)) == 3
+    (segment,) = timeline.segments([gyro([0, 10, 100])])
+    assert sum(map(len, segment)) == 3
 
 
 def test_time_that_does_not_pass_is_remarked():
     """Stamps that are all equal turn nothing, and that is said."""
     _, _, counts = applied(Policy(), gyro([0, 0, 0]))
-    assert remarks(counts, Policy())[-1] == (
-        "all stamps are 0 ns: time does not pass; is there another --clock or time column?"
+    assert str(remarks(counts, Policy())[-1]) == (
+        "all timestamps are 0 ns; is there another clock or time column?"
     )
 
 
@@ -239,12 +250,27 @@ def test_what_comes_out_does_not_depend_on_batches(stamps, cuts, on_backwards):
     assert together[2] == apart[2]
 
 
+@given(
+    st.lists(st.integers(-50, 50), min_size=1, max_size=60),
+    st.lists(st.integers(0, 60), max_size=6),
+)
+def test_stamps_alone_are_counted_as_with_rates(stamps, cuts):
+    """Stamps without rates give the same counts as a timeline that lets everything pass."""
+    whole = np.array(stamps, np.int64) * MS
+    edges = [0, *sorted(min(cut, len(stamps)) for cut in cuts), len(stamps)]
+    checks = StampChecks("log.csv")
+    out = list(checks.observe(whole[start:stop] for start, stop in pairwise(edges)))
+    assert np.concatenate(out).tolist() == whole.tolist()
+    together = asdict(applied(OBSERVE, gyro(stamps))[2])
+    assert {name: together[name] for name in asdict(checks.counts)} == asdict(checks.counts)
+
+
 def test_stamps_too_far_apart_for_64_bits_are_refused():
     """Their interval would wrap around to a few nanoseconds."""
     ends = np.array([-(2**63) + 2, 2**63 - 1])
     with pytest.raises(
         TimelineError,
-        match=r"its stamps span more than 292 years, up to 9223372036854775807 ns; check "
-        r"--time-unit, the time column or --clock$",
+        match=r"its timestamps span more than 292 years, up to 9223372036854775807 ns; check "
+        r"time_unit, the time column or clock$",
     ):
         applied(Policy(), GyroSeries(ends, np.ones((2, 3))))

@@ -11,6 +11,7 @@ import click
 from quatprop.cli import propagate
 from quatprop.cli.options import quiet_option
 from quatprop.cli.output_options import KINDS
+from quatprop.provenance import as_json as to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -96,7 +97,7 @@ def command(logs: tuple[str, ...], **chosen: Any) -> None:
     finally:
         made.write()
     if as_json:
-        click.echo(json.dumps([_report(outcome) for outcome in done], indent=2))
+        click.echo(json.dumps(to_json([_report(outcome) for outcome in done]), indent=2))
     if not quiet:
         click.echo(_tally(done, len(jobs) - len(wanted)), err=True)
     if any(outcome.error for outcome in done):

@@ -10,6 +10,7 @@ import click
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.spelling import sentence, spelled
 from quatprop.cli.summary import lost
+from quatprop.provenance import as_json as to_json
 from quatprop.text import plain
 
 TIMED = {
@@ -42,7 +43,7 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     """Show every source of body rates and of attitudes in each LOG.
 
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
-    median intervals), repeated stamps, stamps that step back; of rates the largest, of attitudes
+    median intervals), repeated and non-monotonic timestamps; of rates the largest, of attitudes
     how many rows are no rotation, and the layout. What is missing to read a source is said with
     the option that says it.
     """
@@ -60,7 +61,7 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
             unusable += 1
             click.echo(f"Error: {sentence(error)}", err=True)
     if as_json:
-        click.echo(json.dumps(surveys, indent=2))
+        click.echo(json.dumps(to_json(surveys), indent=2))
     else:
         click.echo("\n\n".join(_described(facts) for facts in surveys), nl=bool(surveys))
     if unusable:

@@ -15,6 +15,7 @@ from quatprop.cli.options import (
     selection,
     with_options,
 )
+from quatprop.cli.spelling import spelled
 from quatprop.cli.types import Angle, Duration, Time, TimeOffset
 
 OF_SAMPLES = ("kind", "topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
@@ -137,7 +138,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
         report = plot(job, tick)
     if not quiet:
         lines = [plain(line) for line in report["lines"]]
-        lines += [f"warning: {plain(warning)}" for warning in report["warnings"]]
+        lines += [f"warning: {spelled(warning)}" for warning in report["warnings"]]
         click.echo("\n".join(lines), err=True)
     if report["data_lost"]:
         raise click.exceptions.Exit(3)

@@ -85,12 +85,12 @@ def _facts(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     if convention["q0_from"] != "given":
         yield "q0", f"{_numbers(convention['q0_wxyz'])}, from {plain(convention['q0_from'])}"
     other = "start" if convention["method"] == "coning" else "coning"
-    spread = math.degrees(result["method_difference_rad"])
+    spread = math.degrees(result["method_sensitivity_rad"])
     yield "spread", f"{spread:.3g} deg: how far method {other} would end from here"
     yield "final", _numbers(result["final_wxyz"])
     rotation = (
         f"{math.degrees(result['net_rotation_rad']):.6g} deg from q0 to the end, "
-        f"{math.degrees(result['turned_rad']):.6g} deg turned on the way, "
+        f"{math.degrees(result['path_angle_rad']):.6g} deg traversed in total, "
         f"at most {math.degrees(counts['max_rate']):.6g} deg/s"
     )
     yield "rotation", rotation

@@ -156,7 +156,7 @@ def run(
         recording = Recording(log, source, job.selection, mount)
         q0, batches = starting(job.q0, recording, batches)
         timeline, watch = Timeline(job.policy, job.log), RateChecks()
-        stretches = Segments(
+        segments = Segments(
             timeline,
             q0,
             method=job.method,
@@ -172,7 +172,7 @@ def run(
         ):
             rows = 0
             used = watch.passing(batches)
-            attitudes = stretches.attitudes(used if eye is None else eye.rates(used))
+            attitudes = segments.attitudes(used if eye is None else eye.rates(used))
             attitudes = attitudes if eye is None else eye.attitudes(attitudes)
             for series in every(attitudes, job.every or 1):
                 writer.write(series)
@@ -190,8 +190,8 @@ def run(
                 timeline=timeline,
                 conditioned=conditioned,
                 q0=q0,
-                final=stretches.final,
-                method_difference=stretches.method_difference,
+                final=segments.final,
+                method_sensitivity_rad=segments.method_sensitivity_rad,
                 rows=rows,
                 remarks=findings,
                 fingerprint=fingerprint.result(),

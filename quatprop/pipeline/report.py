@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from quatprop import __version__
 from quatprop.containers.remote import without_secret
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.provenance import as_json
 from quatprop.timeline.counts import remarks
 from quatprop.writers.atomic import Output, reported
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from typing import Self
 
     import numpy as np
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Log
     from quatprop.pipeline.job import Job
     from quatprop.signals.rates import Source
+    from quatprop.text import Text
     from quatprop.timeline import Timeline
 
 CONVENTION = {
@@ -46,8 +49,8 @@ class RunResult(NamedTuple):
         What was done to the rates, JSON-ready.
     q0, final
         Attitudes at the first and at the last sample, wxyz.
-    method_difference
-        Angle between the ends of two methods, rad.
+    method_sensitivity_rad
+        Angle between the final attitudes of this and another method, rad.
     rows
         Attitudes written.
     remarks
@@ -62,9 +65,9 @@ class RunResult(NamedTuple):
     conditioned: dict[str, Any]
     q0: NDArray[np.float64]
     final: NDArray[np.float64]
-    method_difference: float
+    method_sensitivity_rad: float
     rows: int
-    remarks: list[str]
+    remarks: Sequence[str | Text]
     fingerprint: dict[str, Any]
 
 
@@ -89,7 +92,7 @@ class ReportFile:
         """Write the report and put it in its place."""
         if self._output is not None:
             with reported(self._output.target):
-                self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
+                self._output.stream.write((json.dumps(as_json(report), indent=2) + "\n").encode())
             self._output.commit()
 
     def __enter__(self) -> Self:
@@ -151,7 +154,7 @@ def report_on(job: Job, done: RunResult) -> dict[str, Any]:
             "rows": done.rows,
             "final_wxyz": done.final.tolist(),
             "net_rotation_rad": float(geodesic_angle(done.q0, done.final)),
-            "method_difference_rad": done.method_difference,
-            "turned_rad": counts.turned,
+            "method_sensitivity_rad": done.method_sensitivity_rad,
+            "path_angle_rad": counts.path_angle_rad,
         },
     }

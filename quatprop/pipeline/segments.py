@@ -62,7 +62,7 @@ class Segments:
 
     def attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
         """Return the attitudes at every sample, or at the times that are wanted."""
-        return chain.from_iterable(map(self._wanted, self._timeline.stretches(batches)))
+        return chain.from_iterable(map(self._wanted, self._timeline.segments(batches)))
 
     def _wanted(self, stretch: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
         propagated = self._propagated(stretch)
@@ -84,7 +84,7 @@ class Segments:
             yield block, AttitudeSeries(block.t_ns, wxyz)
 
     @property
-    def method_difference(self) -> float:
+    def method_sensitivity_rad(self) -> float:
         """Angle between the ends of the coning method and of the one used, rad.
 
         It tells what the samples leave open: how the body turned between them. For coning it is

@@ -11,8 +11,6 @@ from collections import deque
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from quatprop.containers.remote import without_secret
 from quatprop.errors import (
     LogError,
@@ -25,18 +23,20 @@ from quatprop.errors import (
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.selection import AttitudeSelection
-from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.channel_values import channels_of
 from quatprop.signals.rates import sources
 from quatprop.signals.rotation_check import RotationCheck
 from quatprop.tables.base import is_table
 from quatprop.text import plain
-from quatprop.timeline import OBSERVE, Timeline
+from quatprop.timeline import OBSERVE, StampChecks, Timeline
 from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
@@ -44,10 +44,11 @@ if TYPE_CHECKING:
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.tables.base import TableLog
-    from quatprop.timeline.counts import Counts
+    from quatprop.timeline.counts import StampCounts
 
     Log = MessageLog | TableLog
     Facts = dict[str, Any]
+    Int64 = NDArray[np.int64]
 
 _OF_TIME = ("rate_hz", "span_s", "first_ns", "last_ns", "median_dt_ns", "min_dt_ns", "max_dt_ns",
             "gaps", "duplicates", "backwards")  # fmt: skip
@@ -180,7 +181,7 @@ def _measured(source: Source, path: str) -> Facts:
     }
 
 
-def _timed(counts: Counts) -> Facts:
+def _timed(counts: StampCounts) -> Facts:
     span_s = counts.span_ns * 1e-9
     return {
         "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
@@ -262,15 +263,15 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
         Every row is marked as absent, as gyroscopes without an estimate do.
     """
     check = RotationCheck(log.path, drop=True)
-    timeline = Timeline(OBSERVE, str(log.path))
+    stamps = StampChecks(log.path)
 
-    def stamps() -> Iterator[GyroSeries]:
-        # Only the stamps count here; rows that are no rotation have theirs too.
+    def checked() -> Iterator[Int64]:
+        # Invalid quaternions have stamps too.
         for t_ns, wxyz in source.rows():
             deque(check.apply([(t_ns, wxyz)]), maxlen=0)
-            yield GyroSeries(t_ns, np.zeros((len(t_ns), 3)))
+            yield t_ns
 
-    deque(timeline.apply(stamps()), maxlen=0)
+    deque(stamps.observe(checked()), maxlen=0)
     if check.counts.not_finite == check.counts.read > 0:
         raise NoAttitudesError(log.path, [source.name])
     said = [check.counts.words] if check.counts.bad else []
@@ -282,8 +283,8 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
         "convention": source.meaning.convention,
         "direction": source.meaning.direction,
         "clock": source.clock,
-        "samples": timeline.counts.used,
-        **_timed(timeline.counts),
+        "samples": stamps.counts.used,
+        **_timed(stamps.counts),
         "no_rotation": check.counts.bad,
         "remarks": [*source.remarks, *said],
     }

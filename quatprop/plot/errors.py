@@ -15,7 +15,7 @@ from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
 from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.text import plain
-from quatprop.timeline import GAP_FACTOR
+from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

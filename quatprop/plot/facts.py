@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.plot.picture import instant_text
 from quatprop.text import plain
+from quatprop.timeline.counts import Counts
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.tables.base import TableLog
-    from quatprop.timeline.counts import Counts
+    from quatprop.timeline.counts import StampCounts
 
 
 def named(source: Source | AttitudeSource) -> str:
@@ -32,7 +33,7 @@ def where_from(
     yield "clock", source.clock
 
 
-def facts_of(counts: Counts) -> Iterator[tuple[str, str]]:
+def facts_of(counts: StampCounts) -> Iterator[tuple[str, str]]:
     """Yield how many samples there were, and when."""
     yield "samples", samples_text(counts)
     for word, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
@@ -42,7 +43,7 @@ def facts_of(counts: Counts) -> Iterator[tuple[str, str]]:
         yield "interval", f"{said}, longest {duration_text(counts.max_dt_ns)}"
 
 
-def samples_text(counts: Counts) -> str:
+def samples_text(counts: StampCounts) -> str:
     """Return how many samples there were, over which time and how often."""
     said = f"{counts.used:,} sample{'s' if counts.used > 1 else ''}"
     if counts.span_ns <= 0:
@@ -51,17 +52,18 @@ def samples_text(counts: Counts) -> str:
     return f"{said} over {duration_text(counts.span_ns)}, {often:.6g} Hz"
 
 
-def events_in(counts: Counts) -> Iterator[str]:
-    """Return what is to be said about the stamps, in the words of somebody who only looks."""
+def events_in(counts: StampCounts) -> Iterator[str]:
+    """Yield a sentence for each kind of irregularity."""
     limit = duration_text(counts.gap_limit_ns or 0)
     longest = duration_text(counts.max_dt_ns or 0)
-    for event, one, many, what in (
-        (counts.gaps, "gap", "gaps", f"longer than {limit}, the longest {longest}: shaded"),
-        (counts.duplicates, "repeated stamp", "repeated stamps", ""),
-        (counts.backwards, "stamp that steps back", "stamps that step back", ""),
-        (counts.nonfinite, "rate that is not finite", "rates that are not finite", "not drawn"),
-    ):
+    events = [
+        (counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
+        (counts.duplicates, "repeated timestamp", ""),
+        (counts.backwards, "non-monotonic timestamp", ""),
+    ]
+    if isinstance(counts, Counts):
+        events.append((counts.nonfinite, "non-finite rate", " (not drawn)"))
+    for event, noun, which in events:
         if event.count:
-            words = f"{event.count:,} {many if event.count > 1 else one}"
-            after = f" {what}" if event is counts.gaps else f" ({what})" if what else ""
-            yield f"{words}{after}, first at {event.first_ns} ns"
+            plural = "s" if event.count > 1 else ""
+            yield f"{event.count:,} {noun}{plural}{which}, first at {event.first_ns} ns"

@@ -26,11 +26,10 @@ from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_
 from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
 from quatprop.selection import AttitudeSelection, RateSelection
-from quatprop.series import GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose
 from quatprop.text import Setting, plain
-from quatprop.timeline import OBSERVE, Timeline
+from quatprop.timeline import OBSERVE, StampChecks, Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -41,7 +40,8 @@ if TYPE_CHECKING:
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.tables.base import TableLog
-    from quatprop.timeline.counts import Counts
+    from quatprop.text import Text
+    from quatprop.timeline.counts import StampCounts
     from quatprop.times import Instant
 
     Tick = Callable[[int], None]
@@ -117,7 +117,7 @@ class Seen:
     meaning: str
     samples: str
     facts: tuple[tuple[str, str], ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[str | Text, ...]
     losses: tuple[Loss, ...]
 
     @property
@@ -188,7 +188,7 @@ def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
-def _part(path: str, source: Source | AttitudeSource, sketch: Sketch, counts: Counts) -> Part:
+def _part(path: str, source: Source | AttitudeSource, sketch: Sketch, counts: StampCounts) -> Part:
     """Return what is drawn of a file."""
     group = Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns)
     return Part(names_of([path])[0], (group,), named(source))
@@ -200,7 +200,10 @@ def _see_rates(
     part = Conditioning(start=view.start, end=view.end)
     batches, done = condition(source.batches, part, UNITS[source.unit])
     sketch, watch = RateSketch(source.unit, UNITS[source.unit]), RateChecks()
-    counts = _counted(sketch.passing(watch.passing(batches)), path, tick)
+    timeline = Timeline(OBSERVE, path)
+    counts = timeline.counts
+    for _ in timeline.apply(sketch.passing(watch.passing(batches))):
+        tick(counts.used)
     if not counts.used:
         raise NoSamplesError(path, source.name, done["outside"])
     findings = watch.remarks(counts.median_dt_ns)
@@ -229,7 +232,10 @@ def _see_attitudes(
 ) -> Seen:
     sketch = AttitudeSketch(components=view.components)
     outside = [0, 0]
-    counts = _counted(_stamps(_within(source, view, outside), sketch), path, tick)
+    stamps = StampChecks(path)
+    counts = stamps.counts
+    for _ in stamps.observe(_sketched(_within(source, view, outside), sketch)):
+        tick(counts.used)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside)
     remarks = [*source.remarks, *events_in(counts)]
@@ -266,19 +272,11 @@ def attitude_words(*, components: bool) -> str:
     return f"Hamilton q, body to reference, as {form}"
 
 
-def _counted(batches: Iterable[GyroSeries], path: str, tick: Tick) -> Counts:
-    """Let samples pass and return what was seen of their stamps."""
-    timeline = Timeline(OBSERVE, path)
-    for _ in timeline.apply(batches):
-        tick(timeline.counts.used)
-    return timeline.counts
-
-
-def _stamps(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> Iterator[GyroSeries]:
-    """Sketch attitudes, and yield their stamps as those of rates of zero."""
+def _sketched(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> Iterator[Int64]:
+    """Sketch attitudes, and yield their stamps."""
     for t_ns, wxyz in rows:
         sketch.add_rows(t_ns, wxyz)
-        yield GyroSeries(t_ns, np.broadcast_to(0.0, (len(t_ns), 3)))
+        yield t_ns
 
 
 def _within(

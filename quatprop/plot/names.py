@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.containers.base import Loss
+    from quatprop.text import Text
 
 NOTES = 3
 """Warnings that stand below a picture; a report has all of them."""
@@ -36,7 +37,7 @@ def lost_text(losses: Iterable[Loss]) -> Iterator[str]:
     yield from (f"lost: {loss.place}: {loss.reason}" for loss in losses)
 
 
-def noted(warnings: tuple[str, ...]) -> tuple[str, ...]:
+def noted(warnings: tuple[str | Text, ...]) -> tuple[str, ...]:
     """Return what stands below a picture.
 
     Examples
@@ -45,6 +46,6 @@ def noted(warnings: tuple[str, ...]) -> tuple[str, ...]:
     ('one', 'two', 'and 2 more warnings')
     """
     if len(warnings) <= NOTES:
-        return warnings
-    kept = warnings[: NOTES - 1]
+        return tuple(map(str, warnings))
+    kept = tuple(map(str, warnings[: NOTES - 1]))
     return (*kept, f"and {len(warnings) - len(kept)} more warnings")

@@ -13,6 +13,7 @@ from quatprop.text import plain
 
 if TYPE_CHECKING:
     from quatprop.plot.picture import Picture
+    from quatprop.text import Text
 
 
 class Table(NamedTuple):
@@ -52,7 +53,7 @@ class Page(NamedTuple):
     heading: str
     lead: tuple[str, ...]
     picture: Picture
-    warnings: tuple[str, ...]
+    warnings: tuple[str | Text, ...]
     tables: tuple[Table, ...]
     made_by: str
 
@@ -123,12 +124,12 @@ def html(page: Page) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _text(text: str) -> str:
+def _text(text: str | Text) -> str:
     """Return text as it may stand in a page: nothing in it is markup or unprintable."""
     return escape(plain(text))
 
 
-def _warnings(warnings: tuple[str, ...]) -> list[str]:
+def _warnings(warnings: tuple[str | Text, ...]) -> list[str]:
     if not warnings:
         return []
     said = [f"<li>{_text(warning)}</li>" for warning in warnings]

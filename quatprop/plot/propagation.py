@@ -129,7 +129,7 @@ def _result(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "attitudes", f"{result['rows']:,} written"
     yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result["final_wxyz"])
     yield "net rotation", f"{math.degrees(result['net_rotation_rad']):.6g} deg"
-    yield "turned on the way", f"{math.degrees(result['turned_rad']):.6g} deg"
+    yield "total angle traversed", f"{math.degrees(result['path_angle_rad']):.6g} deg"
     yield "largest rate", f"{math.degrees(counts['max_rate']):.6g} deg/s"
 
 

@@ -13,6 +13,7 @@ from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile
 from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.text import Text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,7 +94,7 @@ def _page(seen: list[Seen]) -> Page:
     """Return the report on files, each as it is."""
     several = len(seen) > 1
     warnings = tuple(
-        f"{one.part.label}: {remark}" if several else remark
+        Text(f"{one.part.label}: ", remark) if several else remark
         for one in seen
         for remark in (*one.remarks, *lost_text(one.losses))
     )

@@ -1,21 +1,23 @@
-"""What was seen on a timeline: events counted and located, and the sentences about them."""
+"""What was observed on a timeline: events counted and located, and the remarks about them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quatprop.text import plain
+from quatprop.text import Setting, Text
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.timeline import Policy
+    from quatprop.timeline.policy import Policy
 
 LISTED_GAPS = 1000
-"""So many gaps are listed one by one; the others are counted."""
+"""The first gaps are listed one by one; all are counted."""
 
 INTEGRATED_SHARE = 0.001
 """Increments that miss more than this share of the log's time are remarked on."""
@@ -30,9 +32,9 @@ class Event:
     count
         Occurrences.
     first_index
-        Sample index of the first, counted from 0 as read.
+        Index of the first sample concerned, counted from 0 as read.
     first_ns
-        Its stamp, ns.
+        Its time stamp, ns.
     """
 
     count: int = 0
@@ -48,31 +50,24 @@ class Event:
 
 
 @dataclass(slots=True)
-class Counts:
-    """What was seen on the timeline; complete when the last batch has passed.
+class StampCounts:
+    """What was observed of the time stamps; complete when the last batch has passed.
 
     Parameters
     ----------
     read, used
-        Samples that came in and that went on.
+        Samples read, and samples used.
     first_ns, last_ns
-        Stamps of the first and last sample that went on.
+        Stamps of the first and last sample used.
     median_dt_ns
-        Median of the first :data:`MEDIAN_WINDOW` positive intervals, ns.
+        Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive intervals, ns.
     min_dt_ns, max_dt_ns
-        Extreme intervals between samples that went on, ns.
-    max_rate
-        Largest finite magnitude of the angular rate, rad/s.
-    turned
-        Angle turned on the way, rad: the sum of abs(w) dt with the rate at each interval's start,
-        or of the increments.
-    integrated_ns
-        For increments: the time over which the sensor integrated them, ns, in all intervals.
+        Extreme intervals between samples used, ns.
     gap_limit_ns
         Intervals longer than this were counted as gaps.
-    duplicates, backwards, nonfinite, gaps
-        Stamps equal to the one before; earlier than one before; rates not finite; long intervals.
-        A gap is located by the sample after it.
+    duplicates, backwards, gaps
+        Stamps equal to the one before; earlier than one before; long intervals. A gap is located
+        by the sample after it.
     gap_list
         The first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns.
     """
@@ -84,13 +79,9 @@ class Counts:
     median_dt_ns: int | None = None
     min_dt_ns: int | None = None
     max_dt_ns: int | None = None
-    max_rate: float = 0.0
-    turned: float = 0.0
-    integrated_ns: int | None = None
     gap_limit_ns: int | None = None
     duplicates: Event = field(default_factory=Event)
     backwards: Event = field(default_factory=Event)
-    nonfinite: Event = field(default_factory=Event)
     gaps: Event = field(default_factory=Event)
     gap_list: list[tuple[int, int]] = field(default_factory=list)
 
@@ -101,58 +92,94 @@ class Counts:
 
     @property
     def dropped(self) -> int:
-        """Samples that were read but did not go on."""
+        """Samples that were read but not used."""
         return self.read - self.used
 
 
-def remarks(counts: Counts, policy: Policy) -> list[str]:
-    """Return one sentence for every event that a reader of the result should know of.
+@dataclass(slots=True)
+class Counts(StampCounts):
+    """What was observed of time stamps and rates.
+
+    Parameters
+    ----------
+    max_rate
+        Largest finite magnitude of the angular rate, rad/s.
+    path_angle_rad
+        Total angle traversed, rad: the sum of abs(w) dt with the rate at each interval's start,
+        or of the increments.
+    integrated_ns
+        For increments: the time over which the sensor integrated them, ns, in all intervals.
+    nonfinite
+        Rates that are not finite.
+    """
+
+    max_rate: float = 0.0
+    path_angle_rad: float = 0.0
+    integrated_ns: int | None = None
+    nonfinite: Event = field(default_factory=Event)
+
+
+def remarks(counts: Counts, policy: Policy) -> list[Text]:
+    """Return a sentence for every event that a reader of the result should know of.
 
     Parameters
     ----------
     counts
-        What was seen.
+        What was observed.
     policy
-        What was done about it.
+        How it was handled.
     """
-    done = {
-        "duplicates": "kept: a step of zero time turns nothing",
-        "backwards": {"drop": "dropped", "sort": "sorted"}.get(
-            policy.on_backwards, "refused without --on-backwards drop|sort"
+    backwards = {"drop": Text("dropped"), "sort": Text("sorted")}
+    nonfinite = {"drop": Text("dropped"), "hold": Text("replaced by the last finite rate")}
+    gaps = {"zero": Text("no rotation assumed"), "split": Text("restarted from q0")}
+    refused = "refused without "
+    events = (
+        (
+            counts.duplicates,
+            "repeated timestamp{s}",
+            Text("kept: a zero-length step leaves the attitude unchanged"),
         ),
-        "nonfinite": {"drop": "dropped", "hold": "replaced by the rate before"}.get(
-            policy.on_nonfinite, "refused without --on-nonfinite drop|hold"
+        (
+            counts.backwards,
+            "non-monotonic timestamp{s}",
+            backwards.get(policy.on_backwards, Text(refused, Setting("on_backwards", "drop|sort"))),
         ),
-        "gaps": {"zero": "taken as no rotation", "split": "begun again at q0"}.get(
-            policy.on_gap, "propagated across"
+        (
+            counts.nonfinite,
+            "non-finite rate{s}",
+            nonfinite.get(policy.on_nonfinite, Text(refused, Setting("on_nonfinite", "drop|hold"))),
         ),
-    }
-    limit = duration_text(counts.gap_limit_ns or 0)
-    what = {
-        "duplicates": ("repeated stamp", "repeated stamps"),
-        "backwards": ("stamp that steps back", "stamps that step back"),
-        "nonfinite": ("rate that is not finite", "rates that are not finite"),
-        "gaps": (f"interval longer than {limit}", f"intervals longer than {limit}"),
-    }
-    said = []
-    for name, words in what.items():
-        event: Event = getattr(counts, name)
-        if event.count:
-            said.append(
-                f"{event.count} {words[event.count > 1]} ({done[name]}), "
-                f"first at sample {event.first_index}, t = {event.first_ns} ns"
-            )
+        (
+            counts.gaps,
+            "interval{s} longer than " + duration_text(counts.gap_limit_ns or 0),
+            gaps.get(policy.on_gap, Text("propagated across")),
+        ),
+    )
+    sentences = [
+        Text(
+            f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
+            handled,
+            f"), first at sample {event.first_index}, t = {event.first_ns} ns",
+        )
+        for event, noun, handled in events
+        if event.count
+    ]
+    return [*sentences, *_time_remarks(counts)]
+
+
+def _time_remarks(counts: Counts) -> Iterator[Text]:
+    """Yield sentences about the time that the samples cover."""
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
         if abs(missed) > INTEGRATED_SHARE * counts.span_ns:
-            said.append(
+            yield Text(
                 f"the increments were integrated over {duration_text(counts.integrated_ns)} of the "
-                f"{duration_text(counts.span_ns)} between the first stamp and the last"
-                + (": the rest is taken as no rotation" if missed > 0 else "")
+                f"{duration_text(counts.span_ns)} between the first timestamp and the last"
+                + (": no rotation is assumed for the rest" if missed > 0 else "")
             )
     if counts.used > 1 and counts.span_ns == 0:
-        said.append(
-            f"all stamps are {plain(counts.first_ns)} ns: time does not pass; is there another "
-            "--clock or time column?"
+        yield Text(
+            f"all timestamps are {counts.first_ns} ns; is there another ",
+            Setting("clock"),
+            " or time column?",
         )
-    return said

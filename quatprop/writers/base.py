@@ -6,6 +6,8 @@ import json
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
+from quatprop.provenance import as_json
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any, Self
@@ -24,7 +26,7 @@ def words_of(provenance: Mapping[str, Any]) -> str:
     >>> words_of({"source": "a.bag", "samples": 1})
     '{"samples": 1, "source": "a.bag"}'
     """
-    return json.dumps(provenance, sort_keys=True)
+    return json.dumps(as_json(provenance), sort_keys=True)
 
 
 class Uncommitted(ABC):

@@ -1,0 +1,198 @@
+"""Time stamps by themselves: order, duplicates, gaps, intervals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from quatprop.errors import TimelineError
+from quatprop.text import Setting
+from quatprop.timeline.counts import LISTED_GAPS, StampCounts
+from quatprop.timeline.policy import OBSERVE, Policy
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+
+Batch = TypeVar("Batch")
+
+GAP_FACTOR = 10
+"""Intervals longer than this many median intervals count as gaps, unless the policy says so."""
+
+LONGEST_NS = int(np.iinfo(np.int64).max)
+"""The longest interval that fits in 64 bits."""
+
+MEDIAN_WINDOW = 65_536
+"""The median interval is that of the first so many intervals: exact, in constant memory."""
+
+
+class StampChecks:
+    """Checks time stamps batch by batch, and counts what it finds.
+
+    Parameters
+    ----------
+    path
+        The log, for errors.
+    policy
+        How irregular stamps are handled.
+    counts
+        Where to count; None for new counts.
+    """
+
+    def __init__(
+        self, path: Path | str, policy: Policy = OBSERVE, counts: StampCounts | None = None
+    ) -> None:
+        self.path = path
+        self.policy = policy
+        self.counts = StampCounts() if counts is None else counts
+        self.counts.gap_limit_ns = policy.max_gap_ns
+        self._latest: int | None = None
+
+    def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
+        """Yield stamps unchanged, and count them.
+
+        Parameters
+        ----------
+        batches
+            Stamps in the order of the log, each shape ``(N,)``, int64 ns.
+        """
+        for t_ns in self.with_gap_limit(self._located(batches), lambda t_ns: t_ns):
+            self.intervals(t_ns)
+            yield t_ns
+
+    def _located(self, batches: Iterable[Int64]) -> Iterator[Int64]:
+        for t_ns in batches:
+            if len(t_ns):
+                self.backward(t_ns)
+                yield t_ns
+                self.counts.read += len(t_ns)
+
+    def backward(self, t_ns: Int64) -> NDArray[np.bool_] | None:
+        """Return which stamps are earlier than one before, or None where none is.
+
+        Raises
+        ------
+        TimelineError
+            There is one, and the policy refuses it.
+        """
+        latest = int(t_ns[0]) if self._latest is None else self._latest
+        if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
+            self._latest = int(t_ns[-1])
+            return None
+        reached = np.maximum.accumulate(np.maximum(t_ns, latest))
+        # In inspection a backward stamp is one before its neighbour; a policy that drops samples
+        # must drop all up to the point where the clock has caught up again.
+        if self.policy.on_backwards == "keep":
+            back = np.diff(t_ns, prepend=latest) < 0
+            self._latest = int(t_ns[-1])
+        else:
+            back = t_ns < reached
+            self._latest = int(reached[-1])
+        event = self.counts.backwards
+        event.add(np.flatnonzero(back), self.counts.read, t_ns)
+        if self.policy.on_backwards == "error":
+            first = int(np.flatnonzero(back)[0])
+            raise TimelineError(
+                self.path,
+                f"time steps back by {duration_text(int(reached[first]) - int(t_ns[first]))} at "
+                f"sample {event.first_index} (t = {event.first_ns} ns); choose ",
+                Setting("on_backwards", "drop|sort"),
+                ", or another ",
+                Setting("clock"),
+            )
+        return back
+
+    def with_gap_limit(
+        self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
+    ) -> Iterator[Batch]:
+        """Yield batches; the first ones only when the median interval is known."""
+        window: list[Batch] = []
+        first: list[Int64] = []
+        stream = iter(batches)
+        for batch in stream:
+            window.append(batch)
+            first.append(stamps_of(batch))
+            if sum(map(len, first)) > MEDIAN_WINDOW:
+                break
+        if not window:
+            return
+        intervals = np.diff(np.concatenate(first)[: MEDIAN_WINDOW + 1])
+        positive = intervals[intervals > 0]
+        if len(positive):
+            self.counts.median_dt_ns = int(np.median(positive))
+            if self.counts.gap_limit_ns is None:
+                self.counts.gap_limit_ns = GAP_FACTOR * self.counts.median_dt_ns
+        yield from window
+        yield from stream
+
+    def intervals(self, t_ns: Int64) -> Int64:
+        """Count the stamps as used and return the intervals that end at them.
+
+        Parameters
+        ----------
+        t_ns
+            The next stamps, shape ``(N,)``, at least one, int64 ns.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch.
+
+        Raises
+        ------
+        TimelineError
+            An interval does not fit in 64 bits, or the policy refuses a gap.
+        """
+        counts = self.counts
+        first_ns = int(t_ns[0]) if counts.first_ns is None else counts.first_ns
+        if int(t_ns[-1]) - first_ns > LONGEST_NS:
+            raise TimelineError(
+                self.path,
+                f"its timestamps span more than 292 years, up to {t_ns[-1]} ns; check ",
+                Setting("time_unit"),
+                ", the time column or ",
+                Setting("clock"),
+            )
+        if counts.last_ns is None:
+            counts.first_ns = first_ns
+            intervals = np.diff(t_ns)
+        else:
+            intervals = np.diff(t_ns, prepend=np.int64(counts.last_ns))
+        if len(intervals):
+            self._count_intervals(intervals, t_ns[len(t_ns) - len(intervals) :])
+        counts.last_ns = int(t_ns[-1])
+        counts.used += len(t_ns)
+        return intervals
+
+    def _count_intervals(self, intervals: Int64, ends: Int64) -> None:
+        """Count duplicates and gaps among intervals that end at the stamps `ends`."""
+        counts = self.counts
+        shortest, longest = int(intervals.min()), int(intervals.max())
+        counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
+        counts.max_dt_ns = max(longest, longest if counts.max_dt_ns is None else counts.max_dt_ns)
+        start = max(counts.used, 1)
+        if shortest <= 0:
+            counts.duplicates.add(np.flatnonzero(intervals == 0), start, ends)
+        limit = counts.gap_limit_ns
+        if limit is None or longest <= limit:
+            return
+        where = np.flatnonzero(intervals > limit)
+        counts.gaps.add(where, start, ends)
+        after = ends[where[: LISTED_GAPS - len(counts.gap_list)]]
+        before = after - intervals[where[: len(after)]]
+        counts.gap_list += zip(before.tolist(), after.tolist(), strict=True)
+        if self.policy.on_gap == "error":
+            raise TimelineError(
+                self.path,
+                f"a gap ends at sample {counts.gaps.first_index} (t = {counts.gaps.first_ns} ns), "
+                f"longer than {duration_text(limit)}; choose ",
+                Setting("on_gap", "hold|zero|split"),
+                " or a longer ",
+                Setting("max_gap"),
+            )
