@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from quatprop.signals.attitudes import AttitudeSource
     from quatprop.signals.rates import Source
     from quatprop.tables.base import TableLog
+    from quatprop.text import Text
     from quatprop.timeline.counts import StampCounts
 
     Log = MessageLog | TableLog
@@ -145,7 +146,7 @@ def _undeclared(
             continue
         for source in found:
             facts = _measured(source, path)
-            yield {**facts, **dict.fromkeys(unknown), "missing": str(error.reason), "remarks": []}
+            yield {**facts, **dict.fromkeys(unknown), "missing": error.reason, "remarks": []}
         return
     yield _unread(error)
 
@@ -153,7 +154,7 @@ def _undeclared(
 def _unread(error: LogError, name: str | None = None, type_name: str = "") -> Facts:
     """Return what is said of a source that cannot even be counted."""
     facts = dict.fromkeys((*_OF_RATES, *_OF_TIME, "rate", "clock", "samples", "nonfinite"))
-    return {**facts, "source": name, "type": type_name, "missing": str(error.reason), "remarks": []}
+    return {**facts, "source": name, "type": type_name, "missing": error.reason, "remarks": []}
 
 
 def _measured(source: Source, path: str) -> Facts:
@@ -210,7 +211,7 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
         # One topic that needs more than there is here does not hide the others.
         topics = dict.fromkeys(one.topic for one in cast("MessageLog", log).channels())
         if is_table(log) or selection.topic is not None or len(topics) == 1:
-            yield _unread_attitude("", selection.topic or "", str(error.reason))
+            yield _unread_attitude("", selection.topic or "", error.reason)
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic))
@@ -223,7 +224,7 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
             continue
         except LogError as error:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
-            yield _unread_attitude(candidate.field, name, str(error.reason))
+            yield _unread_attitude(candidate.field, name, error.reason)
         except UsageError as error:
             reason = str(error).removeprefix(f"{plain(log.path)}: ")
             yield _unread_attitude(candidate.field, candidate.topic, reason)
@@ -233,7 +234,7 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
 
 def _declared(
     log: Log, candidate: Candidate, wanted: AttitudeSelection
-) -> tuple[AttitudeSource, tuple[str, ...], str | None]:
+) -> tuple[AttitudeSource, tuple[str, ...], Text | None]:
     """Return a source; where the unit of its time is not declared, read as ns, and what is said."""
     try:
         return candidate.source(), (), None
@@ -242,12 +243,12 @@ def _declared(
             raise
         try:
             (again,) = attitude_candidates(log, replace(wanted, time_unit="ns"))
-            return again.source(), _OF_TIME, str(error.reason)
+            return again.source(), _OF_TIME, error.reason
         except (UndeclaredError, UsageError):
             raise error from None
 
 
-def _unread_attitude(field: str, name: str, reason: str) -> Facts:
+def _unread_attitude(field: str, name: str, reason: str | Text) -> Facts:
     known = dict.fromkeys((*_OF_TIME, "clock", "samples", "no_rotation", "layout",
                            "convention", "direction"))  # fmt: skip
     told = {"source": name, "type": "", "attitude": field}

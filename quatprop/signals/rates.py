@@ -25,6 +25,7 @@ from quatprop.series import GyroSeries
 from quatprop.signals.channel_values import channels_of, clock_of, stamps_logged, timed_values
 from quatprop.signals.rate_readings import rate_reading
 from quatprop.tables.base import is_table
+from quatprop.tables.matching.choose import match_rates
 from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     from quatprop.selection import RateSelection
     from quatprop.signals.channel_values import Clock
     from quatprop.tables.base import TableLog
+    from quatprop.tables.matching.choose import ColumnMatch
+    from quatprop.text import Text
 
     Int64 = NDArray[np.int64]
 
@@ -80,7 +83,7 @@ class Source:
     rate: str
     unit: str
     clock: str
-    remarks: tuple[str, ...]
+    remarks: tuple[str | Text, ...]
     batches: Callable[[], Iterator[GyroSeries]]
     measured: bool = True
     method: str | None = None
@@ -159,25 +162,26 @@ def sources(log: MessageLog | TableLog, selection: RateSelection) -> list[Source
 
 
 def _of_table(log: TableLog, selection: RateSelection) -> Source:
-    for option, value in (("--topic", selection.topic), ("--rate-field", selection.rate_field),
-                          ("--time-field", selection.time_field)):  # fmt: skip
-        if value is not None:
-            raise UsageError(f"{option} is for messages, and {quoted(log.path)} is a table")
-    columns = log.choose(selection)
-    names = log.columns()
-    rate = ",".join(names[position] for position in columns.rate)
-    time = ",".join(names[position] for position in columns.time)
-    counted = "" if columns.sample_rate is None else f"{columns.sample_rate:g} Hz"
+    columns = match_rates(log, selection)
     return Source(
-        name=rate,
+        name=columns.name,
         type_name=columns.dialect,
-        rate=rate,
-        unit=columns.rate_unit,
-        clock=time or counted,
+        rate=columns.name,
+        unit=columns.unit,
+        clock=columns.clock,
         remarks=columns.remarks,
-        batches=partial(log.series, columns),
+        batches=partial(_table_rates, log, columns),
         method=columns.method,
     )
+
+
+def _table_rates(log: TableLog, columns: ColumnMatch) -> Iterator[GyroSeries]:
+    """Yield the rates of a table in rad/s."""
+    factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
+    for t_ns, rate in log.rows(columns.timed):
+        for factor in factors:
+            np.multiply(rate, factor, out=rate)
+        yield GyroSeries(t_ns, rate)
 
 
 def _of_messages(log: MessageLog, selection: RateSelection) -> list[Source]:
