@@ -23,9 +23,9 @@ from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.lookup import attitude_at, first_orientation
-from quatprop.signals.rates import choose
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.interpolation import attitude_at, first_orientation
+from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5
@@ -35,7 +35,7 @@ def read(path, topic=None, clock=None, *, drop=False, normalize=False, **options
     """Return stamps and wxyz of the attitudes of a log, and the source."""
     with open_log(path) as log:
         source = choose_attitudes(log, AttitudeSelection(topic=topic, clock=clock, **options))
-        check = RotationCheck(path, drop=drop, normalize=normalize)
+        check = QuaternionCheck(path, drop=drop, normalize=normalize)
         batches = list(check.apply(source.rows()))
     t_ns = np.concatenate([np.empty(0, np.int64), *(batch.t_ns for batch in batches)])
     wxyz = np.concatenate([np.empty((0, 4)), *(batch.wxyz for batch in batches)])
@@ -191,7 +191,7 @@ def test_the_containers_of_one_recording_carry_the_same_attitudes(shared_logs):
 def test_an_orientation_inside_a_message_of_ones_own_is_found(shared_logs):
     """A custom message with an Imu inside carries that Imu's orientation."""
     _, wxyz, source, _ = read(shared_logs / "nested_imu" / "kiran_11sec_motion")
-    assert (source.quaternion, len(wxyz)) == ("imu.orientation", 414)
+    assert (source.field, len(wxyz)) == ("imu.orientation", 414)
 
 
 def test_several_topics_are_refused_by_name(shared_logs):
@@ -214,8 +214,8 @@ def test_several_transforms_are_refused_by_their_frames(shared_logs):
     log = shared_logs / "irregular" / "tilt_laser.bag"
     with pytest.raises(
         UsageError,
-        match=r"topic '/tf' has the transforms '/tilt_axis:/camera', '/tilt_base:/tilt_axis', "
-        r"'/tilt_axis:/laser'; choose one with --frame PARENT:CHILD",
+        match=r"topic '/tf' has several transforms: '/tilt_axis:/camera', "
+        r"'/tilt_base:/tilt_axis', '/tilt_axis:/laser'; choose one with frame='PARENT:CHILD'",
     ):
         read(log, "/tf")
     with pytest.raises(UsageError, match=r"topic '/tf' has no transform '/arm', but '/tilt_axis:"):
@@ -264,7 +264,7 @@ def test_numbered_columns_need_columns_and_a_layout(tmp_path):
     with pytest.raises(
         UndeclaredError,
         match=r"which of the columns '1', '2', '3', '4' is the scalar is not declared; say it "
-        r"with from_layout='scalar-first' or 'scalar-last'",
+        r"with --from-layout scalar-first\|scalar-last",
     ):
         read(path, **named)
     t_ns, wxyz, _, _ = read(path, **named, from_layout="scalar-last")
@@ -286,11 +286,11 @@ def test_an_option_that_contradicts_the_names_is_refused(tmp_path):
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,0,0\n")
     with pytest.raises(
         UsageError,
-        match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and from_layout says "
-        r"scalar-last; settle it by naming them as stored, with quat_cols='A,B,C,D'",
+        match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and --from-layout says "
+        r"scalar-last; settle it by naming them as stored, with --quat-cols A,B,C,D",
     ):
         read(path, from_layout="xyzw")
-    with pytest.raises(UsageError, match=r"by their names are scalar-first, but from_layout says"):
+    with pytest.raises(UsageError, match=r"by their names are scalar-first, but --from-layout say"):
         read(path, quat_cols=("qw", "qx", "qy", "qz"), from_layout="xyzw")
 
 
@@ -315,9 +315,9 @@ def test_rows_that_are_no_rotations_are_located_and_counted(tmp_path):
     )
     with pytest.raises(
         NotRotationsError,
-        match=r"4 of 6 rows are no rotation \(2 all zero, 1 off unit length by up to 1, 1 absent "
-        r"or not finite\), the first is row 1 at 2 ns; --normalize scales those of another length, "
-        r"--on-invalid drop leaves them out",
+        match=r"4 of 6 rows are invalid quaternions \(2 all zero, 1 off unit length by up to "
+        r"1, 1 absent or not finite\), the first is row 1 at 2 ns; normalize scales those of "
+        r"another length, on_invalid='drop' leaves them out",
     ):
         read(path)
     t_ns, _, _, counts = read(path, drop=True)
@@ -436,7 +436,7 @@ def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
         messages.append(STORE.types["tf2_msgs/msg/TFMessage"](transforms=transforms))
     log = ros2(tmp_path / "bag", {"/tf": ("tf2_msgs/msg/TFMessage", messages)})
     t_ns, wxyz, source, _ = read(log, frame="base:b")
-    assert source.quaternion == "base <- b"
+    assert source.field == "base <- b"
     assert len(expected) > 5
     assert list(zip(t_ns.tolist(), wxyz.tolist(), strict=True)) == expected
 
@@ -471,7 +471,7 @@ def test_px4_attitudes_are_scalar_first(tmp_path):
     )
     with pytest.raises(
         UsageError,
-        match=r"--from-layout says scalar-last, but 'q' of 'px4_msgs/msg/VehicleAttitude' is "
+        match=r"from_layout says scalar-last, but 'q' of 'px4_msgs/msg/VehicleAttitude' is "
         r"scalar-first by definition; leave it out",
     ):
         read(log, from_layout="scalar-last")
@@ -532,7 +532,7 @@ def test_a_series_without_rotations_has_no_attitude(tmp_path):
 def own_orientation(path, topic, t_ns=None):
     """Return the orientation beside the rates of a topic."""
     with open_log(path) as log:
-        return first_orientation(log, choose(log, RateSelection(topic=topic)), t_ns)
+        return first_orientation(log, choose_rates(log, RateSelection(topic=topic)), t_ns)
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs):

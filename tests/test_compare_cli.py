@@ -150,7 +150,9 @@ def test_what_is_no_rotation_is_refused_or_left_out(files, tmp_path):
     holed.write_text("\n".join(lines) + "\n")
     refused = run("compare", a, holed)
     assert refused.exit_code == 2
-    assert "1 of 100 rows are no rotation (1 all zero), the first is row 40" in refused.output
+    assert (
+        "1 of 100 rows are invalid quaternions (1 all zero), the first is row 40" in refused.output
+    )
     dropped = run("compare", a, holed, "--on-invalid", "drop", "--tol", "1e-9rad")
     assert dropped.exit_code == 3
     assert "lost      1 rows of B are no rotation" in dropped.stdout
@@ -327,8 +329,8 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
         if len(asked) == 2:
             raise LogError("here", "that is all")
 
-    monkeypatch.setattr("quatprop.signals.compared_series.read_operand", read)
-    monkeypatch.setattr("quatprop.plot.run.read_operand", read)
+    monkeypatch.setattr("quatprop.signals.attitude_input.load_attitudes", read)
+    monkeypatch.setattr("quatprop.plot.run.load_attitudes", read)
     monkeypatch.chdir(tmp_path)
     (command, suffix, place), (given, where, expected) = side, OF_A_SIDE[option]
     result = run(*command, option + suffix, given)

@@ -15,7 +15,7 @@ from quatprop.kinematics.propagate import propagate
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.rates import choose, sources
+from quatprop.signals.rates import choose_rates, rate_candidates
 
 NUMBERS = {
     "uint64": ("uint64_t", "Q"), "uint32": ("uint32_t", "I"), "int32": ("int32_t", "i"),
@@ -92,7 +92,7 @@ def gyro(id_, stamps_us, scale=1.0):
 def read(path, **options):
     """Return the samples of the one source, and what was lost."""
     with open_log(path) as log:
-        batches = list(choose(log, RateSelection(**options)).batches())
+        batches = list(choose_rates(log, RateSelection(**options)).batches())
         return GyroSeries.joined(batches), log.losses
 
 
@@ -132,7 +132,7 @@ def test_instances_are_sources_of_their_own(tmp_path):
             ("sensor_gyro/1", 3),
         ]
         with pytest.raises(AmbiguousTopicError, match=r"'sensor_gyro/0', 'sensor_gyro/1'"):
-            choose(log, RateSelection())
+            choose_rates(log, RateSelection())
 
 
 @pytest.mark.parametrize("topic", TOPICS)
@@ -153,10 +153,10 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
     ulog = write(tmp_path / "log.ulg", added(topic, 0, 1), *[data(topic, 1, **m) for m in messages])
     bag = write_mcap(tmp_path / "log.mcap", TOPICS[topic], messages)
     with open_log(ulog) as one, open_log(bag) as other:
-        first, second = choose(one, RateSelection()), choose(other, RateSelection())
+        first, second = choose_rates(one, RateSelection()), choose_rates(other, RateSelection())
         found, expected = (GyroSeries.joined(list(s.batches())) for s in (first, second))
-        assert (first.rate, first.unit, first.method, first.increments, first.remarks) == (
-            second.rate, second.unit, second.method, second.increments, second.remarks
+        assert (first.field, first.unit, first.method, first.increments, first.remarks) == (
+            second.field, second.unit, second.method, second.increments, second.remarks
         )  # fmt: skip
     assert len(found) >= 8
     assert (found.t_ns == expected.t_ns).all()
@@ -267,7 +267,7 @@ def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
         open_log(path) as log,
         pytest.raises(SchemaError, match=f"topic 'sensor_gyro/0': .*{reason}"),
     ):
-        sources(log, RateSelection())
+        rate_candidates(log, RateSelection())
 
 
 def test_windows_change_nothing(tmp_path, monkeypatch):
@@ -292,7 +292,7 @@ def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
     path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(200_000)))
     size = path.stat().st_size
     with open_log(path) as log:
-        batches = choose(log, RateSelection()).batches()
+        batches = choose_rates(log, RateSelection()).batches()
         first = next(batches)
         with path.open("r+b") as file:
             file.truncate(size // 2)

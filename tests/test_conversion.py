@@ -143,7 +143,7 @@ def test_an_option_that_contradicts_the_metadata_is_refused(tmp_path, attitudes)
     jpl = tmp_path / "jpl.parquet"
     run(attitudes, jpl, "--convention", "jpl")
     assert (
-        "--from-convention says hamilton, but the metadata of the file says jpl; leave the option"
+        "--from-convention says hamilton, but the metadata of the file says jpl; leave it out"
         in refused(jpl, tmp_path / "out.csv", "--from-convention", "hamilton")
     )
 
@@ -190,8 +190,9 @@ def test_rows_that_are_no_rotations_leave_the_old_file(tmp_path):
     """They are refused by default; dropped, the exit code says that data was lost."""
     path = table(tmp_path, PLAIN + "3,0,0,0,0\n")
     out = table(tmp_path, "old", "out.csv")
-    assert "1 of 3 rows are no rotation (1 all zero), the first is row 2 at 3 ns" in refused(
-        path, out
+    assert (
+        "1 of 3 rows are invalid quaternions (1 all zero), the first is row 2 at 3 ns"
+        in refused(path, out)
     )
     assert out.read_text() == "old"
     result = run(path, out, "--on-invalid", "drop", code=3)

@@ -24,7 +24,7 @@ from quatprop.errors import LogError, SchemaError
 from quatprop.formats import open_log
 from quatprop.messages.definitions import message_type
 from quatprop.selection import RateSelection
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 
 CUTS = 200
 CUT_LOGS = [
@@ -72,7 +72,7 @@ def samples(log):
     """
     try:
         with open_log(log) as opened:
-            batches = list(choose(opened, RateSelection()).batches())
+            batches = list(choose_rates(opened, RateSelection()).batches())
             lost = True if opened.losses else None if opened.remarks else False
     except LogError:
         return np.empty((0, 4)), True
@@ -264,7 +264,7 @@ def test_feather_buffers_too_large_for_any_memory_are_a_loss(tmp_path):
     size = (ROWS * 8).to_bytes(8, "little")
     log.write_bytes(log.read_bytes().replace(size, (1 << 60).to_bytes(8, "little")))
     with open_log(log) as opened:
-        source = choose(opened, RateSelection(time_unit="ns"))
+        source = choose_rates(opened, RateSelection(time_unit="ns"))
         assert list(source.batches()) == []
         assert [loss.place for loss in opened.losses] == ["record batch 0"]
 

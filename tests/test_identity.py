@@ -22,7 +22,7 @@ from quatprop.containers.rosbag2 import db3
 from quatprop.formats import open_log as opened
 from quatprop.pipeline.job import Job, run
 from quatprop.selection import RateSelection
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
@@ -176,4 +176,4 @@ def test_the_chunks_of_a_log_change_nothing(logs, tmp_path, size):
     found, expected = (result(one, tmp_path / "out.csv") for one in (log, logs / "log.mcap"))
     assert found == expected
     with opened(log) as same:
-        assert sum(len(batch) for batch in choose(same, RateSelection()).batches()) == SAMPLES
+        assert sum(len(batch) for batch in choose_rates(same, RateSelection()).batches()) == SAMPLES

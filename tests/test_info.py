@@ -9,9 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop.cli import cli
-from quatprop.cli.spelling import spelled
 from quatprop.series import AttitudeSeries
-from quatprop.text import Setting, Text
 from quatprop.writers import WRITERS, open_writer
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -21,18 +19,14 @@ HEADS = {
     "unit of the time": "t,wx_rad_s,wy_rad_s,wz_rad_s",
     "both": "t,wx,wy,wz",
 }
-RATE_UNIT, TIME_UNIT = Setting("rate_unit", "rad/s|deg/s"), Setting("time_unit", "s|ms|us|ns")
-SAY = "is not declared; say it with "
 MISSING = {
-    "unit of the rates": Text(
-        "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' ", SAY, RATE_UNIT
-    ),
-    "unit of the time": Text("the unit of the time 't' ", SAY, TIME_UNIT),
-    "both": Text(
-        "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' ", SAY,
-        *(RATE_UNIT, " and ", TIME_UNIT),
-    ),
-}  # fmt: skip
+    "unit of the rates": "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' is not declared; "
+    "say it with --rate-unit rad/s|deg/s",
+    "unit of the time": "the unit of the time 't' is not declared; "
+    "say it with --time-unit s|ms|us|ns",
+    "both": "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' is not declared; "
+    "say it with --rate-unit rad/s|deg/s and --time-unit s|ms|us|ns",
+}
 
 
 def info(*arguments, code=0):
@@ -65,14 +59,14 @@ def test_a_table_whose_units_are_unknown_is_shown(tmp_path, unknown):
     ((log,), errors) = info(path)
     (source,) = log["sources"]
     assert errors == ""
-    assert source["missing"] == str(sentence)
+    assert source["missing"] == sentence
     assert source["samples"] == 5
     timed = unknown == "unit of the rates"
     assert (source["rate_hz"], source["span_s"]) == ((100.0, 0.04) if timed else (None, None))
     rated = unknown == "unit of the time"
     assert (source["max_rate_rad_s"] is not None) == rated
     assert (source["rate_unit"] is not None) == rated
-    assert text(path)[-1] == f"  {source['source']}: {spelled(sentence)}"
+    assert text(path)[-1] == f"  {source['source']}: {sentence}"
 
 
 def test_a_column_that_is_not_told_is_asked_for(tmp_path):
@@ -83,7 +77,7 @@ def test_a_column_that_is_not_told_is_asked_for(tmp_path):
     assert source["samples"] is None
     assert source["missing"] == (
         "which column is the time (of 'a', 'b', 'wx', 'wy', 'wz') is not declared; say it with "
-        "time_col='C', or sample_rate='HZ' for rows at a steady rate"
+        "--time-col C, or --sample-rate HZ for rows at a steady rate"
     )
 
 
@@ -102,8 +96,8 @@ def test_attitudes_of_a_table_are_listed(tmp_path):
     }  # fmt: skip
     (remark,) = source["remarks"]
     assert remark == (
-        "2 of 3 rows are no rotation (1 all zero, 1 absent or not finite), the first is row 1 at "
-        "10000000 ns"
+        "2 of 3 rows are invalid quaternions (1 all zero, 1 absent or not finite), the first is "
+        "row 1 at 10000000 ns"
     )
     assert text(path)[1].split() == ["attitudes", "type", "samples", "Hz", "span", "s", "gaps",
                                      "dup", "back", "bad", "layout"]  # fmt: skip
@@ -115,7 +109,7 @@ def test_the_time_of_attitudes_may_be_unknown_too(tmp_path):
     (source,) = log["attitudes"]
     assert (source["samples"], source["rate_hz"]) == (5, None)
     assert (
-        "the unit of the time 'time' is not declared; say it with time_unit=" in source["missing"]
+        "the unit of the time 'time' is not declared; say it with --time-unit" in source["missing"]
     )
 
 
@@ -125,7 +119,7 @@ def test_several_quaternions_are_not_guessed_between(tmp_path):
     (source,) = log["attitudes"]
     assert source["missing"] == (
         "which quaternion to use (their scalar columns are 'a_qw', 'b_qw') is not declared; say "
-        "it with quat_cols='A,B,C,D'"
+        "it with --quat-cols A,B,C,D"
     )
 
 
@@ -206,4 +200,4 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     """The sentence stands under the log's name and does not repeat it."""
     (facts,), _ = info(shared_logs / "irregular" / "tilt_laser.bag")
     (said,) = [one["missing"] for one in facts["attitudes"] if one["source"] == "/tf"]
-    assert said.startswith("topic '/tf' has the transforms '/tilt_axis:/camera', ")
+    assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")

@@ -13,7 +13,7 @@ from fuzz_logs import write_logs
 
 from quatprop.formats import open_log
 from quatprop.selection import RateSelection
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
@@ -139,14 +139,17 @@ def rows_after(logs, tmp_path, name, change):
     log = tmp_path / name
     log.write_bytes((logs / name).read_bytes())
     with open_log(log) as opened:
-        whole = np.concatenate([one.rate for one in choose(opened, RateSelection()).batches()])
+        whole = np.concatenate(
+            [one.rate for one in choose_rates(opened, RateSelection()).batches()]
+        )
     code = (
         "import sys; from quatprop.formats import open_log; from quatprop.errors import LogError\n"
-        "from quatprop.selection import RateSelection; from quatprop.signals.rates import choose\n"
+        "from quatprop.selection import RateSelection\n"
+        "from quatprop.signals.rates import choose_rates\n"
         "import os\n"
         "try:\n"
         "    with open_log(sys.argv[1]) as log:\n"
-        "        batches = choose(log, RateSelection()).batches()\n"
+        "        batches = choose_rates(log, RateSelection()).batches()\n"
         f"        {change}\n"
         "        count = sum(len(one) for one in batches)\n"
         "    print(count, bool(log.losses))\n"

@@ -26,7 +26,7 @@ from quatprop.messages.rates import rate_fields, time_field_at
 from quatprop.messages.values import ValueDecoder
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 
 
 def imu(x=0.0, y=0.0, z=0.0, stamp=None):
@@ -69,7 +69,7 @@ def write(path, topics):
 def read(path, **options):
     """Return the samples of the one source, and what was lost."""
     with open_log(path) as log:
-        batches = list(choose(log, RateSelection(**options)).batches())
+        batches = list(choose_rates(log, RateSelection(**options)).batches())
         return GyroSeries.joined(batches), log.losses
 
 
@@ -142,7 +142,7 @@ def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
     path = write(tmp_path / "log.mcap", {"/gyro": ("", raw)})
     options = {"rate_field": "w", "rate_unit": "deg/s", "time_field": "t"}
     with open_log(path) as log, pytest.raises(UndeclaredError, match="the time in field 't'"):
-        choose(log, RateSelection(**options))
+        choose_rates(log, RateSelection(**options))
     series, _ = read(path, **options, time_unit="s")
     assert series.t_ns.tolist() == [1_700_000_000_000_000_000 + k for k in range(1, 4)]
     np.testing.assert_allclose(np.degrees(series.rate), [[1, 2, k] for k in range(1, 4)])
@@ -250,9 +250,9 @@ def test_channels_without_a_type_carry_rates_where_the_options_say_so(tmp_path):
     path = write(tmp_path / "log.mcap", topics)
     with open_log(path) as log:
         with pytest.raises(NoRatesError):
-            choose(log, RateSelection())
+            choose_rates(log, RateSelection())
         with pytest.raises(AmbiguousTopicError, match="'/a', '/c'"):
-            choose(log, RateSelection(rate_field="w", rate_unit="rad/s"))
+            choose_rates(log, RateSelection(rate_field="w", rate_unit="rad/s"))
     series, _ = read(path, topic="/c", rate_field="w", rate_unit="rad/s")
     assert series.rate.tolist() == [[4, 5, 6]]
 
@@ -270,7 +270,7 @@ def test_a_first_message_that_is_no_object_is_refused(tmp_path):
     """There is nothing to tell the fields by."""
     path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", [b"[1]"])})
     with open_log(path) as log, pytest.raises(SchemaError, match="first message is no JSON object"):
-        choose(log, RateSelection())
+        choose_rates(log, RateSelection())
 
 
 @pytest.mark.parametrize("number", ["6.7e54", "-1e300", "1.5e-200"])

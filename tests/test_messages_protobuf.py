@@ -13,7 +13,7 @@ from quatprop.formats import open_log
 from quatprop.messages.rates import rate_fields
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 DOUBLE, FLOAT, STRING, MESSAGE, UINT64 = (
@@ -104,7 +104,7 @@ def write(path, type_name, schema, messages):
 def read(path, **options):
     """Return the one source, its samples, and what was lost."""
     with open_log(path) as log:
-        source = choose(log, RateSelection(**options))
+        source = choose_rates(log, RateSelection(**options))
         return source, GyroSeries.joined(list(source.batches())), log.losses
 
 
@@ -125,8 +125,7 @@ def test_an_odometry_of_foxglove_is_a_rate_that_was_estimated(tmp_path):
         [*messages, b"\xff\xff", odometry()],
     )  # fmt: skip
     source, series, losses = read(path)
-    assert not source.measured
-    assert source.rate == "angular_velocity"
+    assert source.field == "angular_velocity"
     assert source.clock == "header"
     assert series.t_ns.tolist() == [1_700_000_000_000_000_000 + k for k in (1, 2, 3)]
     assert series.rate[0].tolist() == [0.1, 0, -3]
@@ -148,7 +147,7 @@ def test_any_field_can_be_named(tmp_path):
         assert series.t_ns.tolist() == [5000, 6000]
         assert series.rate.tolist() == [[5, 0.5, 0.25], [6, 0.5, 0.25]]
     with open_log(path) as log, pytest.raises(SchemaError, match=r"'many' of 'own\.Gyro' is not"):
-        choose(log, RateSelection(rate_field="many", **options))
+        choose_rates(log, RateSelection(rate_field="many", **options))
 
 
 def test_descriptors_that_lack_an_import_are_refused():

@@ -11,7 +11,7 @@ from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.pipeline.job import Job, run
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates, rate_candidates
 
 COUNT = 50
 
@@ -19,7 +19,7 @@ COUNT = 50
 def read(path, **options):
     """Return the one source of a log and its samples."""
     with open_log(path) as log:
-        source = choose(log, RateSelection(**options))
+        source = choose_rates(log, RateSelection(**options))
         return source, GyroSeries.joined(list(source.batches()))
 
 
@@ -35,14 +35,14 @@ def test_an_average_over_the_interval_before_its_stamp_wants_the_method_end(tmp_
     assert series.t_ns.tolist() == [5_000_000 * k for k in range(COUNT)]
     assert series.rate[:, 2].tolist() == list(range(COUNT))
     assert series.span_ns is None
-    assert source.remarks_on("end") == []
-    assert source.remarks_on("start") == [
+    assert source.method_remarks("end") == []
+    assert source.method_remarks("start") == [
         (
-            "each rate is the average over the interval before its stamp, which --method end takes "
-            "it for; --method start was used"
+            "each rate is the average over the interval before its stamp, which is what "
+            "method end assumes; method start was used"
         )
     ]
-    assert source.ruled_by("start") == "start"
+    assert source.integration_rule("start") == "start"
     whole = 0.005 * sum(range(1, COUNT))
     final = attitudes(series.t_ns, series.rate, method="end")[-1]
     assert geodesic_angle(final, exp([0, 0, whole])) < 1e-14
@@ -65,8 +65,8 @@ def test_increments_are_not_integrated_again(tmp_path):
     )  # fmt: skip
     source, series = read(path)
     assert source.increments
-    assert source.ruled_by("start") == "increments"
-    assert source.remarks_on("start") == []
+    assert source.integration_rule("start") == "increments"
+    assert source.method_remarks("start") == []
     assert series.span_ns.tolist() == (spans * 1000).tolist()
     *_, last = propagate([series])
     whole = np.cumsum(angle[1:].astype(np.float64))
@@ -90,7 +90,7 @@ def test_a_burst_is_as_many_samples_as_it_counts(tmp_path):
     )
     source, series = read(path)
     assert source.remarks == (
-        "many samples a message: each has its own time, counted back from the stamp",
+        "several samples a message: the time of each is counted back from the stamp",
     )
     assert len(series) == 35
     assert series.t_ns[:3].tolist() == [749_000, 874_500, 1_000_000]
@@ -120,7 +120,7 @@ def test_a_burst_that_cannot_be_is_lost_and_told(tmp_path, damage):
     messages = [fifo(1000, 3), {**fifo(2000, 3), **damage}, fifo(3000, 2)]
     path = write_mcap(tmp_path / "log.mcap", "SensorGyroFifo", messages)
     with open_log(path) as log:
-        series = GyroSeries.joined(list(choose(log, RateSelection()).batches()))
+        series = GyroSeries.joined(list(choose_rates(log, RateSelection()).batches()))
         (loss,) = log.losses
     assert len(series) == 5
     assert loss.messages == 1
@@ -135,8 +135,10 @@ def test_an_estimate_that_is_invalid_is_not_finite(tmp_path):
         [{"timestamp": 1, "timestamp_sample": 1, "angular_velocity": [0.5, 1, 2]},
          {"timestamp": 2, "timestamp_sample": 2, "angular_velocity": [np.nan] * 3}],
     )  # fmt: skip
-    source, series = read(path)
-    assert not source.measured
+    with open_log(path) as log:
+        (candidate,) = rate_candidates(log, RateSelection())
+    assert not candidate.measured
+    _, series = read(path)
     assert series.rate[0].tolist() == [0.5, 1, 2]
     assert np.isnan(series.rate[1]).all()
 
@@ -162,7 +164,7 @@ def test_a_log_without_the_definition_is_refused(tmp_path):
             r"standard type; convert the log to MCAP where its definitions are installed$",
         ),
     ):
-        choose(log, RateSelection())
+        choose_rates(log, RateSelection())
 
 
 def test_the_report_says_what_ruled_the_intervals(tmp_path):
@@ -180,4 +182,4 @@ def test_the_report_says_what_ruled_the_intervals(tmp_path):
     assert reports["VehicleImu"]["convention"]["method"] == "increments"
     assert reports["VehicleImu"]["result"]["net_rotation_rad"] == pytest.approx(0.09, abs=1e-8)
     assert reports["SensorCombined"]["convention"]["method"] == "start"
-    assert "which --method end takes it for" in reports["SensorCombined"]["remarks"][0]
+    assert "which is what method end assumes" in reports["SensorCombined"]["remarks"][0]

@@ -13,7 +13,7 @@ from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.lookup import stamps_in
+from quatprop.signals.interpolation import stamps_in
 from quatprop.writers import WRITERS, open_table
 
 HALF = np.sqrt(0.5)
@@ -213,8 +213,8 @@ def test_matrices_that_are_no_rotations_are_found(tmp_path):
     head = "r11,r12,r13,r21,r22,r23,r31,r32,r33"
     path = written(tmp_path, head, [row.ravel().tolist() for row in rows])
     assert (
-        "4 of 5 rows are no rotation (1 off unit length by up to 0.21, 3 absent or not finite), "
-        "the first is row 1 at 1 ns"
+        "4 of 5 rows are invalid quaternions (1 off unit length by up to 0.21, 3 absent or not "
+        "finite), the first is row 1 at 1 ns"
     ) in run(path, "-", code=2).stderr
 
 
@@ -225,7 +225,7 @@ def test_angles_and_vectors_that_are_not_finite_are_found(tmp_path):
         path = tmp_path / "in.csv"
         lines = [f"{k},{','.join(map(str, row))}" for k, row in enumerate(rows)]
         path.write_text("\n".join([f"t_ns,{head}", *lines]) + "\n")
-        assert "rows are no rotation (" in run(path, "-", code=2).stderr
+        assert "rows are invalid quaternions (" in run(path, "-", code=2).stderr
 
 
 def test_stamps_are_those_of_the_rates_where_angles_have_no_unit(tmp_path):

@@ -108,9 +108,9 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
     path = written(tmp_path, kind, layout, Unsound())
     target = tmp_path / "converted.parquet"
     sentence = (
-        r"3 of 5 rows are no rotation \(1 all zero, 1 off unit length by up to 0.01, 1 absent or "
-        r"not finite\), the first is row 1 at 1000000000 ns; --normalize scales those of another "
-        "length, --on-invalid drop leaves them out"
+        r"3 of 5 rows are invalid quaternions \(1 all zero, 1 off unit length by up to 0.01, 1 "
+        r"absent or not finite\), the first is row 1 at 1000000000 ns; normalize scales those of "
+        r"another length, on_invalid='drop' leaves them out"
     )
     with pytest.raises(NotRotationsError, match=sentence):
         convert(Conversion(str(path), str(target)))

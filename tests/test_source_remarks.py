@@ -10,7 +10,7 @@ from quatprop.formats import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.survey import survey
 from quatprop.selection import RateSelection
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 IMU = "sensor_msgs/msg/Imu"
@@ -77,7 +77,7 @@ def test_a_unit_against_the_definition_is_said(tmp_path):
     (said,) = remarks(path, tmp_path, rate_unit="deg/s")
     assert said == (
         "sensor_msgs/msg/Imu has its rates in rad/s, by definition; they are read as deg/s, as "
-        "--rate-unit says"
+        "asked for"
     )
 
 
@@ -86,8 +86,8 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
     """A slip of the pen in --rate-field is answered with the rates of the log."""
     path = bag(tmp_path / "log.bag", [T0])
     with open_log(str(path)) as log, pytest.raises(UsageError) as caught:
-        choose(log, RateSelection(topic=topic, rate_field="angular_velocty"))
+        choose_rates(log, RateSelection(topic=topic, rate_field="angular_velocty"))
     assert str(caught.value) == (
-        f"{path}: no message has a field 'angular_velocty'; the rates that are known are "
-        "'angular_velocity (/imu)'"
+        f"{path}: no message has a field 'angular_velocty'; the body rates that are recognised "
+        "are 'angular_velocity (/imu)'"
     )

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from quatprop.check.lock import Pin
     from quatprop.comparison import Settings
     from quatprop.pipeline.job import Job
-    from quatprop.signals.compared_series import Reading
+    from quatprop.signals.attitude_input import AttitudeInput
 
 Verdict = Literal["pass", "fail", "error"]
 
@@ -50,7 +50,7 @@ class Case:
     job: Job
     settings: Settings
     reference: str | None
-    external: Reading | None
+    external: AttitudeInput | None
     options: Mapping[str, str]
     inputs: Mapping[str, str]
     strict: bool = True

@@ -14,7 +14,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import run
 from quatprop.provenance import as_json
-from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def propagate_case(case: Case, every: int | None) -> CaseRun:
         output = str(Path(folder) / "attitude.parquet")
         job = replace(case.job, output=output, to="parquet", report=None)
         report = run(job if chooses_rows(case) else replace(job, every=every))
-        return CaseRun(read_operand(Reading(output, "parquet")).series, report)
+        return CaseRun(load_attitudes(AttitudeInput(output, "parquet")).series, report)
 
 
 def chooses_rows(case: Case) -> bool:

@@ -22,7 +22,7 @@ from quatprop.check.reference import describe_provenance, read_reference
 from quatprop.check.spelling import sentence
 from quatprop.errors import LogError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.signals.compared_series import read_operand
+from quatprop.signals.attitude_input import load_attitudes
 from quatprop.text import Setting, Text, plain, quoted
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
     if run.samples != pin.samples and (case.strict or case.pins_log):
         failures.append(f"{run.samples} samples were propagated, and {pin.samples} when pinned")
     if case.external is not None:
-        comparison = compare_case(case, run.series, read_operand(case.external).series)
+        comparison = compare_case(case, run.series, load_attitudes(case.external).series)
     else:
         reference = read_reference(str(case.reference)).series
         if case.strict:

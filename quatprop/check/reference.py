@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
-from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from quatprop.check.case import Case
     from quatprop.check.case_run import CaseRun
     from quatprop.check.lock import Pin
-    from quatprop.signals.compared_series import Operand
+    from quatprop.signals.attitude_input import LoadedAttitudes
 
 PROVENANCE_KEY = "check"
 """Key of the provenance that only stored references have."""
@@ -51,9 +51,9 @@ def decimation(samples: int) -> int:
         decade *= 10
 
 
-def read_reference(path: str) -> Operand:
+def read_reference(path: str) -> LoadedAttitudes:
     """Read a stored reference."""
-    return read_operand(Reading(path, "parquet"))
+    return load_attitudes(AttitudeInput(path, "parquet"))
 
 
 def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None) -> None:
@@ -138,4 +138,4 @@ def describe_provenance(case: Case, pin: Pin) -> str:
 
 
 def _provenance(path: str) -> Mapping[str, Any]:
-    return read_reference(path).source.provenance
+    return read_reference(path).signal.provenance

@@ -27,7 +27,7 @@ from quatprop.check.reference import (
 )
 from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
-from quatprop.signals.compared_series import read_operand
+from quatprop.signals.attitude_input import load_attitudes
 from quatprop.text import plain
 from quatprop.writers.overlap import refuse_overlap
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from quatprop.check.case import Case
     from quatprop.check.case_run import CaseRun
-    from quatprop.signals.compared_series import Reading
+    from quatprop.signals.attitude_input import AttitudeInput
 
 
 def update(case: Case, pin: Pin | None) -> CaseResult:
@@ -105,9 +105,11 @@ def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:
     return (run if every == guess else propagate_case(case, every)), every
 
 
-def _judge_external(case: Case, external: Reading, run: CaseRun, pin: Pin | None) -> CaseResult:
+def _judge_external(
+    case: Case, external: AttitudeInput, run: CaseRun, pin: Pin | None
+) -> CaseResult:
     """Compare a case with an independent series, which an update may fail, too."""
-    comparison = compare_case(case, run.series, read_operand(external).series)
+    comparison = compare_case(case, run.series, load_attitudes(external).series)
     error, changes = comparison.error_rad, []
     if pin and pin.error_rad != error and pin.error_rad is not None and error is not None:
         old, new = (angle_text(e, in_degrees=case.in_degrees) for e in (pin.error_rad, error))

@@ -134,8 +134,8 @@ UNSOUND_OPTIONS = (
         type=click.Choice(("error", "drop")),
         default="error",
         show_default=True,
-        help="Rows that are no rotation (zero, NaN, marked absent, not of unit length): refuse or "
-        "leave out.",
+        help="Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or leave "
+        "out.",
     ),
 )
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison import Settings
     from quatprop.plot.errors import ErrorPicture
-    from quatprop.signals.compared_series import Reading
+    from quatprop.signals.attitude_input import AttitudeInput
 
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
@@ -97,13 +97,13 @@ def command(a: str, b: str, as_json: bool, quiet: bool, plot: str | None, **chos
     from quatprop import __version__
     from quatprop.cli.comparison_summary import comparison
     from quatprop.comparison import compare
-    from quatprop.signals.compared_series import read_operand
+    from quatprop.signals.attitude_input import load_attitudes
 
     refuse_stdin_twice(a, b)
     unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
     sides = [reading_of(path, side, chosen, unsound) for path, side in ((a, "a"), (b, "b"))]
     with _drawing(plot, a, b) as picture:
-        first, second = (read_operand(side) for side in sides)
+        first, second = (load_attitudes(side) for side in sides)
         found = compare(first.series, second.series, settings_of(chosen))
         if picture is not None:
             picture.draw(first, second, found)
@@ -138,10 +138,12 @@ def settings_of(chosen: dict[str, Any]) -> Settings:
     return Settings(**chosen)
 
 
-def reading_of(path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]) -> Reading:
+def reading_of(
+    path: str, side: str, chosen: dict[str, Any], unsound: dict[str, bool]
+) -> AttitudeInput:
     """Take the options of one side out of a command's."""
-    from quatprop.signals.compared_series import Reading
+    from quatprop.signals.attitude_input import AttitudeInput
 
     kind = chosen.pop(f"kind_{side}")
     selected = attitude_selection(chosen, f"_{side}")
-    return Reading(path, kind, selected, **unsound, side=side)
+    return AttitudeInput(path, kind, selected, **unsound, side=side)

@@ -108,7 +108,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
     from quatprop.comparison import Settings
     from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
-    from quatprop.signals.compared_series import Reading
+    from quatprop.signals.attitude_input import AttitudeInput
     from quatprop.text import plain
 
     reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
@@ -131,7 +131,7 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
             attitudes=attitudes,
             **chosen,
         ),
-        reference and Reading(reference, kind_ref, of_reference, drop=True, side="ref"),
+        reference and AttitudeInput(reference, kind_ref, of_reference, drop=True, side="ref"),
         settings,
     )
     with words.progress(quiet=quiet) as tick:

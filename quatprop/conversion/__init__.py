@@ -20,7 +20,7 @@ from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import Fingerprint
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import listed, quoted
 from quatprop.writers import has_room
 from quatprop.writers.overlap import refuse_overlap
@@ -121,7 +121,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
         if job.into:
             job = replace(job, to=written_kind(log, job.output, job.to))
         source = choose_attitudes(log, job.selection)
-        check = RotationCheck(job.log, normalize=job.normalize, drop=job.drop)
+        check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(job.applied_sign)
         # Where nothing keeps it, reading the source once more is not worth its time.
         kept = job.report is not None or has_room(job.output, job.to, comment=job.comment)

@@ -13,7 +13,7 @@ from quatprop.conventions.representations import NEAR_VERTICAL_DEG, REPRESENTATI
 from quatprop.errors import OutputError, UsageError
 from quatprop.into import open_into
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitudes import attitude_stamps
+from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import listed, quoted
 from quatprop.writers import WRITERS, has_room, kind_of, layout_of, open_table, open_writer
 
@@ -63,7 +63,13 @@ def _attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) -> Atti
     options: dict[str, Any] = {"layout": layout, "message": job.message, "comment": job.comment}
     if not job.into:
         return open_writer(job.output, job.to, **options)
-    return open_into(log, job.output, partial(attitude_stamps, job.selection), **options)
+
+    def stamps(
+        again: MessageLog | TableLog,
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        return choose_attitudes(again, job.selection).stamps()
+
+    return open_into(log, job.output, stamps, **options)
 
 
 def _put_attitudes(

@@ -13,15 +13,15 @@ from quatprop.writers import kind_of, layout_of
 if TYPE_CHECKING:
     from quatprop.containers.base import Log
     from quatprop.conversion import Conversion
-    from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.signals.rotation_check import RotationCheck
+    from quatprop.signals.quaternion_check import QuaternionCheck
+    from quatprop.signals.signal import AttitudeSignal
 
 
 def extended(
     job: Conversion,
     log: Log,
-    source: AttitudeSource,
-    check: RotationCheck,
+    source: AttitudeSignal,
+    check: QuaternionCheck,
     fingerprint: dict[str, Any],
 ) -> dict[str, Any]:
     """Return the provenance of the source, extended by what was done now."""
@@ -43,7 +43,7 @@ def extended(
             "representation": source.representation,
             "layout": source.layout,
             **asdict(source.meaning),
-            "field": source.quaternion,
+            "field": source.field,
         },
         "to": terms,
         "normalize": job.normalize,
@@ -67,7 +67,7 @@ def extended(
             **terms,
         },
         "conversions": [*_kept(before, "conversions", list), step],
-        "data_lost": bool(before.get("data_lost") or log.losses or counts.bad),
+        "data_lost": bool(before.get("data_lost") or log.losses or counts.invalid),
     }
 
 

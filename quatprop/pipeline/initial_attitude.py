@@ -15,11 +15,10 @@ from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.messages.rates import rate_field_at
-from quatprop.signals.channel_values import FieldReading, channels_of, clock_of, timed_values
-from quatprop.signals.lookup import attitude_at, first_orientation
+from quatprop.signals.interpolation import attitude_at, first_orientation
+from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.choose import match_rates
-from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.rate_dialects import column
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
@@ -86,7 +85,7 @@ class Recording(NamedTuple):
     """
 
     log: MessageLog | TableLog
-    source: Source
+    source: RateSignal
     selection: RateSelection
     mount: Float64 | None
 
@@ -177,7 +176,7 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
 
 
 def _force(
-    log: MessageLog | TableLog, source: Source, selection: RateSelection, first_ns: int
+    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection, first_ns: int
 ) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     if is_table(log):
@@ -200,15 +199,15 @@ def _force(
     return mean
 
 
-def _forces(log: MessageLog, source: Source, selection: RateSelection) -> Rows:
+def _forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Rows:
     for channel in channels_of(log, source.name):
         if channel.type_name != source.type_name:
             continue
-        field = rate_field_at(channel, source.rate, log.path)
+        field = rate_field_at(channel, source.field, log.path)
         if field is None or field.acceleration is None:
             continue
-        clock = clock_of(log, channel, field.stamp, selection)
-        reading = FieldReading(log, channel, [field.acceleration], clock, field.acceleration_absent)
+        clock = choose_clock(log, channel, field.stamp, selection)
+        reading = FieldReader(log, channel, [field.acceleration], clock, field.acceleration_absent)
         rows: Rows = timed_values(log, channel, reading)
         return rows
     raise _no_accelerations(log)
@@ -217,11 +216,11 @@ def _forces(log: MessageLog, source: Source, selection: RateSelection) -> Rows:
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows:
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):
-        if match := _ACCELERATION.fullmatch(parse_name(name).key):
+        if match := _ACCELERATION.fullmatch(column(name).key):
             axes.setdefault("xyz012".index(match["axis"]) % 3, position)
     if len(axes) != 3:  # noqa: PLR2004  # axes
         raise _no_accelerations(log)
-    timed = match_rates(log, selection).timed
+    timed = log.choose(selection).timed
     rows: Rows = log.rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
     return rows
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -25,8 +24,8 @@ from quatprop.pipeline.report import ReportFile, RunResult, report_on
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Fingerprint
 from quatprop.selection import RateSelection
-from quatprop.signals.lookup import stamps_in
-from quatprop.signals.rates import UNITS, choose, stamps_of
+from quatprop.signals.interpolation import stamps_in
+from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.timeline import Policy, Timeline
 from quatprop.writers import has_room, kind_of, layout_of, open_writer
 from quatprop.writers.overlap import refuse_overlap
@@ -34,6 +33,8 @@ from quatprop.writers.overlap import refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from fractions import Fraction
+
+    from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
     from quatprop.kinematics.resample import Times
@@ -150,7 +151,7 @@ def run(
         if job.into:
             kind = written_kind(log, job.output, job.to)
             job = replace(job, to=kind, layout=layout_of(kind, job.layout).name)
-        source = choose(log, job.selection)
+        source = choose_rates(log, job.selection)
         batches, conditioned = condition(source.batches, job.conditioning, UNITS[source.unit])
         mount = conditioned["mount"] and np.array(conditioned["mount"])
         recording = Recording(log, source, job.selection, mount)
@@ -212,7 +213,12 @@ def _opened(job: Job, log: MessageLog | TableLog) -> AttitudeWriter:
     }
     if not job.into:
         return open_writer(job.output, job.to, **options)
-    stamps = partial(stamps_of, job.selection)
+
+    def stamps(
+        again: MessageLog | TableLog,
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        return choose_rates(again, job.selection).stamps()
+
     return open_into(log, job.output, stamps, **options)
 
 

@@ -17,7 +17,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 from quatprop.times import utc_text
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
@@ -151,17 +151,17 @@ def _runs(hit: NDArray[np.bool_]) -> int:
     return int(window.all(axis=1).sum())
 
 
-def log_remarks(log: MessageLog | TableLog, source: Source) -> list[str]:
+def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str]:
     """Return what stamps and orientation beside the rates tell; see the two functions below."""
     return [*stamp_remarks(source), *orientation_remarks(log, source)]
 
 
-def stamp_remarks(source: Source) -> list[str]:
+def stamp_remarks(source: RateSignal) -> list[str]:
     """Return what is remarkable about header stamps beside the times of recording.
 
     Only the beginning of the log is read.
     """
-    if source.clock != "header" or source.stamps is None:
+    if source.clock != "header":
         return []
     stamped, logged = next(source.stamps(), (_NONE, _NONE))
     zeros = int(np.count_nonzero(stamped == 0))
@@ -177,7 +177,7 @@ def stamp_remarks(source: Source) -> list[str]:
     return [said + way_out]
 
 
-def orientation_remarks(log: MessageLog | TableLog, source: Source) -> list[str]:
+def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str]:
     """Return what the orientation beside the rates tells, if the log has one.
 
     Only the beginning of the log is read.
@@ -192,7 +192,7 @@ def orientation_remarks(log: MessageLog | TableLog, source: Source) -> list[str]
     topic = None if is_table(log) else source.name
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
-        check = RotationCheck(log.path, drop=True)
+        check = QuaternionCheck(log.path, drop=True)
         remark = against_orientation(source.batches(), check.apply(own.rows()))
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Log
     from quatprop.pipeline.job import Job
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import RateSignal
     from quatprop.text import Text
     from quatprop.timeline import Timeline
 
@@ -60,7 +60,7 @@ class RunResult(NamedTuple):
     """
 
     log: Log
-    source: Source
+    source: RateSignal
     timeline: Timeline
     conditioned: dict[str, Any]
     q0: NDArray[np.float64]
@@ -116,7 +116,7 @@ def report_on(job: Job, done: RunResult) -> dict[str, Any]:
             **done.fingerprint,
             "name": source.name,
             "type": source.type_name,
-            "rate": source.rate,
+            "rate": source.field,
             "rate_unit": source.unit,
             "clock": source.clock,
         },
@@ -127,7 +127,7 @@ def report_on(job: Job, done: RunResult) -> dict[str, Any]:
             "step": CONVENTION["step"],
             "rates": job.rates,
             "side": CONVENTION[job.rates],
-            "method": source.ruled_by(job.method),
+            "method": source.integration_rule(job.method),
             "layout": job.layout,
             "time": "int64 nanoseconds",
             "q0_wxyz": done.q0.tolist(),
@@ -139,7 +139,7 @@ def report_on(job: Job, done: RunResult) -> dict[str, Any]:
         "data_lost": bool(log.losses or counts.dropped),
         "remarks": [
             *source.remarks,
-            *source.remarks_on(job.method),
+            *source.method_remarks(job.method),
             *remarks(counts, job.policy),
             *done.remarks,
             *log.remarks,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import asdict, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from quatprop.containers.remote import without_secret
@@ -24,27 +25,23 @@ from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import attitude_candidates
-from quatprop.signals.channel_values import channels_of
-from quatprop.signals.rates import sources
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
-from quatprop.text import plain
+from quatprop.text import Text, plain
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
 from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
-    from quatprop.signals.attitude_messages import Candidate
-    from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import AttitudeSignal, Candidate, RateSignal, SelectionT, SignalT
     from quatprop.tables.base import TableLog
-    from quatprop.text import Text
     from quatprop.timeline.counts import StampCounts
 
     Log = MessageLog | TableLog
@@ -113,51 +110,63 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> Facts:
 
 
 def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[Facts]:
-    try:
-        found = sources(log, selection)
-    except UndeclaredError as error:
-        yield from _undeclared(log, selection, path, error)
-        return
-    for source in found:
+    for candidate in rate_candidates(log, selection):
+        list_again = partial(rate_candidates, log)
+        try:
+            source, unknown, missing = _declared(candidate, list_again, selection, _ASSUMED)
+        except UndeclaredError as error:
+            yield _unread(error, candidate.topic or None)
+            continue
         facts = _measured(source, path)
+        if missing is not None:
+            yield {**facts, **dict.fromkeys(unknown), "missing": missing, "remarks": []}
+            continue
         if path != "-":
             facts["remarks"] += log_remarks(log, source)
         facts["remarks"] += log.remarks
         yield facts
 
 
-def _undeclared(
-    log: Log, selection: RateSelection, path: str, error: UndeclaredError
-) -> Iterator[Facts]:
-    """Yield what can be known of sources one of which is not told in full."""
-    if not is_table(log):
-        topics = dict.fromkeys(one.topic for one in channels_of(cast("MessageLog", log)))
-        if selection.topic is None and len(topics) > 1:
-            for topic in topics:
-                try:
-                    yield from _rates(log, replace(selection, topic=topic), path)
-                except (NoRatesError, NoSuchTopicError):
-                    continue
-            return
-    for said, unknown in _ASSUMED:
-        try:
-            found = sources(log, replace(selection, **said))
-        except (UndeclaredError, UsageError):
-            continue
-        for source in found:
-            facts = _measured(source, path)
-            yield {**facts, **dict.fromkeys(unknown), "missing": error.reason, "remarks": []}
-        return
-    yield _unread(error)
+def _declared(
+    candidate: Candidate[SignalT],
+    list_again: Callable[[SelectionT], list[Candidate[SignalT]]],
+    selection: SelectionT,
+    assumed: Iterable[tuple[dict[str, Any], tuple[str, ...]]],
+) -> tuple[SignalT, tuple[str, ...], Text | None]:
+    """Return a signal; where units are not declared, read by assumed ones.
+
+    Returns
+    -------
+    signal : Signal
+        The signal.
+    unknown : tuple of str
+        The facts that are not known where units were assumed.
+    missing : Text or None
+        What is not declared.
+    """
+    try:
+        return candidate.signal(), (), None
+    except UndeclaredError as error:
+        for units, unknown in assumed:
+            try:
+                signal = next(
+                    again.signal()
+                    for again in list_again(replace(selection, **units))
+                    if (again.topic, again.field) == (candidate.topic, candidate.field)
+                )
+            except (UndeclaredError, UsageError):
+                continue
+            return signal, unknown, error.reason
+        raise
 
 
-def _unread(error: LogError, name: str | None = None, type_name: str = "") -> Facts:
-    """Return what is said of a source that cannot even be counted."""
+def _unread(error: LogError, name: str | None = None) -> Facts:
+    """Return the facts of a source that cannot even be counted."""
     facts = dict.fromkeys((*_OF_RATES, *_OF_TIME, "rate", "clock", "samples", "nonfinite"))
-    return {**facts, "source": name, "type": type_name, "missing": error.reason, "remarks": []}
+    return {**facts, "source": name, "type": "", "missing": error.reason, "remarks": []}
 
 
-def _measured(source: Source, path: str) -> Facts:
+def _measured(source: RateSignal, path: str) -> Facts:
     timeline = Timeline(OBSERVE, path)
     watch = RateChecks()
     deque(timeline.apply(watch.passing(source.batches())), maxlen=0)
@@ -165,7 +174,7 @@ def _measured(source: Source, path: str) -> Facts:
     return {
         "source": source.name,
         "type": source.type_name,
-        "rate": source.rate,
+        "rate": source.field,
         "rate_unit": source.unit,
         "clock": source.clock,
         "samples": counts.used,
@@ -216,9 +225,10 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic))
         return
+    assumed, list_again = _ASSUMED[1:2], partial(attitude_candidates, log)
     for candidate in found:
         try:
-            source, unknown, missing = _declared(log, candidate, wanted)
+            source, unknown, missing = _declared(candidate, list_again, wanted, assumed)
             facts = _observed(source, log)
         except NoAttitudesError:
             continue
@@ -226,36 +236,22 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
             yield _unread_attitude(candidate.field, name, error.reason)
         except UsageError as error:
-            reason = str(error).removeprefix(f"{plain(log.path)}: ")
-            yield _unread_attitude(candidate.field, candidate.topic, reason)
+            sentence, *rest = error.text.parts
+            if isinstance(sentence, str):
+                sentence = sentence.removeprefix(f"{plain(log.path)}: ")
+            yield _unread_attitude(candidate.field, candidate.topic, Text(sentence, *rest))
         else:
             yield {**facts, **dict.fromkeys(unknown), "missing": missing}
 
 
-def _declared(
-    log: Log, candidate: Candidate, wanted: AttitudeSelection
-) -> tuple[AttitudeSource, tuple[str, ...], Text | None]:
-    """Return a source; where the unit of its time is not declared, read as ns, and what is said."""
-    try:
-        return candidate.source(), (), None
-    except UndeclaredError as error:
-        if not is_table(log) or wanted.time_unit is not None:
-            raise
-        try:
-            (again,) = attitude_candidates(log, replace(wanted, time_unit="ns"))
-            return again.source(), _OF_TIME, error.reason
-        except (UndeclaredError, UsageError):
-            raise error from None
-
-
-def _unread_attitude(field: str, name: str, reason: str | Text) -> Facts:
+def _unread_attitude(field: str, name: str, reason: Text) -> Facts:
     known = dict.fromkeys((*_OF_TIME, "clock", "samples", "no_rotation", "layout",
                            "convention", "direction"))  # fmt: skip
     told = {"source": name, "type": "", "attitude": field}
     return {**known, **told, "missing": reason, "remarks": []}
 
 
-def _observed(source: AttitudeSource, log: Log) -> Facts:
+def _observed(source: AttitudeSignal, log: Log) -> Facts:
     """Return what stamps and rows of a source are like.
 
     Raises
@@ -263,7 +259,7 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
     NoAttitudesError
         Every row is marked as absent, as gyroscopes without an estimate do.
     """
-    check = RotationCheck(log.path, drop=True)
+    check = QuaternionCheck(log.path, drop=True)
     stamps = StampChecks(log.path)
 
     def checked() -> Iterator[Int64]:
@@ -275,17 +271,17 @@ def _observed(source: AttitudeSource, log: Log) -> Facts:
     deque(stamps.observe(checked()), maxlen=0)
     if check.counts.not_finite == check.counts.read > 0:
         raise NoAttitudesError(log.path, [source.name])
-    said = [check.counts.words] if check.counts.bad else []
+    said = [check.counts.summary] if check.counts.invalid else []
     return {
         "source": source.name,
         "type": source.type_name,
-        "attitude": source.quaternion,
+        "attitude": source.field,
         "layout": source.layout or source.representation,
         "convention": source.meaning.convention,
         "direction": source.meaning.direction,
         "clock": source.clock,
         "samples": stamps.counts.used,
         **_timed(stamps.counts),
-        "no_rotation": check.counts.bad,
+        "no_rotation": check.counts.invalid,
         "remarks": [*source.remarks, *said],
     }

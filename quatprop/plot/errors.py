@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison import Comparison, Place
     from quatprop.plot.picture import Picture
-    from quatprop.signals.compared_series import Operand
+    from quatprop.signals.attitude_input import LoadedAttitudes
 
 MATCHES = {
     "exact": "pairs of equal stamps",
@@ -47,23 +47,23 @@ class Compared(NamedTuple):
     """
 
     name: str
-    operand: Operand
+    operand: LoadedAttitudes
     found: Comparison
 
 
 class ErrorPicture(PictureFile):
     """The error between two series on its way to a file; see :class:`PictureFile`."""
 
-    def draw(self, a: Operand, b: Operand, found: Comparison) -> None:
+    def draw(self, a: LoadedAttitudes, b: LoadedAttitudes, found: Comparison) -> None:
         """Draw what a comparison of A with B has found, and put it in its place."""
-        name, against = names_of([a.reading.path, b.reading.path])
+        name, against = names_of([a.input.path, b.input.path])
         if name == against:
             # Two topics of one log.
-            name, against = (f"{name} {plain(side.source.name)}" for side in (a, b))
+            name, against = (f"{name} {plain(side.signal.name)}" for side in (a, b))
         self.commit(error_page([Compared(name, a, found)], against, b))
 
 
-def error_page(every: Sequence[Compared], against: str, reference: Operand) -> Page:
+def error_page(every: Sequence[Compared], against: str, reference: LoadedAttitudes) -> Page:
     """Return the report on the errors of series against one reference.
 
     Parameters
@@ -154,7 +154,7 @@ def _verdict(one: Compared) -> str:
     return f"{said}; {judged} the tolerance of {_degrees(found.tolerance)}"
 
 
-def _warnings(every: Sequence[Compared], reference: Operand) -> Iterator[str]:
+def _warnings(every: Sequence[Compared], reference: LoadedAttitudes) -> Iterator[str]:
     for one in every:
         found = one.found
         if found.exceeded is not None:
@@ -166,11 +166,11 @@ def _warnings(every: Sequence[Compared], reference: Operand) -> Iterator[str]:
     yield from _of_operand(reference)
 
 
-def _of_operand(operand: Operand) -> Iterator[str]:
-    path = operand.reading.path
-    yield from (f"{path}: {remark}" for remark in operand.source.remarks)
-    if operand.counts.bad:
-        yield f"{path}: {operand.counts.bad} rows are no rotation and were left out"
+def _of_operand(operand: LoadedAttitudes) -> Iterator[str]:
+    path = operand.input.path
+    yield from (f"{path}: {remark}" for remark in operand.signal.remarks)
+    if operand.counts.invalid:
+        yield f"{path}: {operand.counts.invalid} rows are invalid quaternions and were left out"
     yield from (f"{path}: {words}" for words in lost_text(operand.losses))
 
 
@@ -208,8 +208,8 @@ def _alignment(alignment: dict[str, Any]) -> str:
     return said
 
 
-def _operand_text(operand: Operand) -> str:
-    source = operand.source
+def _operand_text(operand: LoadedAttitudes) -> str:
+    source = operand.signal
     named = " ".join(text for text in (source.name, source.type_name) if text)
     meant = f"{source.meaning.convention} {source.meaning.direction}"
-    return f"{operand.reading.path} ({operand.kind}): {named}; {meant}, {source.layout}"
+    return f"{operand.input.path} ({operand.kind}): {named}; {meant}, {source.layout}"

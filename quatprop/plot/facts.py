@@ -13,19 +13,18 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.containers.base import MessageLog
-    from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import StampCounts
 
 
-def named(source: Source | AttitudeSource) -> str:
+def named(source: RateSignal | AttitudeSignal) -> str:
     """Return the topic and its type, or the columns and their dialect."""
     return " ".join(plain(text) for text in (source.name, source.type_name) if text)
 
 
 def where_from(
-    path: str, log: MessageLog | TableLog, source: Source | AttitudeSource
+    path: str, log: MessageLog | TableLog, source: RateSignal | AttitudeSignal
 ) -> Iterator[tuple[str, str]]:
     """Yield where samples come from."""
     yield "file", f"{path} ({log.kind})"

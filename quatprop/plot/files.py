@@ -27,7 +27,7 @@ from quatprop.plot.names import names_of
 from quatprop.plot.picture import Group, Part
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import UNITS, choose
+from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.text import Setting, plain
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
 
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Loss, MessageLog
-    from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import TableLog
     from quatprop.text import Text
     from quatprop.timeline.counts import StampCounts
@@ -154,12 +153,12 @@ def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
         return _see_rates(name, log, source, view, tick)
 
 
-def _chosen(log: MessageLog | TableLog, view: View) -> Source | tuple[AttitudeSource]:
+def _chosen(log: MessageLog | TableLog, view: View) -> RateSignal | tuple[AttitudeSignal]:
     """Return the rates, or in a tuple the attitudes, that are to be drawn."""
     if view.show == "attitude":
         return (choose_attitudes(log, view.attitudes),)
     try:
-        return choose(log, view.rates)
+        return choose_rates(log, view.rates)
     except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
         if view.show == "rates":
             raise
@@ -188,14 +187,16 @@ def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
-def _part(path: str, source: Source | AttitudeSource, sketch: Sketch, counts: StampCounts) -> Part:
+def _part(
+    path: str, source: RateSignal | AttitudeSignal, sketch: Sketch, counts: StampCounts
+) -> Part:
     """Return what is drawn of a file."""
     group = Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns)
     return Part(names_of([path])[0], (group,), named(source))
 
 
 def _see_rates(
-    path: str, log: MessageLog | TableLog, source: Source, view: View, tick: Tick
+    path: str, log: MessageLog | TableLog, source: RateSignal, view: View, tick: Tick
 ) -> Seen:
     part = Conditioning(start=view.start, end=view.end)
     batches, done = condition(source.batches, part, UNITS[source.unit])
@@ -218,17 +219,17 @@ def _see_rates(
         facts=(
             *where_from(path, log, source),
             ("convention", "rates as recorded, in the axes of the sensor; nothing subtracted"),
-            ("rate", f"{source.rate} in {source.unit}"),
+            ("rate", f"{source.field} in {source.unit}"),
             *facts_of(counts),
             ("largest rate", highest),
         ),
-        remarks=(*map(str, source.remarks), *events_in(counts), *findings),
+        remarks=(*source.remarks, *events_in(counts), *findings),
         losses=tuple(log.losses),
     )
 
 
 def _see_attitudes(
-    path: str, log: MessageLog | TableLog, source: AttitudeSource, view: View, tick: Tick
+    path: str, log: MessageLog | TableLog, source: AttitudeSignal, view: View, tick: Tick
 ) -> Seen:
     sketch = AttitudeSketch(components=view.components)
     outside = [0, 0]
@@ -256,7 +257,7 @@ def _see_attitudes(
             *where_from(path, log, source),
             ("convention", HAMILTON.words),
             ("drawn as", DRAWN_AS[view.components]),
-            ("attitude", f"{source.quaternion}, stored {source.layout}, {stored}"),
+            ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
             *((("method", method),) if method else ()),
             *facts_of(counts),
             ("off unit length", f"at most {sketch.worst:.3g}"),
@@ -280,7 +281,7 @@ def _sketched(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> 
 
 
 def _within(
-    source: AttitudeSource, view: View, outside: list[int]
+    source: AttitudeSignal, view: View, outside: list[int]
 ) -> Iterator[tuple[Int64, Float64]]:
     """Yield the rows of the part that is to be drawn; count those before and after it."""
     first_ns = last_ns = 0

@@ -12,14 +12,14 @@ from quatprop.plot.names import lost_text, names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile
-from quatprop.signals.compared_series import Reading, read_operand
+from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from quatprop.plot.files import Seen
-    from quatprop.signals.compared_series import Operand
+    from quatprop.signals.attitude_input import LoadedAttitudes
 
     Tick = Callable[[int], None]
 
@@ -45,7 +45,7 @@ class Plot:
     files: tuple[str, ...]
     output: str
     view: View = field(default_factory=View)
-    reference: Reading | None = None
+    reference: AttitudeInput | None = None
     settings: Settings = field(default_factory=Settings)
 
 
@@ -115,14 +115,14 @@ def _page(seen: list[Seen]) -> Page:
     )
 
 
-def _against(job: Plot, reference: Reading) -> tuple[Page, list[Operand]]:
+def _against(job: Plot, reference: AttitudeInput) -> tuple[Page, list[LoadedAttitudes]]:
     """Return the report on the errors of files against a reference, and all that was read."""
-    known = read_operand(reference)
+    known = load_attitudes(reference)
     names = names_of([*job.files, reference.path])
     every = []
     for path, name in zip(job.files, names, strict=False):
-        reading = Reading(path, job.view.kind, job.view.attitudes, drop=True)
-        operand = read_operand(reading)
+        reading = AttitudeInput(path, job.view.kind, job.view.attitudes, drop=True)
+        operand = load_attitudes(reading)
         every.append(Compared(name, operand, compare(operand.series, known.series, job.settings)))
     page = error_page(every, names[-1], known)
     return page, [*(one.operand for one in every), known]

@@ -1,8 +1,7 @@
-"""From what a log holds to attitudes at stamps in ns.
+"""Attitudes of a log, as Hamilton quaternions body -> reference at stamps in ns.
 
-The counterpart of :mod:`quatprop.signals.rates` for quaternions: a topic or a set of columns is
-chosen, the clock read, and the numbers are brought into the terms that hold inside quatprop. The
-layout is taken from names, definitions or metadata; where none of them says it, it is asked for.
+The layout is taken from names, definitions or metadata; where none of them says it, it is asked
+for.
 """
 
 from __future__ import annotations
@@ -10,84 +9,158 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
-from quatprop.errors import AmbiguousTopicError, UsageError
-from quatprop.signals.attitude_messages import Candidate, of_messages
-from quatprop.signals.attitude_source import AttitudeSource
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
+from quatprop.errors import UsageError
+from quatprop.messages.orientations import orientation_field_at, orientation_fields
+from quatprop.messages.stamps import Stamp
+from quatprop.messages.transforms import TRANSFORM_LISTS
+from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
+from quatprop.signals.message_values import FieldReader, choose_clock, stamps_logged, timed_values
+from quatprop.signals.signal import (
+    ATTITUDES,
+    MESSAGE_SETTINGS,
+    AttitudeSignal,
+    Candidate,
+    choose,
+    message_candidates,
+    refuse_settings,
+)
+from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
-from quatprop.text import listed, plain, quoted
+from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from quatprop.containers.base import MessageLog
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.conventions import Meaning
+    from quatprop.messages.orientations import FoundOrientation
     from quatprop.selection import AttitudeSelection
+    from quatprop.signals.message_values import BlockReader
+    from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
 
-__all__ = [
-    "AttitudeSource",
-    "attitude_candidates",
-    "attitude_stamps",
-    "choose_attitudes",
-]
 
-
-def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSource:
-    """Return the one source of attitudes that the options leave.
+def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSignal:
+    """Return the only attitudes that a selection leaves.
 
     Raises
     ------
     NoAttitudesError
         Nothing in the log carries attitudes.
     NoSuchTopicError
-        The topic asked for is not there, or carries none.
+        The topic is not there, or carries none.
     AmbiguousTopicError
-        Several sources remain.
+        Several topics carry attitudes.
     UndeclaredError
         The layout, a column or the time is declared nowhere.
     UsageError
-        Options contradict each other or the log.
+        Settings contradict each other or the log.
     """
-    found = attitude_candidates(log, selection)
-    if len(found) == 1:
-        return found[0].source()
-    topics = [candidate.topic for candidate in found]
-    if len(set(topics)) > 1:
-        raise AmbiguousTopicError(log.path, topics, "attitudes")
-    raise UsageError(
-        f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several attitudes: "
-        f"{listed(candidate.field for candidate in found)}; choose one with --quat-field"
-    )
+    return choose(log, attitude_candidates(log, selection), ATTITUDES)
 
 
 def attitude_candidates(
     log: MessageLog | TableLog, selection: AttitudeSelection
-) -> list[Candidate]:
-    """Return every attitude that the options leave, at least one, not yet looked at closely.
+) -> list[Candidate[AttitudeSignal]]:
+    """Return the attitudes that a selection leaves, at least one.
 
     Raises
     ------
     LogError
-        As for :func:`choose_attitudes`, but for the ambiguity; what is said of a single source
-        comes when it is asked for.
+        As for :func:`choose_attitudes`, but for the ambiguity; what is not declared about a
+        candidate is refused when its signal is asked for.
     """
     if is_table(log):
+        refuse_settings(log, selection, MESSAGE_SETTINGS, "is for messages, and {} is a table")
         return [Candidate("", "", partial(of_table, log, selection))]
-    return of_messages(cast("MessageLog", log), selection)
+    return message_candidates(cast("MessageLog", log), selection, ATTITUDES, _candidates)
 
 
-def attitude_stamps(
-    selection: AttitudeSelection, log: MessageLog | TableLog
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield the stamps of the messages that are chosen, and when they were logged.
+def _candidates(
+    log: MessageLog, channel: Channel, selection: AttitudeSelection
+) -> list[Candidate[AttitudeSignal]]:
+    if selection.quat_field is not None:
+        named = orientation_field_at(channel, selection.quat_field, log.path)
+        fields = [] if named is None else [named]
+    elif channel.type_name in TRANSFORM_LISTS:
+        signal = partial(_of_transforms, log, channel, selection)
+        return [Candidate(channel.topic, "transforms", signal)]
+    else:
+        fields = orientation_fields(channel, log.path)
+    return [
+        Candidate(channel.topic, field.name, partial(_of_field, log, channel, field, selection))
+        for field in fields
+    ]
 
-    Yields
-    ------
-    tuple
-        Shapes ``(N,)``, int64 ns, in order of log times; none for a table.
-    """
-    read = choose_attitudes(log, selection).stamps
-    return iter(()) if read is None else read()
+
+def _of_field(
+    log: MessageLog, channel: Channel, field: FoundOrientation, selection: AttitudeSelection
+) -> AttitudeSignal:
+    if selection.frame is not None:
+        raise UsageError(
+            f"{plain(log.path)}: ",
+            Setting("frame"),
+            f" chooses from a list of transforms, and messages of topic {quoted(channel.topic)} "
+            "have one attitude each; leave it out",
+        )
+    provenance = log.provenance(channel.topic)
+    recorded = recorded_convention(provenance)
+    layout = message_layout(log.path, channel, field, selection.from_layout, recorded.get("layout"))
+    # Fields with names are fetched in the order w, x, y, z.
+    order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
+    meaning = meaning_of(log.path, selection, recorded)
+    clock = choose_clock(log, channel, field.stamp, selection)
+    reader = FieldReader(log, channel, field.fields, clock, field.absent)
+    return AttitudeSignal(
+        name=channel.topic,
+        type_name=channel.type_name,
+        field=field.name,
+        layout=layout,
+        meaning=meaning,
+        clock=clock.name,
+        remarks=(f"by its type {field.frames}",) if field.frames else (),
+        provenance=provenance,
+        rows=partial(_message_rows, log, channel, reader, order, meaning),
+        stamps=partial(stamps_logged, log, channel, reader),
+    )
+
+
+def _of_transforms(
+    log: MessageLog, channel: Channel, selection: AttitudeSelection
+) -> AttitudeSignal:
+    layout = selection.from_layout
+    if layout is not None and layout_named(layout) is not SCALAR_LAST:
+        raise UsageError(
+            f"{plain(log.path)}: ",
+            Setting("from_layout"),
+            f" says {layout}, but transforms are scalar-last by definition; leave it out",
+        )
+    provenance = log.provenance(channel.topic)
+    clock = choose_clock(log, channel, Stamp.of_time("header.stamp"), selection)
+    frames = chosen_frames(log, channel, selection.frame)
+    meaning = meaning_of(log.path, selection, recorded_convention(provenance))
+    reader = TransformReader(log, channel, frames, clock)
+    return AttitudeSignal(
+        name=channel.topic,
+        type_name=channel.type_name,
+        field=f"{frames.parent} <- {frames.child}",
+        layout=SCALAR_LAST.name,
+        meaning=meaning,
+        clock=clock.name,
+        provenance=provenance,
+        rows=partial(_message_rows, log, channel, reader, SCALAR_FIRST.order, meaning),
+        stamps=partial(stamps_logged, log, channel, reader),
+    )
+
+
+def _message_rows(
+    log: MessageLog,
+    channel: Channel,
+    reader: BlockReader,
+    order: tuple[int, ...],
+    meaning: Meaning,
+) -> Rows:
+    """Yield the attitudes that a channel stores in the order `order` and means as `meaning`."""
+    places = [order.index(part) for part in range(4)]
+    for t_ns, stored in timed_values(log, channel, reader):
+        yield t_ns, meaning.converted(stored[:, places])

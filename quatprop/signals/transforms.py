@@ -8,15 +8,15 @@ from quatprop.containers.coalesce import joined
 from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.transforms import TransformDecoder
-from quatprop.text import listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.transforms import Frames
-    from quatprop.signals.channel_values import Clock
+    from quatprop.signals.message_values import Clock
 
 
-class TransformReading:
+class TransformReader:
     """Reads the transforms between two frames, as the blocks of a channel are read.
 
     Parameters
@@ -37,14 +37,14 @@ class TransformReading:
 
     def columns(self, block: MessageBlock) -> Columns:
         """Return log times with ``(t_ns, wxyz)``; none, one or more rows of a message."""
-        found = self._decoder.transforms(block)
-        ours = found.frames == 0
-        message = found.message[ours]
+        transforms = self._decoder.transforms(block)
+        ours = transforms.frames == 0
+        message = transforms.message[ours]
         if self._clock.name == "header":
-            t_ns = found.t_ns[ours]
+            t_ns = transforms.t_ns[ours]
         else:
             t_ns = self._clock.ns((), block, self._path)[message]
-        return Columns(block.log_ns[message], (t_ns, found.wxyz[ours]), block.not_before_ns)
+        return Columns(block.log_ns[message], (t_ns, transforms.wxyz[ours]), block.not_before_ns)
 
 
 def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Frames:
@@ -74,18 +74,18 @@ def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Fram
     if not decoder.known:
         raise NoSamplesError(log.path, channel.topic)
     parent, _, child = (wanted or "").rpartition(":")
-    found = [
+    matching = [
         frames
         for frames in decoder.known
         if child in ("", frames.child) and parent in ("", frames.parent)
     ]
-    if len(found) == 1:
-        return found[0]
-    there = listed(f"{frames.parent}:{frames.child}" for frames in found or decoder.known)
-    what = "has the transforms" if wanted is None else f"has, for --frame {quoted(wanted)},"
-    if not found:
+    if len(matching) == 1:
+        return matching[0]
+    there = listed(f"{frames.parent}:{frames.child}" for frames in matching or decoder.known)
+    what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
+    if not matching:
         what = f"has no transform {quoted(wanted)}, but"
     raise UsageError(
-        f"{plain(log.path)}: topic {quoted(channel.topic)} {what} {there}; "
-        "choose one with --frame PARENT:CHILD"
+        f"{plain(log.path)}: topic {quoted(channel.topic)} {what} {there}; choose one with ",
+        Setting("frame", "PARENT:CHILD"),
     )

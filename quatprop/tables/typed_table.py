@@ -6,7 +6,7 @@ unit, what is no number and what is damaged are dealt with once.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,8 +14,11 @@ import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError
-from quatprop.tables.base import TableLog, TableNotes
+from quatprop.series import GyroSeries
+from quatprop.tables.base import TableLog
 from quatprop.tables.csv import decimal_time
+from quatprop.tables.matching import rate_columns as choosing
+from quatprop.tables.matching.column_matcher import Notes
 from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -24,7 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.tables.base import TimedColumns
+    from quatprop.selection import RateSelection
+    from quatprop.tables.base import TableColumns, TimedColumns
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -100,25 +104,32 @@ class TypedTable(TableLog):
         return [leaf.name for leaf in self._leaves]
 
     @property
-    def notes(self) -> TableNotes:
+    def notes(self) -> Notes:
         """Columns of timestamps carry their own unit."""
-        return TableNotes(
-            units={
+        return Notes(
+            declared={
                 k: leaf.type.unit
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
             }
         )
 
-    def provenance(self) -> dict[str, Any]:
-        """Return how the content came about, as written beside it; empty where it is not.
+    def choose(self, selection: RateSelection) -> TableColumns:
+        """Return which columns hold time and rates, from the options and the header."""
+        columns = choosing.choose(self.path, self.columns(), selection, self.notes)
+        self._refuse_other_than_numbers(columns.timed)
+        return columns
+
+    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
+        """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch.
 
         Raises
         ------
-        DamagedLogError
-            What is written there is not what this package writes.
+        UnsupportedLogError
+            A column does not hold numbers, or a stamp does not fit in int64 ns.
         """
-        return {}
+        for t_ns, rate in self.rows(columns.timed):
+            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
 
     def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
         """Yield the chosen columns as stamps in ns and numbers as stored, batch after batch.
@@ -165,7 +176,7 @@ class TypedTable(TableLog):
         return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
 
     def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
-        declared = self.notes.units
+        declared = self.notes.declared
         names = self.columns()
         for k in (*columns.numbers, *columns.time):
             leaf = self._leaves[k]

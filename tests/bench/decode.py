@@ -12,7 +12,7 @@ from table import Table, best_of
 
 from quatprop.formats import open_log
 from quatprop.selection import RateSelection
-from quatprop.signals.rates import choose
+from quatprop.signals.rates import choose_rates
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of a chunk record before its data, but for the name of the compression."""
@@ -21,7 +21,7 @@ CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 def ours(path: Path) -> int:
     """Decode every sample with quatprop."""
     with open_log(path) as log:
-        return sum(len(batch) for batch in choose(log, RateSelection()).batches())
+        return sum(len(batch) for batch in choose_rates(log, RateSelection()).batches())
 
 
 def with_rosbags(path: Path) -> int:

@@ -1,4 +1,4 @@
-"""How messages become body rates: rates, increments with their time, bursts of samples."""
+"""How messages become body rates: plain rates, increments with their time, bursts of samples."""
 
 from __future__ import annotations
 
@@ -8,26 +8,24 @@ import numpy as np
 
 from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError
-from quatprop.signals.channel_values import FieldReading, Groups, rows
+from quatprop.signals.message_values import FieldReader, GroupDecoder, as_rows
 from quatprop.text import quoted
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.rate_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
-    from quatprop.signals.channel_values import Clock, Reading
+    from quatprop.signals.message_values import BlockReader, Clock
 
 MAX_SPACING_NS = NS_PER_UNIT["s"]
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def rate_reading(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -> Reading:
-    """Return how the messages of a channel become rates.
+def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -> BlockReader:
+    """Return what turns the messages of a channel into rates.
 
     Parameters
     ----------
@@ -36,58 +34,52 @@ def rate_reading(log: MessageLog, channel: Channel, field: RateField, clock: Clo
     field
         What they carry.
     clock
-        Whose time.
+        Time base.
 
     Returns
     -------
-    Reading
+    BlockReader
         Its values are the arguments of :class:`quatprop.series.GyroSeries`, but in the unit of
         the field.
     """
     if field.burst is not None:
-        return _BurstReading(log.path, channel, field, field.burst, clock)
+        return _BurstReader(log, channel, field, field.burst, clock)
     if field.span is not None:
-        return _IncrementReading(log.path, channel, field, field.span, clock)
-    return FieldReading(log, channel, field.rate, clock, field.absent)
+        return _IncrementReader(log, channel, field, field.span, clock)
+    return FieldReader(log, channel, field.rate, clock, field.absent)
 
 
-class _IncrementReading:
+class _IncrementReader(GroupDecoder):
     """One increment a message, with the time over which it was integrated."""
 
     def __init__(
-        self, path: Path | str, channel: Channel, field: RateField, span: Stamp, clock: Clock
+        self, log: MessageLog, channel: Channel, field: RateField, span: Stamp, clock: Clock
     ) -> None:
-        self._path = path
+        super().__init__(log, channel, clock, field.rate, span.fields)
         self._span = span
-        self._clock = clock
-        self._groups = Groups(channel, (field.rate, span.fields, clock.fields), path)
 
     def columns(self, block: MessageBlock) -> Columns:
         """Return log times with ``(t_ns, rate, span_ns)``; the order is the block's."""
-        turned, span, stamp = self._groups.of(block)
-        span_ns = self._span.ns(span, self._path)
-        # An increment over no time has no rate; it is not finite, and policies speak of that.
+        t_ns, (increment, span) = self.decode(block)
+        span_ns = self._span.ns(span, self.path)
+        # An increment over no time has no rate; it is not finite, and policies deal with that.
         with np.errstate(divide="ignore", invalid="ignore"):
-            rate = rows(turned) / (span_ns / NS_PER_UNIT["s"])[:, None]
-        t_ns = self._clock.ns(stamp, block, self._path)
+            rate = as_rows(increment) / (span_ns / NS_PER_UNIT["s"])[:, None]
         return Columns(block.log_ns, (t_ns, rate, span_ns), block.not_before_ns)
 
 
-class _BurstReading:
+class _BurstReader(GroupDecoder):
     """Many samples a message, evenly spaced up to the stamp."""
 
     def __init__(
-        self, path: Path | str, channel: Channel, field: RateField, burst: Burst, clock: Clock
+        self, log: MessageLog, channel: Channel, field: RateField, burst: Burst, clock: Clock
     ) -> None:
-        self._path = path
-        self._topic = channel.topic
+        super().__init__(log, channel, clock, field.rate, burst.fields)
         self._burst = burst
-        self._clock = clock
-        self._groups = Groups(channel, (field.rate, burst.fields, clock.fields), path)
 
     def columns(self, block: MessageBlock) -> Columns:
         """Return log times with ``(t_ns, rate)``, one row a sample."""
-        axes, (samples, scale, spacing), stamp = self._groups.of(block)
+        stamp_ns, (axes, (samples, scale, spacing)) = self.decode(block)
         stored = np.stack(axes, axis=2)
         counts = samples.astype(np.int64)
         spacing_ns = spacing.astype(np.float64) * NS_PER_UNIT[self._burst.spacing.unit]
@@ -97,7 +89,7 @@ class _BurstReading:
         rate = stored[message, position] * scale.astype(np.float64)[message, None]
         # Rounded last: the spacing need not be a whole number of nanoseconds.
         before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
-        t_ns = self._clock.ns(stamp, block, self._path)[message] - before
+        t_ns = stamp_ns[message] - before
         return Columns(block.log_ns[message], (t_ns, rate), block.not_before_ns)
 
     def _check(self, counts: NDArray[np.int64], room: int, spacing_ns: NDArray[np.float64]) -> None:
@@ -106,8 +98,8 @@ class _BurstReading:
         if not good.all():
             bad = np.flatnonzero(~good)
             raise MessageError(
-                self._path,
-                f"a message of topic {quoted(self._topic)} counts {counts[bad[0]]} samples, "
+                self.path,
+                f"a message of topic {quoted(self.topic)} counts {counts[bad[0]]} samples, "
                 f"{spacing_ns[bad[0]]:g} ns apart, and has room for {room}; the log is damaged",
                 bad.tolist(),
             )

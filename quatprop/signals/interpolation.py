@@ -1,4 +1,4 @@
-"""The attitude of a series at one time: where a propagation may begin."""
+"""The attitude of a series at one time, by interpolation between its neighbours."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import is_table
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries
-    from quatprop.signals.rates import Source
+    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
@@ -66,7 +66,7 @@ def attitude_at(
     with open_log(path, kind) as opened:
         source = choose_attitudes(opened, selection or AttitudeSelection())
         # Rows elsewhere in the series that are no rotations are no concern of this time.
-        check = RotationCheck(path, drop=True)
+        check = QuaternionCheck(path, drop=True)
         return attitude_in(check.apply(source.rows()), t_ns, path)
 
 
@@ -87,12 +87,12 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
         except (NoAttitudesError, UndeclaredError):
-            stamps = [batch.t_ns for batch in choose(opened, RateSelection()).batches()]
+            stamps = [batch.t_ns for batch in choose_rates(opened, RateSelection()).batches()]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
 def first_orientation(
-    log: MessageLog | TableLog, source: Source, t_ns: int | None = None
+    log: MessageLog | TableLog, source: RateSignal, t_ns: int | None = None
 ) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 
@@ -127,7 +127,7 @@ def first_orientation(
         if source.clock in {"header", "log", "publish"}:
             selection = replace(selection, clock=source.clock)
     found = choose_attitudes(log, selection)
-    batches = RotationCheck(log.path, drop=True).apply(found.rows())
+    batches = QuaternionCheck(log.path, drop=True).apply(found.rows())
     try:
         if t_ns is not None:
             return attitude_in(batches, t_ns, log.path)
@@ -141,10 +141,10 @@ def first_orientation(
     )
 
 
-def _beside(log: MessageLog, source: Source) -> str | None:
+def _beside(log: MessageLog, source: RateSignal) -> str | None:
     """Return the orientation in the same part of the message as the rate, if it is named so."""
     from quatprop.messages.rates import rate_fields
-    from quatprop.signals.channel_values import channels_of
+    from quatprop.signals.message_values import channels_of
 
     return next(
         (
@@ -152,7 +152,7 @@ def _beside(log: MessageLog, source: Source) -> str | None:
             for channel in channels_of(log, source.name)
             if channel.type_name == source.type_name
             for field in rate_fields(channel, log.path)
-            if field.name == source.rate
+            if field.name == source.field
         ),
         None,
     )

@@ -1,4 +1,4 @@
-"""Attitude series to compare, each read as a whole."""
+"""Attitude series read into memory as a whole, to be compared or kept as a reference."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rotation_check import RotationCheck
+from quatprop.signals.quaternion_check import QuaternionCheck
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Loss
-    from quatprop.signals.attitudes import AttitudeSource
-    from quatprop.signals.rotation_check import RowCounts
+    from quatprop.signals.quaternion_check import QuaternionCounts
+    from quatprop.signals.signal import AttitudeSignal
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
-    """What to read, and how.
+class AttitudeInput:
+    """Which attitude series to read.
 
     Parameters
     ----------
     path
         Any log or table with attitudes, or ``"-"``.
     kind
-        A key of :data:`quatprop.formats.READERS`; None: told by content and suffix.
+        A key of :data:`quatprop.formats.READERS`; None for the kind that content and suffix show.
     selection
         Which attitudes.
     normalize
-        Scale rows of any length but zero to unit length.
+        Scale quaternions of any length but zero to unit length.
     drop
-        Leave out rows that are no rotation, instead of refusing the series.
+        Leave out invalid quaternions instead of refusing the series.
     side
         Which side of a comparison it is, ``"a"`` or ``"b"``, for errors.
     """
@@ -50,59 +50,59 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Operand:
-    """One side of a comparison.
+class LoadedAttitudes:
+    """An attitude series in memory, and where it is from.
 
     Parameters
     ----------
-    reading
+    input
         What was asked for.
     kind
         The kind of the log.
-    source
-        Which attitudes were found.
+    signal
+        The attitudes that were chosen.
     series
-        The attitudes.
+        Their values.
     counts
-        What was found in its rows.
+        Valid and invalid rows.
     losses
         What could not be read.
     """
 
-    reading: Reading
+    input: AttitudeInput
     kind: str
-    source: AttitudeSource
+    signal: AttitudeSignal
     series: AttitudeSeries
-    counts: RowCounts
+    counts: QuaternionCounts
     losses: tuple[Loss, ...]
 
     @property
     def data_lost(self) -> bool:
         """Whether something was left out."""
-        return bool(self.losses or self.counts.bad)
+        return bool(self.losses or self.counts.invalid)
 
     def report(self) -> dict[str, Any]:
         """Return where it is from and what it spans, JSON-ready."""
         t_ns = self.series.t_ns
         return {
-            "path": self.reading.path,
+            "path": self.input.path,
             "kind": self.kind,
-            "name": self.source.name,
-            "type": self.source.type_name,
-            "quaternion": self.source.quaternion,
-            "layout": self.source.layout,
-            "meaning": asdict(self.source.meaning),
-            "clock": self.source.clock,
+            "name": self.signal.name,
+            "type": self.signal.type_name,
+            "quaternion": self.signal.field,
+            "layout": self.signal.layout,
+            "meaning": asdict(self.signal.meaning),
+            "clock": self.signal.clock,
             "samples": len(t_ns),
             "first_ns": int(t_ns.min()),
             "last_ns": int(t_ns.max()),
             "rows": asdict(self.counts),
             "losses": [asdict(loss) for loss in self.losses],
-            "remarks": list(self.source.remarks),
+            "remarks": list(self.signal.remarks),
         }
 
 
-def read_operand(reading: Reading) -> Operand:
+def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
     """Read an attitude series into memory.
 
     Raises
@@ -110,25 +110,25 @@ def read_operand(reading: Reading) -> Operand:
     LogError
         It cannot be read, or not as asked.
     NotRotationsError
-        Rows are no rotations, and are not to be dropped.
+        Quaternions are invalid, and are not to be dropped.
     """
     try:
-        return _read(reading)
+        return _load(wanted)
     except QuatpropError as error:
-        error.side = reading.side
+        error.side = wanted.side
         raise
 
 
-def _read(reading: Reading) -> Operand:
-    with open_log(reading.path, reading.kind) as log:
-        source = choose_attitudes(log, reading.selection)
-        check = RotationCheck(reading.path, normalize=reading.normalize, drop=reading.drop)
-        parts = list(check.apply(source.rows()))
+def _load(wanted: AttitudeInput) -> LoadedAttitudes:
+    with open_log(wanted.path, wanted.kind) as log:
+        signal = choose_attitudes(log, wanted.selection)
+        check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
+        parts = list(check.apply(signal.rows()))
         if not parts:
-            raise NoSamplesError(reading.path, source.name)
+            raise NoSamplesError(wanted.path, signal.name)
         series = AttitudeSeries(
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
         )
-        known = replace(reading, path=without_secret(reading.path))
-        return Operand(known, log.kind, source, series, check.counts, tuple(log.losses))
+        wanted = replace(wanted, path=without_secret(wanted.path))
+        return LoadedAttitudes(wanted, log.kind, signal, series, check.counts, tuple(log.losses))

@@ -1,8 +1,7 @@
-"""Which rows of a series are rotations, and what is done about the others.
+"""Invalid quaternions of a series: counted and located, then refused, dropped or normalised.
 
-A quaternion column may hold zeros (a reference that was never set), NaN (a fix that was lost), or
-numbers that are no unit quaternion at all. They are found, located and counted; none passes for an
-attitude.
+A quaternion column may hold zeros (a reference that was never set), NaN (no fix), or numbers that
+are no unit quaternion at all. None of them is used as an attitude.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 from quatprop.errors import NotRotationsError
 from quatprop.kinematics.quaternion import normalize
 from quatprop.series import AttitudeSeries
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -26,30 +26,30 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-3
-"""How far from 1 a length may be: numbers of three decimals come as far as this by rounding."""
+"""Allowed difference of a length from 1: rounding to three decimals causes as much."""
 
 ZERO = 1e-6
-"""Lengths below this are zero: no direction can be had from them."""
+"""Lengths below this count as zero: they have no direction."""
 
 _ROUNDING = 4e-16
 
 
 @dataclass(slots=True)
-class RowCounts:
-    """What was found in a series.
+class QuaternionCounts:
+    """Valid and invalid rows of a series.
 
     Parameters
     ----------
     read, used
-        Rows read and given on.
+        Rows read, and rows that passed.
     zero, not_unit, not_finite
-        Rows that are no rotation, and why.
+        Invalid rows, by reason.
     normalized
         Rows that were scaled to unit length.
     worst
-        Largest distance of a length from 1 among the rows that are neither zero nor NaN.
+        Largest difference of a length from 1 among the rows that are neither zero nor NaN.
     first
-        The first row that is no rotation, from 0; None while there is none.
+        Number of the first invalid row, from 0; None while there is none.
     first_ns
         Its stamp, ns.
     """
@@ -65,51 +65,51 @@ class RowCounts:
     first_ns: int | None = None
 
     @property
-    def bad(self) -> int:
-        """Rows that are no rotation."""
+    def invalid(self) -> int:
+        """Rows that are no unit quaternion."""
         return self.zero + self.not_unit + self.not_finite
 
     @property
-    def words(self) -> str:
-        """What is no rotation, why, and where the first of it is; for counts of some."""
+    def summary(self) -> str:
+        """How many rows are invalid, why, and where the first is."""
         kinds = (
             (self.zero, "all zero"),
             (self.not_unit, f"off unit length by up to {self.worst:.3g}"),
             (self.not_finite, "absent or not finite"),
         )
-        found = ", ".join(f"{count} {what}" for count, what in kinds if count)
+        reasons = ", ".join(f"{count} {what}" for count, what in kinds if count)
         return (
-            f"{self.bad} of {self.read} rows are no rotation ({found}), the first is row "
-            f"{self.first} at {self.first_ns} ns"
+            f"{self.invalid} of {self.read} rows are invalid quaternions ({reasons}), the first is "
+            f"row {self.first} at {self.first_ns} ns"
         )
 
 
-class RotationCheck:
-    """Lets rotations pass, and refuses or drops what is none.
+class QuaternionCheck:
+    """Lets unit quaternions pass, and refuses or drops the others.
 
     Parameters
     ----------
     path
         The file, for errors.
     normalize
-        Scale rows to unit length, however long they are; zeros and NaN stay what they are.
+        Scale rows of any length but zero to unit length; zeros and NaN stay invalid.
     drop
-        Leave out what is no rotation instead of refusing the series.
+        Leave out invalid rows instead of refusing the series.
 
     Attributes
     ----------
     counts
-        What was found so far.
+        Valid and invalid rows so far.
     """
 
     def __init__(self, path: Path | str, *, normalize: bool = False, drop: bool = False) -> None:
-        self.counts = RowCounts()
+        self.counts = QuaternionCounts()
         self._path = path
         self._normalize = normalize
         self._drop = drop
 
     def apply(self, batches: Iterable[tuple[Int64, Float64]]) -> Iterator[AttitudeSeries]:
-        """Yield the rows that are rotations.
+        """Yield the valid rows.
 
         Parameters
         ----------
@@ -119,54 +119,54 @@ class RotationCheck:
         Raises
         ------
         NotRotationsError
-            Rows are no rotations. Nothing is yielded from the first of them on; all are counted
-            before they are told.
+            Rows are invalid. Nothing is yielded from the first of them on; all are counted before
+            the error is raised.
         """
         for t_ns, wxyz in batches:
-            good, scaled = self._sorted_out(t_ns, wxyz)
-            if self.counts.bad and not self._drop:
+            valid, scaled = self._valid(t_ns, wxyz)
+            if self.counts.invalid and not self._drop:
                 continue
-            if good.all():
+            if valid.all():
                 series = AttitudeSeries(t_ns, scaled)
             else:
-                series = AttitudeSeries(t_ns[good], scaled[good])
+                series = AttitudeSeries(t_ns[valid], scaled[valid])
             self.counts.used += len(series)
             if len(series):
                 yield series
-        if self.counts.bad and not self._drop:
+        if self.counts.invalid and not self._drop:
             raise NotRotationsError(self._path, self._reason())
 
-    def _sorted_out(self, t_ns: Int64, wxyz: Float64) -> tuple[NDArray[np.bool_], Float64]:
-        """Return which rows are rotations, and the rows, scaled if that was asked for."""
+    def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[NDArray[np.bool_], Float64]:
+        """Return which rows are valid, and the rows, scaled if that was asked for."""
         counts = self.counts
-        # Components of absurd size must be told as such, not overflow.
+        # Components of absurd size must be reported as such, not overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz))
             finite = np.isfinite(length)
             zero = finite & (length < ZERO)
             off = np.abs(length - 1.0)
-        good = finite & ~zero
-        counts.worst = max(counts.worst, float(np.max(off, initial=0.0, where=good)))
+        valid = finite & ~zero
+        counts.worst = max(counts.worst, float(np.max(off, initial=0.0, where=valid)))
         if self._normalize:
-            scaling = good & (off > _ROUNDING)
+            scaling = valid & (off > _ROUNDING)
             counts.normalized += int(np.count_nonzero(scaling))
             if scaling.any():
                 wxyz = wxyz.copy()
                 wxyz[scaling] = normalize(wxyz[scaling])
         else:
-            not_unit = good & (off > UNIT_TOLERANCE)
+            not_unit = valid & (off > UNIT_TOLERANCE)
             counts.not_unit += int(np.count_nonzero(not_unit))
-            good &= ~not_unit
-        if counts.first is None and not good.all():
-            row = int(np.argmin(good))
+            valid &= ~not_unit
+        if counts.first is None and not valid.all():
+            row = int(np.argmin(valid))
             counts.first, counts.first_ns = counts.read + row, int(t_ns[row])
         counts.zero += int(np.count_nonzero(zero))
         counts.not_finite += int(np.count_nonzero(~finite))
         counts.read += len(t_ns)
-        return good, wxyz
+        return valid, wxyz
 
-    def _reason(self) -> str:
+    def _reason(self) -> Text:
         counts = self.counts
-        ways = ["--normalize scales those of another length"] if counts.not_unit else []
-        ways.append("--on-invalid drop leaves them out")
-        return f"{counts.words}; {', '.join(ways)}"
+        scaling = (Setting("normalize"), " scales those of another length, ")
+        ways = scaling if counts.not_unit else ()
+        return Text(f"{counts.summary}; ", *ways, Setting("on_invalid", "drop"), " leaves them out")

@@ -1,0 +1,295 @@
+"""From the messages of a channel to stamps and values, in the order of the log.
+
+What rates and attitudes have in common: fields are decoded as columns, the clock is chosen, values
+that a message marks as absent become NaN, and messages that do not fit their definition are counted
+as lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from quatprop.containers.coalesce import joined
+from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.errors import MessageError, UndeclaredError, UsageError
+from quatprop.messages.decoders import decoder_of
+from quatprop.messages.rates import time_field_at
+from quatprop.text import Setting, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.messages.stamps import Stamp
+    from quatprop.selection import SignalSelection
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+ABSENT = -1.0
+"""What the first number of a covariance is where the value beside it is not measured."""
+
+
+class Clock(NamedTuple):
+    """Time base of a channel's values.
+
+    Parameters
+    ----------
+    name
+        ``"header"``, ``"log"`` or ``"publish"``.
+    stamp
+        The field of the message, for a header clock.
+    """
+
+    name: str
+    stamp: Stamp | None = None
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields of the stamp; none for the other clocks."""
+        return self.stamp.fields if self.stamp else ()
+
+    def ns(self, fields: Sequence[NDArray[Any]], block: MessageBlock, path: Path | str) -> Int64:
+        """Return the time of every message of a block, shape ``(N,)``, int64 ns.
+
+        Parameters
+        ----------
+        fields
+            The fields of the stamp, as decoded; empty for the other clocks.
+        block
+            The messages.
+        path
+            The log, for errors.
+        """
+        if self.stamp is not None:
+            return self.stamp.ns(fields, path)
+        return block.log_ns if self.name == "log" else block.publish_ns
+
+
+def choose_clock(
+    log: MessageLog, channel: Channel, stamp: Stamp | None, selection: SignalSelection
+) -> Clock:
+    """Return the time base to read: as selected, else the header stamp, else the log time.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    stamp
+        The message's own stamp, if it is known to have one.
+    selection
+        Its `clock`, `time_field` and `time_unit` count.
+
+    Raises
+    ------
+    UsageError
+        A header stamp is asked for and there is none.
+    UndeclaredError
+        The unit of a time field is not declared.
+    """
+    has_stamp = stamp is not None or selection.time_field is not None
+    if selection.clock == "header" and not has_stamp:
+        raise UsageError(
+            f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
+            "choose ",
+            Setting("clock", "log|publish"),
+            " or name the stamp with ",
+            Setting("time_field"),
+        )
+    clock = selection.clock or ("header" if has_stamp else "log")
+    if clock != "header":
+        return Clock(clock)
+    if selection.time_field is not None:
+        stamp = time_field_at(channel, selection.time_field, selection.time_unit, log.path)
+        if stamp is None:
+            raise UndeclaredError(
+                log.path,
+                f"the unit of the time in field {quoted(selection.time_field)}",
+                Setting("time_unit", "s|ms|us|ns"),
+            )
+    return Clock(clock, stamp)
+
+
+def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
+    """Return the channels that have messages, with a sample where that is what shows the fields.
+
+    Parameters
+    ----------
+    log
+        The container.
+    topic
+        Only those of this topic; None for all.
+    """
+    channels = (channel for channel in log.channels() if topic in (None, channel.topic))
+    return [_with_sample(log, channel) for channel in channels if channel.count != 0]
+
+
+def _with_sample(log: MessageLog, channel: Channel) -> Channel:
+    if channel.encoding == "json":
+        for block in log.blocks(channel):
+            if len(block):
+                sample = block.data[block.starts[0] : block.ends[0]].tobytes()
+                return replace(channel, sample=sample)
+    return channel
+
+
+class BlockReader(Protocol):
+    """Turns the blocks of one channel into rows."""
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, values)``, shapes ``(N,)`` and ``(N, k)``.
+
+        Raises
+        ------
+        MessageError
+            Messages do not fit; its `positions` say which.
+        """
+
+
+class GroupDecoder:
+    """Decodes the time and several groups of fields of a channel's messages.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    clock
+        Time base.
+    *groups
+        Dotted paths.
+    """
+
+    def __init__(
+        self, log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str]
+    ) -> None:
+        self.path = log.path
+        self.topic = channel.topic
+        self._clock = clock
+        self._sizes = [len(group) for group in (clock.fields, *groups)]
+        fields = [*clock.fields, *(name for group in groups for name in group)]
+        self._decoder = decoder_of(channel, fields, log.path)
+
+    def decode(self, block: MessageBlock) -> tuple[Int64, list[list[NDArray[Any]]]]:
+        """Return the time of each message, int64 ns, and the columns of each group."""
+        columns = iter(self._decoder.columns(block))
+        stamp, *groups = [list(islice(columns, size)) for size in self._sizes]
+        return self._clock.ns(stamp, block, self.path), groups
+
+
+class FieldReader(GroupDecoder):
+    """Reads one row of numbers a message.
+
+    Parameters
+    ----------
+    log, channel
+        Where the messages are.
+    fields
+        Dotted paths of the values: one of a row of numbers, or several of one.
+    clock
+        Time base.
+    absent
+        Dotted path of a number that is -1 where the values are absent.
+    """
+
+    def __init__(
+        self,
+        log: MessageLog,
+        channel: Channel,
+        fields: Sequence[str],
+        clock: Clock,
+        absent: str | None = None,
+    ) -> None:
+        super().__init__(log, channel, clock, fields, (absent,) if absent else ())
+
+    def columns(self, block: MessageBlock) -> Columns:
+        """Return log times with ``(t_ns, values)``; the order is the block's."""
+        t_ns, (fields, marks) = self.decode(block)
+        values = as_rows(fields)
+        for mark in marks:
+            if (mark == ABSENT).any():
+                values[mark == ABSENT] = np.nan
+        return Columns(block.log_ns, (t_ns, values), block.not_before_ns)
+
+
+def as_rows(fields: list[NDArray[Any]]) -> Float64:
+    """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64."""
+    stacked = fields[0] if len(fields) == 1 else np.stack(fields, axis=1)
+    return np.array(stacked, dtype=np.float64, order="C")
+
+
+def timed_values(
+    log: MessageLog, channel: Channel, reader: BlockReader
+) -> Iterator[tuple[NDArray[Any], ...]]:
+    """Yield the values of one channel with their stamps, in order of their log times.
+
+    Parameters
+    ----------
+    log
+        The container; what cannot be read is added to its losses.
+    channel
+        One of its channels.
+    reader
+        Turns its blocks into rows.
+
+    Yields
+    ------
+    tuple
+        What the reader gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
+        ``(N, k)``, float64, first.
+    """
+    for columns in _in_log_order(log, channel, reader):
+        yield columns.values
+
+
+def stamps_logged(
+    log: MessageLog, channel: Channel, reader: BlockReader
+) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of one channel and their log times, in order of the log times.
+
+    Yields
+    ------
+    tuple
+        Shapes ``(N,)``, int64 ns.
+    """
+    for columns in _in_log_order(log, channel, reader):
+        yield columns.values[0], columns.log_ns
+
+
+def _in_log_order(log: MessageLog, channel: Channel, reader: BlockReader) -> Iterator[Columns]:
+    batches = (_readable(log, channel, reader, block) for block in joined(log.blocks(channel)))
+    return merge_by_time([batches])
+
+
+def _readable(
+    log: MessageLog, channel: Channel, reader: BlockReader, block: MessageBlock
+) -> Columns:
+    """Return the rows of a block without the messages that do not fit."""
+    try:
+        return reader.columns(block)
+    except MessageError as error:
+        if not error.positions:
+            raise
+        # Of the same reason in several blocks each counts, however often they are read.
+        first_ns = str(block.log_ns[error.positions[0]])
+        reason, count = str(error.reason), len(error.positions)
+        log.losses.note(f"topic {channel.topic}", reason, count, topic=first_ns)
+        return _readable(log, channel, reader, _without(block, error.positions))
+
+
+def _without(block: MessageBlock, positions: tuple[int, ...]) -> MessageBlock:
+    keep = np.ones(len(block), dtype=np.bool_)
+    keep[list(positions)] = False
+    return replace(
+        block,
+        starts=block.starts[keep],
+        ends=block.ends[keep],
+        log_ns=block.log_ns[keep],
+        publish_ns=block.publish_ns[keep],
+    )

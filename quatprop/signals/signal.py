@@ -1,0 +1,279 @@
+"""A signal of a log: body rates or attitudes, their time base, and how to read them.
+
+:mod:`quatprop.signals.rates` and :mod:`quatprop.signals.attitudes` list the signals of a log as
+candidates; :func:`choose` takes the only one. Nothing is guessed silently: what was inferred is in
+:attr:`Signal.remarks`, what is ambiguous is refused with the setting that settles it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+
+from quatprop.errors import (
+    AmbiguousTopicError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    UsageError,
+)
+from quatprop.signals.message_values import channels_of
+from quatprop.text import Setting, listed, plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.conventions import Meaning
+    from quatprop.selection import SignalSelection
+    from quatprop.series import GyroSeries
+    from quatprop.tables.base import TableLog
+
+    Int64 = NDArray[np.int64]
+    Rows: TypeAlias = Iterator[tuple[Int64, NDArray[np.float64]]]
+
+MESSAGE_SETTINGS = ("topic", "rate_field", "quat_field", "frame", "time_field")
+TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
+
+
+def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
+    return iter(())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signal:
+    """One series of samples in a log.
+
+    Parameters
+    ----------
+    name
+        The topic, or the names of the columns.
+    type_name
+        The message type, or the dialect of a table; ``""`` where there is none.
+    field
+        The message field, the columns, or the frames.
+    clock
+        Time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column.
+    remarks
+        What was inferred.
+    stamps
+        Reads the stamps of messages and their log times, shape ``(N,)`` each, int64 ns, in the
+        order of the samples; nothing for a table.
+    """
+
+    name: str
+    type_name: str
+    field: str
+    clock: str
+    remarks: tuple[str, ...] = ()
+    stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSignal(Signal):
+    """Body rates of a log; takes the parameters of :class:`Signal` too.
+
+    Parameters
+    ----------
+    batches
+        Reads the samples, rad/s and ns, in batches in the order of the log.
+    unit
+        Unit in which they are stored, ``"rad/s"`` or ``"deg/s"``.
+    method
+        The integration rule that fits the sensor, where the definition of its messages says it.
+    increments
+        Whether the sensor has integrated: then every integration rule takes its increments.
+    """
+
+    batches: Callable[[], Iterator[GyroSeries]]
+    unit: str
+    method: str | None = None
+    increments: bool = False
+
+    def integration_rule(self, method: str) -> str:
+        """Return what determines the rotation over an interval: the sensor, or the method."""
+        return "increments" if self.increments else method
+
+    def method_remarks(self, method: str) -> list[str]:
+        """Return the remarks on propagating this signal with a method."""
+        if self.method in (None, method) or self.increments:
+            return []
+        remark = (
+            "each rate is the average over the interval before its stamp, which is what method "
+            f"{self.method} assumes; method {method} was used"
+        )
+        return [remark]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSignal(Signal):
+    """Attitudes of a log; takes the parameters of :class:`Signal` too.
+
+    Parameters
+    ----------
+    rows
+        Reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body -> reference,
+        batch after batch in the order of the log. They are not checked: see
+        :class:`quatprop.signals.quaternion_check.QuaternionCheck`.
+    layout
+        How they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
+        components have names and no such order; ``""`` for other representations.
+    meaning
+        What the stored numbers mean.
+    provenance
+        How the attitudes were made, as their file says.
+    representation
+        ``"quaternion"`` or a key of :data:`quatprop.conventions.representations.REPRESENTATIONS`.
+    """
+
+    rows: Callable[[], Rows]
+    layout: str
+    meaning: Meaning
+    provenance: dict[str, Any]
+    representation: str = "quaternion"
+
+
+SignalT = TypeVar("SignalT", bound=Signal)
+SelectionT = TypeVar("SelectionT", bound="SignalSelection")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate(Generic[SignalT]):
+    """A signal that a log seems to hold.
+
+    Parameters
+    ----------
+    topic, field
+        Where it is in messages; ``""`` in a table.
+    signal
+        Returns it; raises a LogError or UsageError where something about it is not declared.
+    measured
+        Whether a sensor measured it; estimated or commanded values do not compete with those.
+    """
+
+    topic: str
+    field: str
+    signal: Callable[[], SignalT]
+    measured: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SignalKind:
+    """What error messages say about rates or about attitudes.
+
+    Parameters
+    ----------
+    name
+        Such as ``"body rates"``.
+    field
+        The setting that names their message field.
+    none
+        The error for a log without any.
+    """
+
+    name: str
+    field: str
+    none: type[NoRatesError | NoAttitudesError]
+
+
+RATES = SignalKind("body rates", "rate_field", NoRatesError)
+ATTITUDES = SignalKind("attitudes", "quat_field", NoAttitudesError)
+
+
+def choose(
+    log: MessageLog | TableLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind
+) -> SignalT:
+    """Return the only signal among some candidates.
+
+    Raises
+    ------
+    AmbiguousTopicError
+        Several topics remain.
+    UsageError
+        Several fields of one topic remain.
+    LogError
+        Something about the signal is not declared.
+    """
+    preferred = [candidate for candidate in candidates if candidate.measured] or candidates
+    topics = [candidate.topic for candidate in preferred]
+    if len(set(topics)) > 1:
+        raise AmbiguousTopicError(log.path, topics, kind.name)
+    if len(preferred) > 1:
+        raise UsageError(
+            f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
+            f"{listed(candidate.field for candidate in preferred)}; choose one with ",
+            Setting(kind.field),
+        )
+    signal = preferred[0].signal()
+    ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
+    if not ignored:
+        return signal
+    remark = f"ignored estimated {kind.name}: {listed(ignored)}"
+    return replace(signal, remarks=(*signal.remarks, remark))
+
+
+def message_candidates(
+    log: MessageLog,
+    selection: SelectionT,
+    kind: SignalKind,
+    find: Callable[[MessageLog, Channel, SelectionT], list[Candidate[SignalT]]],
+) -> list[Candidate[SignalT]]:
+    """Return the candidates in a log of messages, at least one.
+
+    Parameters
+    ----------
+    log
+        The log.
+    selection
+        What the user has chosen.
+    kind
+        What is wanted.
+    find
+        Returns the candidates of one channel.
+
+    Raises
+    ------
+    NoSuchTopicError
+        The topic is not there, or carries nothing of this kind.
+    UsageError
+        No message has the field, or a setting is for tables.
+    NoRatesError, NoAttitudesError
+        The log holds nothing of this kind.
+    """
+    refuse_settings(log, selection, TABLE_SETTINGS, "is for tables, and {} holds messages")
+    channels = channels_of(log, selection.topic)
+    if found := [one for channel in channels for one in find(log, channel, selection)]:
+        return found
+    if channels and (name := getattr(selection, kind.field)) is not None:
+        known = [
+            f"{candidate.field} ({channel.topic})"
+            for channel in channels
+            for candidate in find(log, channel, replace(selection, **{kind.field: None}))
+        ]
+        there = f"the {kind.name} that are recognised are {listed(known)}"
+        if not known:
+            there = f"the topics are {listed(f'{c.topic} ({c.type_name})' for c in channels)}"
+        raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
+    if selection.topic is None:
+        raise kind.none(log.path, [f"{c.topic} ({c.type_name})" for c in channels])
+    anywhere = replace(selection, topic=None, **{kind.field: None})
+    topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
+    raise NoSuchTopicError(log.path, selection.topic, topics, kind.name)
+
+
+def refuse_settings(
+    log: MessageLog | TableLog, selection: SignalSelection, names: Sequence[str], reason: str
+) -> None:
+    """Refuse settings that do not fit the kind of log.
+
+    Raises
+    ------
+    UsageError
+        One of them is given.
+    """
+    for name in names:
+        if getattr(selection, name, None) is not None:
+            raise UsageError(Setting(name), f" {reason.format(quoted(log.path))}")
