@@ -1,9 +1,8 @@
-"""What other packages and the system raise, and the sentence that each becomes: all in one place.
+"""Translate the errors of other packages and of the system into sentences, all in one place.
 
-Readers and writers catch what they expect, where they know the record or the column. Whatever
-else comes through them, from the versions installed, is looked up here: first where the log is
-known (:func:`as_errors_of`), at last on the command line (:func:`as_user_error`). What is in no
-table is an error of this package, and is said to be one.
+Readers and writers catch the errors that they expect, where they know the record or the column. All
+others are looked up here: where a log is open (:func:`as_errors_of`), and at the top of a run
+(:func:`as_user_error`). An error that is in no table is a bug in quatprop, and is reported as one.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 TRACEBACK = "QUATPROP_TRACEBACK"
-"""Set in the environment: errors of this package itself are shown with their traceback."""
+"""Environment variable: if it is set, bugs in quatprop are shown with their traceback."""
 
 READING = {
     "apsw.Error": "its database cannot be used",
@@ -40,60 +39,59 @@ READING = {
     "rosbags.typesys.base.TypesysError": "its message definitions cannot be used",
     "ruamel.yaml.error.YAMLError": "its metadata cannot be used",
     "ruamel.yaml.error.YAMLStreamError": "its metadata cannot be used",
-    "zstandard.backend_c.ZstdError": "its packed data cannot be used",
+    "zstandard.backend_c.ZstdError": "its compressed data cannot be used",
     "_csv.Error": "its rows cannot be used",
-    "_lzma.LZMAError": "its packed data cannot be used",
+    "_lzma.LZMAError": "its compressed data cannot be used",
     "builtins.EOFError": "it ends early",
     "builtins.RecursionError": "something in it is nested too deeply",
-    "builtins.UnicodeError": "a text in it is none",
+    "builtins.UnicodeError": "it contains text in another encoding",
     "struct.error": "its records cannot be used",
     "zipfile.BadZipFile": "its archive cannot be used",
-    "zlib.error": "its packed data cannot be used",
+    "zlib.error": "its compressed data cannot be used",
 }
-"""What only reading a log raises, by the full name of its class or of one it is made from."""
+"""Errors that only reading a log raises: full name of the class or of a base class -> reason."""
 
 ANYWHERE = {
     "builtins.MemoryError": "there is not enough memory",
-    "builtins.OSError": "the system refuses",
+    "builtins.OSError": "system error",
     "pyarrow.lib.ArrowException": "columns cannot be used",
     "rosbags.rosbag1.writer.WriterError": "a bag cannot be written",
     "rosbags.rosbag2.errors.WriterError": "a bag cannot be written",
 }
-"""What reading or writing raises."""
+"""Errors that reading or writing raises."""
 
-NO_ROOM = "; choose fewer columns or topics, or a machine with more memory"
+MEMORY_HINT = "; choose fewer columns or topics, or a machine with more memory"
 
 
-def _said(error: BaseException, table: dict[str, str]) -> str | None:
-    """Return what a table says of an error; None where it is not in it."""
+def _reason(error: BaseException, table: dict[str, str]) -> str | None:
+    """Return the reason of an error from a table; None where it is not in it."""
     for kind in type(error).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if name in table:
             detail = getattr(error, "strerror", None) or str(error)
-            said = plain(f"{table[name]} ({detail})" if detail else table[name])
-            return said + NO_ROOM if isinstance(error, MemoryError) else said
+            reason = plain(f"{table[name]} ({detail})" if detail else table[name])
+            return reason + MEMORY_HINT if isinstance(error, MemoryError) else reason
     return None
 
 
 @contextmanager
 def as_errors_of(path: Path | str) -> Iterator[None]:
-    """Name the log whose reading raises what only reading raises."""
+    """Turn errors that only reading raises into a :class:`LogError` that names the log."""
     try:
         yield
     except QuatpropError:
         raise
     except OSError as error:
         if error.errno is not None:
-            raise  # of the system, which names the file
+            raise  # a system error, which names the file
         reason = plain(f"it cannot be read ({error}); check that it was copied whole")
         raise DamagedLogError(path, reason) from error
     except MemoryError as error:
-        raise UnreadableLogError(path, str(_said(error, ANYWHERE))) from error
+        raise UnreadableLogError(path, str(_reason(error, ANYWHERE))) from error
     except Exception as error:
-        said = _said(error, READING)
-        if said is None:
+        if (known := _reason(error, READING)) is None:
             raise
-        raise DamagedLogError(path, f"{said}; check that it was copied whole") from error
+        raise DamagedLogError(path, f"{known}; check that it was copied whole") from error
 
 
 def as_user_error(error: Exception) -> QuatpropError | None:
@@ -102,22 +100,24 @@ def as_user_error(error: Exception) -> QuatpropError | None:
     Returns
     -------
     QuatpropError or None
-        None where it is an error of this package itself and its traceback is wanted.
+        None for a bug in quatprop whose traceback is wanted.
     """
-    said = _said(error, READING | ANYWHERE)
-    if said is not None:
-        name = getattr(error, "filename", None)
-        return QuatpropError(f"{plain(name)}: {said}" if name else said[:1].upper() + said[1:])
+    reason = _reason(error, READING | ANYWHERE)
+    if reason is not None:
+        file = getattr(error, "filename", None)
+        return QuatpropError(
+            f"{plain(file)}: {reason}" if file else reason[:1].upper() + reason[1:]
+        )
     if os.environ.get(TRACEBACK):
         return None
     return QuatpropError(
-        f"This is an error of quatprop itself ({type(error).__name__}: {plain(error)}, "
+        f"This is a bug in quatprop ({type(error).__name__}: {plain(error)}, "
         f"{_place(error)}); please report it, with the log if you can. {TRACEBACK}=1 shows more"
     )
 
 
 def _place(error: Exception) -> str:
-    """Return where in this package an error was raised, or passed last."""
+    """Return the innermost line of quatprop in the traceback of an error."""
     trace, place = error.__traceback__, "before its first line"
     while trace is not None:
         path = Path(trace.tb_frame.f_code.co_filename)

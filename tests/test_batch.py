@@ -72,13 +72,13 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
     [
         (
             ZeroDivisionError("by zero"),
-            "{log}: This is an error of quatprop itself (ZeroDivisionError: ",
+            "{log}: This is a bug in quatprop (ZeroDivisionError: ",
         ),
         (pyarrow.ArrowInvalid("no"), "{log}: Columns cannot be used (no)"),
         (MemoryError(), "{log}: There is not enough memory; choose fewer columns or topics"),
         (
             OSError(28, "No space left on device", "far/a"),
-            "{log}: far/a: the system refuses (No space",
+            "{log}: far/a: system error (No space",
         ),
     ],
 )
@@ -109,7 +109,7 @@ def test_an_output_below_a_file_is_told(tmp_path):
     (out / "1").write_text("in the way")
     done = run(first, second, "-o", out, "-j", "1")
     assert done.exit_code == 2
-    assert f"Error: {first}: {out / '1'}: the system refuses (" in done.stderr
+    assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
     assert (out / "2" / "imu.parquet").exists()
 
 

@@ -443,7 +443,7 @@ def test_a_lock_with_a_value_of_another_kind_is_refused(folder, key, value):
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
-        (ZeroDivisionError("by zero"), "This is an error of quatprop itself (ZeroDivisionError: "),
+        (ZeroDivisionError("by zero"), "This is a bug in quatprop (ZeroDivisionError: "),
         (MemoryError(), "There is not enough memory; choose fewer columns or topics"),
     ],
 )
@@ -470,7 +470,7 @@ def test_a_reference_below_a_file_is_an_error_of_its_case(folder):
     suite = write(folder, stored("bad").replace("refs/", "way/") + stored("good"))
     result = check(suite, "--update")
     assert result.exit_code == 2
-    assert f"ERROR  bad   {folder / 'way'}: the system refuses (" in result.stdout
+    assert f"ERROR  bad   {folder / 'way'}: system error (" in result.stdout
     assert (folder / "refs" / "good.parquet").exists()
 
 

@@ -133,11 +133,14 @@ def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
-        (OSError(28, "No space left on device", "/out"), "/out: the system refuses (No space left"),
-        (OSError(5, "Input/output error"), "The system refuses (Input/output error)"),
-        (PermissionError(13, "Permission denied", "a\x1b[2J"), "a\\x1b[2J: the system refuses"),
+        (OSError(28, "No space left on device", "/out"), "/out: system error (No space left"),
+        (OSError(5, "Input/output error"), "System error (Input/output error)"),
+        (PermissionError(13, "Permission denied", "a\x1b[2J"), "a\\x1b[2J: system error"),
         (MemoryError(), "There is not enough memory; choose fewer columns"),
-        (UnicodeEncodeError("ascii", "\xe4", 0, 1, "no"), "A text in it is none ('ascii' codec"),
+        (
+            UnicodeEncodeError("ascii", "\xe4", 0, 1, "no"),
+            "It contains text in another encoding ('ascii' codec",
+        ),
     ],
 )
 def test_errors_of_the_system_are_one_sentence(error, sentence):
@@ -158,7 +161,7 @@ def test_errors_of_our_own_are_said_to_be_ours(tmp_path, monkeypatch):
     result = CliRunner().invoke(cli, ["info", str(log)])
     assert (result.exit_code, result.output.count("\n")) == (2, 1)
     assert result.output.startswith(
-        "Error: This is an error of quatprop itself (TypeError: of all \\x1b[2J things, "
+        "Error: This is a bug in quatprop (TypeError: of all \\x1b[2J things, "
     )
     assert "please report it, with the log if you can" in result.output
 
