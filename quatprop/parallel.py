@@ -1,98 +1,258 @@
-"""The same work on many items, in processes of this machine; results in the order of the items."""
+"""Do the same work on many items, in processes of this machine.
+
+Own code rather than a ``ProcessPoolExecutor``: that one fails every item when one process dies,
+and cannot tell whose item killed it.
+"""
 
 from __future__ import annotations
 
+import _thread
+import contextlib
 import multiprocessing
+import os
 import signal
 import sys
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+import threading
+import time
+import traceback
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from concurrent.futures import Future
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+    from multiprocessing.connection import Connection
+    from types import FrameType
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 KILLED = (
-    "the process that ran it, or one beside it, was killed; is there enough memory? "
-    "Run fewer at a time with -j"
+    "the process that ran it was killed; is there enough memory? Run fewer at a time, or on a "
+    "machine with more memory"
 )
-"""Why there is no result of an item whose process has died."""
+"""The error of an item whose process died."""
+
+MAX_ON_WINDOWS = 61
+"""Windows waits for at most 63 handles at a time, and two are taken."""
+
+GRACE_S = 10.0
+"""Time in which an interrupted process removes what is half-written before it is killed, s."""
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+_CONTEXT = multiprocessing.get_context("spawn")
+"""Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken."""
 
 
-MOST_ON_WINDOWS = 61
-"""Windows waits for 63 handles at a time, and two are taken."""
+def worker_count(wanted: int, items: int) -> int:
+    """Return the number of processes for a number of items."""
+    most = MAX_ON_WINDOWS if sys.platform == "win32" else wanted
+    return min(wanted, items, most)
 
 
-def workers(asked: int, items: int) -> int:
-    """Return how many processes there are, for so many items."""
-    most = MOST_ON_WINDOWS if sys.platform == "win32" else asked
-    return min(asked, items, most)
-
-
-def map_processes(
+def map_processes(  # noqa: PLR0913  # keywords, each with a default
     work: Callable[[Item], Result],
     items: Sequence[Item],
     processes: int,
-    killed: Callable[[Item], Result],
+    on_killed: Callable[[Item], Result],
+    *,
     record: Callable[[Result], None] = lambda _result: None,
-) -> Iterator[Result]:
-    """Yield the result of each item, in their order, as soon as those before are done.
+    isolated: bool = False,
+    retries: int = 0,
+) -> Generator[tuple[int, Result]]:
+    """Yield the index and the result of each item as soon as it is done.
 
     Parameters
     ----------
     work
-        What to do with an item; it, items and results pass between processes.
+        The work on an item; it, items and results are pickled.
     items
-        What to do it with.
+        The items.
     processes
-        How many at a time; one is this process. The results are the same for any number.
-    killed
-        Makes the result of an item whose process was killed.
+        Number of processes at a time. One is this process, unless `isolated`.
+    on_killed
+        Makes the result of an item whose process died; other items are not affected.
     record
-        Called with each result as soon as it is there, which may be long before its turn.
+        Called with each result, in this process; after an interruption, too, with those of items
+        that were completed nevertheless.
+    isolated
+        Whether one process is another one than this.
+    retries
+        How often an item whose process died is tried again.
     """
-    if processes == 1 or len(items) <= 1:
-        for item in items:
+    if len(items) <= 1 or (processes == 1 and not isolated):
+        for index, item in enumerate(items):
             result = work(item)
             record(result)
-            yield result
+            yield index, result
         return
-    # Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(
-        workers(processes, len(items)), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
+    waiting, deaths = iter(range(len(items))), dict[int, int]()
+    workers: list[_Worker[Item, Result]] = []
     try:
-        futures = [pool.submit(_interruptible, work, item) for item in items]
-        for future in futures:
-            future.add_done_callback(partial(_recorded, record))
-        for item, future in zip(items, futures, strict=True):
-            try:
-                yield future.result()
-            except BrokenExecutor:
-                yield killed(item)
+        for index in (next(waiting) for _ in range(worker_count(processes, len(items)))):
+            workers.append(_Worker(work))
+            workers[-1].start(index, items[index])
+        while workers:
+            ready = wait([worker.connection for worker in workers])
+            for worker in [worker for worker in workers if worker.connection in ready]:
+                index = worker.index
+                try:
+                    result = worker.result()
+                except (EOFError, OSError):
+                    workers.remove(worker)
+                    worker.end()
+                    worker = _Worker(work)  # noqa: PLW2901  # takes the place of the dead one
+                    workers.append(worker)
+                    deaths[index] = deaths.get(index, 0) + 1
+                    if deaths[index] <= retries:
+                        worker.start(index, items[index])
+                        continue
+                    result = on_killed(items[index])
+                record(result)
+                # The worker goes on before anybody looks at the result.
+                if (following := next(waiting, None)) is None:
+                    workers.remove(worker)
+                    worker.end()
+                else:
+                    worker.start(following, items[following])
+                yield index, result
     finally:
-        pool.shutdown(cancel_futures=True)
+        for worker in workers:
+            worker.interrupt()
+        for worker in workers:
+            with contextlib.suppress(EOFError, OSError, RuntimeError):
+                record(worker.result())
+            worker.end()
 
 
-def _recorded(record: Callable[[Result], None], future: Future[Result]) -> None:
-    """Record the result of an item that came to its end."""
-    if not future.cancelled() and future.exception() is None:
-        record(future.result())
+def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
+    """Yield results in the order of their indices, each as soon as those before are there."""
+    early: dict[int, Result] = {}
+    turn = 0
+    for index, result in results:
+        early[index] = result
+        while turn in early:
+            yield early.pop(turn)
+            turn += 1
 
 
-def _interruptible(work: Callable[[Item], Result], item: Item) -> Result:
-    """Do something in a process that hears Ctrl-C only meanwhile.
+class _Worker(Generic[Item, Result]):
+    """A process that works on one item at a time.
 
-    So the work ends tidily, and a process that waits for the next item does not end in a
-    traceback.
+    Attributes
+    ----------
+    connection
+        Readable when a result is there, or the process has died.
+    index
+        The item that it works on.
     """
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def __init__(self, work: Callable[[Item], Result]) -> None:
+        self.connection, theirs = _CONTEXT.Pipe()
+        self._process = _CONTEXT.Process(target=_serve, args=(theirs, work), daemon=True)
+        with _signals_blocked():
+            self._process.start()
+        theirs.close()
+        self.index = -1
+        self._running = True
+
+    def start(self, index: int, item: Item) -> None:
+        """Give the process an item; if it has died, the result will not come."""
+        self.index = index
+        with contextlib.suppress(OSError):
+            self.connection.send(item)
+
+    def result(self) -> Result:
+        """Return the result of the item.
+
+        Raises
+        ------
+        EOFError, OSError
+            The process has died.
+        RuntimeError
+            The work raised an exception.
+        """
+        if not self.connection.poll(None if self._running else GRACE_S):
+            raise EOFError
+        result, error = self.connection.recv()
+        if error is not None:
+            raise RuntimeError(error)
+        return result  # type: ignore[no-any-return]
+
+    def interrupt(self) -> None:
+        """Let the process stop its work, and remove what is half-written."""
+        self._running = False
+        if self._process.pid is not None and self._process.is_alive():
+            if sys.platform == "win32":
+                self._process.terminate()
+            else:
+                os.kill(self._process.pid, signal.SIGTERM)
+
+    def end(self) -> None:
+        """Wait for the end of the process, which comes when there are no more items."""
+        self.connection.close()
+        self._process.join(GRACE_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+
+def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
+    """Work on items until the other end of the connection is closed."""
+    interruption = _Interruption()
+    threading.Thread(target=_watch_parent, daemon=True).start()
+    with contextlib.suppress(KeyboardInterrupt, EOFError, OSError), _signals_blocked(block=False):
+        while True:
+            item = connection.recv()
+            interruption.busy = True
+            answer: tuple[Result | None, str | None]
+            try:
+                answer = work(item), None
+            except Exception:  # noqa: BLE001  # a bug, to be shown by the other process
+                answer = None, traceback.format_exc()
+            interruption.busy = False
+            connection.send(answer)
+
+
+class _Interruption:
+    """Interrupts the work of this process, once: tidying up is not interrupted.
+
+    Ctrl-C reaches all processes of a terminal; one that is idle ends with its connection.
+    """
+
+    def __init__(self) -> None:
+        self.busy = self._interrupted = False
+        for number in _SIGNALS:
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        if not self._interrupted and (self.busy or number == signal.SIGTERM):
+            self._interrupted = True
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _signals_blocked(*, block: bool = True) -> Iterator[None]:
+    """Hold signals back, as while a process starts; or let them through, where they were."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK if block else signal.SIG_UNBLOCK, _SIGNALS)
     try:
-        return work(item)
+        yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _watch_parent() -> None:
+    """End this process when its parent has died, however it died."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        if sys.platform == "win32":
+            _thread.interrupt_main(signal.SIGTERM)
+        else:
+            # A signal to the thread itself ends its waiting, too.
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+        time.sleep(GRACE_S)
+        os._exit(1)

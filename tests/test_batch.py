@@ -17,7 +17,6 @@ from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, UsageError
-from quatprop.parallel import workers
 from quatprop.pipeline.job import Job
 from quatprop.third_party_errors import TRACEBACK
 
@@ -93,11 +92,14 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
     monkeypatch.delenv(TRACEBACK, raising=False)
     run_job = batch.run
     monkeypatch.setattr(batch, "run", fails)
-    bad, good = log(tmp_path / "bad.csv"), log(tmp_path / "good.csv")
-    done = run(bad, good, "-o", tmp_path / "out", "-j", "1")
+    bad, good = (str(log(tmp_path / name)) for name in ("bad.csv", "good.csv"))
+    outcomes = [propagated(Job(name, str(tmp_path / "out.csv"))) for name in (bad, good)]
+    assert str(outcomes[0].error).startswith(sentence.format(log=bad))
+    assert not outcomes[1].error
+    # One log is propagated in this process.
+    done = run(bad, "-o", tmp_path / "out")
     assert done.exit_code == 2
     assert f"Error: {sentence.format(log=bad)}" in done.stderr
-    assert done.stderr.splitlines()[-1] == "1 of 2 logs done, 5 samples"
 
 
 def test_an_output_below_a_file_is_told(tmp_path):
@@ -367,16 +369,6 @@ def test_the_installed_command_runs_processes(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "out").glob("*.parquet"))) == 3
-
-
-@pytest.mark.parametrize(
-    ("platform", "asked", "items", "given"),
-    [("linux", 100, 200, 100), ("linux", 8, 3, 3), ("win32", 100, 200, 61), ("win32", 8, 9, 8)],
-)
-def test_windows_has_at_most_61_processes(monkeypatch, platform, asked, items, given):
-    """It can wait for no more: asking for them is no error, nor are as many cores."""
-    monkeypatch.setattr(sys, "platform", platform)
-    assert workers(asked, items) == given
 
 
 def test_a_cluster_that_is_not_there(tmp_path):

@@ -561,30 +561,28 @@ def test_names_cannot_command_what_shows_them(folder, monkeypatch):
     assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"
 
 
-def test_a_killed_process_is_an_error_of_its_case(folder, monkeypatch):
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_killed_process_is_an_error_of_its_case(folder):
     """Where memory runs out, the system kills a process; that is said, and is no pass."""
-    from concurrent.futures.process import BrokenProcessPool
-
-    from quatprop import parallel
-
-    class Pool:
-        def __init__(self, *_):
-            pass
-
-        def submit(self, *_, **__):
-            from concurrent.futures import Future
-
-            future = Future()
-            future.set_exception(BrokenProcessPool())
-            return future
-
-        def shutdown(self, **_):
-            pass
-
-    monkeypatch.setattr(parallel, "ProcessPoolExecutor", Pool)
-    result = check(write(folder, stored() + TRUTH), "-j", "2")
-    assert result.exit_code == 2
-    assert result.stdout.count("was killed; is there enough memory?") == 2
+    hook = """
+import multiprocessing, os, sys
+def kill(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("rest.parquet"):
+        if multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), 9)
+sys.addaudithook(kill)
+"""
+    (folder / "sitecustomize.py").write_text(hook)
+    suite = write(folder, stored("rest", "rest.parquet") + TRUTH)
+    command = [sys.executable, "-m", "quatprop", "check", suite, "--update", "-j", "2"]
+    path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    result = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
+    )
+    first, second, last = result.stdout.splitlines()
+    assert first.startswith("ERROR  rest    the process that ran it was killed; is there enough m")
+    assert second.startswith("pass   coning  new  ")
+    assert (last, result.returncode) == ("2 cases: 1 passed, 1 error", 2)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no process groups to interrupt")

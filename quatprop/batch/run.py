@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop import __version__
 from quatprop.containers.remote import is_address, without_secret
 from quatprop.errors import QuatpropError, UsageError
-from quatprop.parallel import KILLED, map_processes
+from quatprop.parallel import KILLED, in_order, map_processes
 from quatprop.pipeline.job import run
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
@@ -224,7 +224,7 @@ def on_this_machine(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
     processes
         How many at a time.
     """
-    return map_processes(propagated, jobs, processes, _killed)
+    return in_order(map_processes(propagated, jobs, processes, _killed, isolated=True))
 
 
 def _killed(job: Job) -> Outcome:

@@ -14,11 +14,11 @@ from quatprop.check.lock import write_lock
 from quatprop.check.spelling import sentence
 from quatprop.check.update import update
 from quatprop.errors import QuatpropError
-from quatprop.parallel import KILLED, map_processes
+from quatprop.parallel import KILLED, in_order, map_processes
 from quatprop.third_party_errors import as_user_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Generator, Mapping, Sequence
     from pathlib import Path
 
     from quatprop.check.lock import Pin
@@ -75,11 +75,10 @@ def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
 
 def run_cases(
     cases: Sequence[Case | BrokenCase],
-    pins: dict[str, Pin],
+    pins: Mapping[str, Pin],
     *,
-    updating: bool = False,
+    lock: Path | None = None,
     processes: int = 1,
-    record: Callable[[CaseResult], None] = lambda _result: None,
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
 
@@ -89,45 +88,30 @@ def run_cases(
         The cases.
     pins
         What they depended on when they were last updated, by name.
-    updating
-        Write references anew instead of judging.
+    lock
+        Update: write references anew, and at the end the lock, with the pins of all other cases;
+        None judges.
     processes
         Number of cases at a time; the results are the same for any number.
-    record
-        Called with each result as soon as it is there, which may be long before its turn.
     """
+    new_pins = dict(pins)
+
+    def record(result: CaseResult) -> None:
+        if result.pin is not None:
+            new_pins[result.name] = result.pin
+
     pinned = [(case, pins.get(case.name)) for case in cases]
-    work = partial(run_case, updating=updating)
-    yield from map_processes(work, pinned, processes, _killed, record)
+    work = partial(run_case, updating=lock is not None)
+    results = map_processes(work, pinned, processes, _killed, record=record)
+    try:
+        yield from in_order(results)
+    finally:
+        results.close()
+        if lock is not None:
+            # After an interruption, too: the lock must have the references that were written.
+            write_lock(lock, new_pins)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:
     case, _ = pinned
     return CaseResult(case.name, "error", KILLED, line=case.line)
-
-
-def update_cases(
-    cases: Sequence[Case | BrokenCase], pins: dict[str, Pin], lock: Path, *, processes: int = 1
-) -> Generator[CaseResult]:
-    """Yield the result of updating each case, and write the lock at the end.
-
-    Parameters
-    ----------
-    cases, processes
-        As for :func:`run_cases`.
-    pins
-        What is pinned; the pins of other cases stay.
-    lock
-        Path of the lock.
-    """
-    pinned = dict(pins)
-
-    def record(result: CaseResult) -> None:
-        if result.pin is not None:
-            pinned[result.name] = result.pin
-
-    try:
-        yield from run_cases(cases, pins, updating=True, processes=processes, record=record)
-    finally:
-        # After an interruption, too: the lock must have the references that were written.
-        write_lock(lock, pinned)

@@ -77,7 +77,7 @@ def command(suite: str, **options: Any) -> None:
     """
     from quatprop.check.case import exit_code
     from quatprop.check.lock import read_lock
-    from quatprop.check.runner import run_cases, select_cases, update_cases
+    from quatprop.check.runner import run_cases, select_cases
     from quatprop.cli.cases import load_cases
 
     loaded, all_cases = load_cases(suite)
@@ -88,12 +88,8 @@ def command(suite: str, **options: Any) -> None:
     names = {case.name for case in all_cases}
     pins = {name: pin for name, pin in read_lock(loaded.lock).items() if name in names}
     _refuse_overlap(loaded, all_cases, options["junit"])
-    processes = options["processes"]
-    running = (
-        update_cases(cases, pins, loaded.lock, processes=processes)
-        if options["update"]
-        else run_cases(cases, pins, processes=processes)
-    )
+    lock = loaded.lock if options["update"] else None
+    running = run_cases(cases, pins, lock=lock, processes=options["processes"])
     with closing(running):
         results = _show(running, cases, quiet=options["as_json"] or options["quiet"])
     if options["as_json"]:

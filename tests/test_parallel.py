@@ -1,0 +1,140 @@
+"""Work in processes: what dies, dies alone."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from quatprop.parallel import in_order, map_processes, worker_count
+
+
+def work(item):
+    """Kill this process, or fail, where an item says so."""
+    if item == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if isinstance(item, Path):  # killed at the first try only
+        if not item.exists():
+            item.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return "again"
+    if item == "bug":
+        raise ValueError(item)
+    return (item, os.getpid())
+
+
+def killed(item):
+    """Return the result of an item whose process was killed."""
+    return f"{item}: no result"
+
+
+@pytest.mark.parametrize("processes", [1, 2, 3])
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_process_that_dies_takes_no_other_item_with_it(processes):
+    """Every other item has its result, the last ones from fresh processes."""
+    items = [0, "killed", 2, 3, "killed", 5]
+    found = dict(map_processes(work, items, processes, killed, isolated=True))
+    assert sorted(found) == list(range(6))
+    assert [found[1], found[4]] == ["killed: no result"] * 2
+    done = [found[index] for index in (0, 2, 3, 5)]
+    assert [item for item, _ in done] == [0, 2, 3, 5]
+    assert os.getpid() not in {process for _, process in done}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_an_item_can_be_tried_again(tmp_path):
+    """A process that was killed once may have met another one's hunger for memory."""
+    items = [tmp_path / "once", 1]
+    assert dict(map_processes(work, items, 2, killed, retries=1))[0] == "again"
+    (tmp_path / "once").unlink()
+    assert "no result" in dict(map_processes(work, items, 2, killed))[0]
+
+
+def test_one_process_is_this_one():
+    """Nothing is started for one process, or one item."""
+    assert dict(map_processes(work, [1, 2], 1, killed))[0] == (1, os.getpid())
+    assert dict(map_processes(work, [1], 4, killed, isolated=True))[0] == (1, os.getpid())
+
+
+def test_a_bug_in_a_process_is_shown():
+    """Its traceback comes over."""
+    with pytest.raises(RuntimeError, match=r"in work\n.*\nValueError: bug"):
+        list(map_processes(work, ["bug", 1], 2, killed))
+
+
+def test_results_can_be_put_in_order():
+    """Each comes as soon as those before are there."""
+    seen = []
+
+    def results():
+        for index in (1, 0, 3, 2):
+            seen.append(index)
+            yield index, "abcd"[index]
+
+    ordered = in_order(results())
+    assert (next(ordered), seen) == ("a", [1, 0])
+    assert (next(ordered), seen) == ("b", [1, 0])
+    assert list(ordered) == ["c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("platform", "wanted", "items", "count"),
+    [("linux", 100, 200, 100), ("linux", 8, 3, 3), ("win32", 100, 200, 61), ("win32", 8, 9, 8)],
+)
+def test_windows_has_at_most_61_processes(monkeypatch, platform, wanted, items, count):
+    """It can wait for no more: asking for them is no error, nor are as many cores."""
+    monkeypatch.setattr(sys, "platform", platform)
+    assert worker_count(wanted, items) == count
+
+
+WAITS = """
+import os, sys, time
+from pathlib import Path
+from quatprop.parallel import map_processes
+def work(folder):
+    path = Path(folder, f"{os.getpid()}")
+    path.touch()
+    try:
+        time.sleep(60)
+    finally:
+        path.rename(path.with_suffix(".tidy"))
+if __name__ == "__main__":
+    list(map_processes(work, [sys.argv[1]] * 4, 2, print))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_no_process_outlives_its_parent(tmp_path, number):
+    """However the parent ends, the others remove what is half-written, and end."""
+    (tmp_path / "waits.py").write_text(WAITS)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, tmp_path / "waits.py", folder], stderr=subprocess.DEVNULL
+    )
+    until(lambda: len(list(folder.iterdir())) == 2)
+    process.send_signal(number)
+    process.wait(30)
+    until(lambda: {path.suffix for path in folder.iterdir()} == {".tidy"})
+    until(lambda: not any(alive(int(path.stem)) for path in folder.iterdir()))
+    assert len(list(folder.iterdir())) == 2
+
+
+def until(condition):
+    """Wait for a condition."""
+    end = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def alive(pid):
+    """Tell whether there is a process, which is no zombie."""
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
