@@ -264,7 +264,7 @@ def test_numbered_columns_need_columns_and_a_layout(tmp_path):
     with pytest.raises(
         UndeclaredError,
         match=r"which of the columns '1', '2', '3', '4' is the scalar is not declared; say it "
-        r"with --from-layout scalar-first\|scalar-last",
+        r"with from_layout='scalar-first' or 'scalar-last'",
     ):
         read(path, **named)
     t_ns, wxyz, _, _ = read(path, **named, from_layout="scalar-last")
@@ -286,11 +286,11 @@ def test_an_option_that_contradicts_the_names_is_refused(tmp_path):
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,0,0\n")
     with pytest.raises(
         UsageError,
-        match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and --from-layout says "
-        r"scalar-last; settle it by naming them as stored, with --quat-cols A,B,C,D",
+        match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and from_layout says "
+        r"scalar-last; settle it by naming them as stored, with quat_cols='A,B,C,D'",
     ):
         read(path, from_layout="xyzw")
-    with pytest.raises(UsageError, match=r"by their names are scalar-first, but --from-layout say"):
+    with pytest.raises(UsageError, match=r"by their names are scalar-first, but from_layout says"):
         read(path, quat_cols=("qw", "qx", "qy", "qz"), from_layout="xyzw")
 
 

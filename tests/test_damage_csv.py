@@ -8,11 +8,11 @@ import time
 
 import pytest
 from click.testing import CliRunner
+from table_rates import rate_batches
 
 from quatprop.cli import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import UnsupportedLogError
-from quatprop.selection import RateSelection
 from quatprop.tables.csv.log import CsvLog
 
 HEADER = "t_ns,wx,wy,wz\n"
@@ -24,7 +24,7 @@ def read(text, header=HEADER, **options):
     data = text if isinstance(text, bytes) else (header + text).encode()
     log = CsvLog(io.BytesIO(data))
     chosen = {"rate_unit": "rad/s", "time_unit": "ns", **options}
-    rows = [row for batch in log.series(log.choose(RateSelection(**chosen))) for row in batch.rate]
+    rows = [row for batch in rate_batches(log, **chosen) for row in batch.rate]
     return rows[-1].tolist() if rows else None, len(rows), log.losses, log.remarks
 
 

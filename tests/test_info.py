@@ -9,7 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop.cli import cli
+from quatprop.cli.spelling import spelled
 from quatprop.series import AttitudeSeries
+from quatprop.text import Setting, Text
 from quatprop.writers import WRITERS, open_writer
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -19,14 +21,18 @@ HEADS = {
     "unit of the time": "t,wx_rad_s,wy_rad_s,wz_rad_s",
     "both": "t,wx,wy,wz",
 }
+RATE_UNIT, TIME_UNIT = Setting("rate_unit", "rad/s|deg/s"), Setting("time_unit", "s|ms|us|ns")
+SAY = "is not declared; say it with "
 MISSING = {
-    "unit of the rates": "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' is not declared; "
-    "say it with --rate-unit rad/s|deg/s",
-    "unit of the time": "the unit of the time 't' is not declared; "
-    "say it with --time-unit s|ms|us|ns",
-    "both": "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' is not declared; "
-    "say it with --rate-unit rad/s|deg/s and --time-unit s|ms|us|ns",
-}
+    "unit of the rates": Text(
+        "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' ", SAY, RATE_UNIT
+    ),
+    "unit of the time": Text("the unit of the time 't' ", SAY, TIME_UNIT),
+    "both": Text(
+        "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' ", SAY,
+        *(RATE_UNIT, " and ", TIME_UNIT),
+    ),
+}  # fmt: skip
 
 
 def info(*arguments, code=0):
@@ -59,14 +65,14 @@ def test_a_table_whose_units_are_unknown_is_shown(tmp_path, unknown):
     ((log,), errors) = info(path)
     (source,) = log["sources"]
     assert errors == ""
-    assert source["missing"] == sentence
+    assert source["missing"] == str(sentence)
     assert source["samples"] == 5
     timed = unknown == "unit of the rates"
     assert (source["rate_hz"], source["span_s"]) == ((100.0, 0.04) if timed else (None, None))
     rated = unknown == "unit of the time"
     assert (source["max_rate_rad_s"] is not None) == rated
     assert (source["rate_unit"] is not None) == rated
-    assert text(path)[-1] == f"  {source['source']}: {sentence}"
+    assert text(path)[-1] == f"  {source['source']}: {spelled(sentence)}"
 
 
 def test_a_column_that_is_not_told_is_asked_for(tmp_path):
@@ -77,7 +83,7 @@ def test_a_column_that_is_not_told_is_asked_for(tmp_path):
     assert source["samples"] is None
     assert source["missing"] == (
         "which column is the time (of 'a', 'b', 'wx', 'wy', 'wz') is not declared; say it with "
-        "--time-col C, or --sample-rate HZ for rows at a steady rate"
+        "time_col='C', or sample_rate='HZ' for rows at a steady rate"
     )
 
 
@@ -109,7 +115,7 @@ def test_the_time_of_attitudes_may_be_unknown_too(tmp_path):
     (source,) = log["attitudes"]
     assert (source["samples"], source["rate_hz"]) == (5, None)
     assert (
-        "the unit of the time 'time' is not declared; say it with --time-unit" in source["missing"]
+        "the unit of the time 'time' is not declared; say it with time_unit=" in source["missing"]
     )
 
 
@@ -119,7 +125,7 @@ def test_several_quaternions_are_not_guessed_between(tmp_path):
     (source,) = log["attitudes"]
     assert source["missing"] == (
         "which quaternion to use (their scalar columns are 'a_qw', 'b_qw') is not declared; say "
-        "it with --quat-cols A,B,C,D"
+        "it with quat_cols='A,B,C,D'"
     )
 
 

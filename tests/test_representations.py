@@ -174,7 +174,7 @@ def test_angles_without_a_unit_are_refused(tmp_path):
         "deg; leave the option out"
     ) in run(named, "-", "--from-angle-unit", "rad", code=2).stderr
     turns = written(tmp_path, "yaw [turn],pitch [turn],roll [turn]", [(1, 2, 3)])
-    assert "are declared in turn; convert them to rad or deg" in run(turns, "-", code=2).stderr
+    assert "are declared in 'turn'; convert them to rad or deg" in run(turns, "-", code=2).stderr
 
 
 @pytest.mark.parametrize(

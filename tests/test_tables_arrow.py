@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import feather, parquet
+from table_rates import rate_batches
 
 from quatprop.errors import (
     DamagedLogError,
@@ -16,7 +17,6 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.selection import RateSelection
 from quatprop.tables.arrow import FeatherLog, ParquetLog
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
@@ -42,7 +42,7 @@ def open_table(request, tmp_path):
 def read(log, **options):
     """Return stamps, rates and losses of an open table."""
     with log:
-        batches = list(log.series(log.choose(RateSelection(**options))))
+        batches = list(rate_batches(log, **options))
     t_ns = np.concatenate([batch.t_ns for batch in batches])
     return t_ns.tolist(), np.concatenate([batch.rate for batch in batches]), log.losses
 
@@ -95,8 +95,8 @@ def test_the_only_timestamps_are_the_time(open_table):
 def test_a_time_unit_against_the_type_is_refused(open_table):
     """A timestamp's unit is part of its type and is not overruled by an option alone."""
     log = open_table({"time": pa.array([1, 2], pa.timestamp("ns")), **RATES})
-    with log, pytest.raises(UsageError, match=r"--time-unit says s, but .* 'time' are in ns"):
-        log.choose(RateSelection(rate_unit="rad/s", time_unit="s"))
+    with log, pytest.raises(UsageError, match=r"time_unit says s, but .* 'time' are in ns"):
+        rate_batches(log, rate_unit="rad/s", time_unit="s")
 
 
 def test_units_in_column_names_are_declared(open_table):
@@ -111,7 +111,7 @@ def test_integers_without_a_unit_are_not_guessed(open_table):
     """A number that is called time is refused until its unit is said."""
     log = open_table({"time": [1, 2], **RATES})
     with log, pytest.raises(UndeclaredError, match=r"the unit of the time 'time'"):
-        log.choose(RateSelection(rate_unit="rad/s"))
+        rate_batches(log, rate_unit="rad/s")
 
 
 def test_nested_columns_are_opened(open_table):
@@ -178,7 +178,7 @@ def test_text_columns_are_refused(open_table):
     """A column of text is not parsed as numbers."""
     log = open_table({"t_ns": [1, 2], **RATES, "wx": ["1", "2"]})
     with log, pytest.raises(UnsupportedLogError, match=r"column 'wx' holds string, not numbers"):
-        log.choose(RateSelection())
+        list(rate_batches(log))
 
 
 def test_a_sample_rate_counts_rows_across_batches(open_table):
@@ -196,7 +196,7 @@ def test_an_attitude_table_has_no_rates(open_table):
     """What propagate writes is told apart from what it reads."""
     columns = {"t_ns": [1], **{name: [0.5] for name in ("qw", "qx", "qy", "qz")}}
     with open_table(columns) as log, pytest.raises(NoRatesError, match="columns are 't_ns', 'qw'"):
-        log.choose(RateSelection())
+        list(rate_batches(log))
 
 
 def test_a_parquet_file_without_its_footer_is_refused(tmp_path):

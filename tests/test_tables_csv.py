@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from table_rates import rate_batches
 
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.selection import RateSelection
 from quatprop.tables.csv import decimal_time, text_blocks
 from quatprop.tables.csv.log import CsvLog
 
@@ -32,7 +32,7 @@ def read(source, **options):
         source = source.encode()
     log = CsvLog(io.BytesIO(source) if isinstance(source, bytes) else source)
     with log:
-        batches = list(log.series(log.choose(RateSelection(**options))))
+        batches = list(rate_batches(log, **options))
     t_ns = np.concatenate([np.empty(0, np.int64), *(batch.t_ns for batch in batches)])
     rate = np.concatenate([np.empty((0, 3)), *(batch.rate for batch in batches)])
     return t_ns, rate, log.losses
@@ -359,19 +359,17 @@ def test_a_log_is_read_again_from_the_start(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,wx,wy,wz\n0,1,2,3\n1\n2,1,2,3\n")
     with CsvLog(path) as log:
-        columns = log.choose(RateSelection(**UNITS))
         for _ in range(2):
-            assert sum(map(len, log.series(columns))) == 2
+            assert sum(map(len, rate_batches(log, **UNITS))) == 2
         assert len(log.losses) == 1
 
 
 def test_stdin_is_read_once():
     """A stream cannot be started again, and that is said."""
     log = CsvLog(io.BytesIO(b"t_ns,wx,wy,wz\n0,1,2,3\n"))
-    columns = log.choose(RateSelection())
-    assert len(list(log.series(columns))) == 1
+    assert len(list(rate_batches(log))) == 1
     with pytest.raises(UsageError, match="stdin can be read only once"):
-        list(log.series(columns))
+        list(rate_batches(log))
 
 
 @pytest.mark.parametrize("pack", [gzip.compress, bz2.compress])
@@ -457,7 +455,7 @@ def test_recorded_tables_are_recognised(shared_logs, name):
 def test_a_recording_with_line_breaks_in_its_cells_is_read(shared_logs):
     """The driver's raw sentences end in a line break; rows are still rows."""
     path = shared_logs / "nested_imu/kiran_car_circle_data_0_imu.csv"
-    with pytest.raises(UndeclaredError, match=r"--rate-unit .* and --time-unit"):
+    with pytest.raises(UndeclaredError, match=r"rate_unit=.* and time_unit="):
         read(path)
     t_ns, rate, losses = read(path, **UNITS)
     assert (len(t_ns), losses) == (2530, [])

@@ -1,15 +1,17 @@
 """Column names to time, rates and units: known conventions, clear names, options."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.selection import RateSelection
-from quatprop.tables.base import TableColumns
-from quatprop.tables.matching.column_matcher import Notes
-from quatprop.tables.matching.rate_columns import choose
-from quatprop.tables.matching.rate_dialects import DIALECTS, column
+from quatprop.tables.base import TableNotes, TimedColumns
+from quatprop.tables.matching.choose import match_rates
+from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.dialects import DIALECTS
 
 NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
 
@@ -46,16 +48,21 @@ KNOWN = {
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
     names = header.split(";" if ";" in header else ",")
-    return choose(Path(name), names, RateSelection(**options), notes)
+    log = SimpleNamespace(path=Path(name), notes=notes or TableNotes(), columns=lambda: names)
+    return match_rates(log, RateSelection(**options))
+
+
+def matched(columns):
+    """Return what is said of the columns of a table: where they are, and their units."""
+    timed = columns.timed
+    return timed.numbers, columns.unit, timed.time, timed.time_unit, columns.dialect
 
 
 @pytest.mark.parametrize("header", KNOWN)
 def test_a_header_that_names_columns_and_units_needs_no_options(header):
     """Every convention is recognised with its columns, its units and its name."""
-    dialect, rate, rate_unit, time, time_unit = KNOWN[header]
-    found = chosen(header)
-    expected = TableColumns(rate, rate_unit, time, time_unit, dialect=dialect, method=found.method)
-    assert found == expected
+    dialect, *columns = KNOWN[header]
+    assert matched(chosen(header)) == (*columns, dialect)
 
 
 def test_every_dialect_has_a_name():
@@ -66,7 +73,7 @@ def test_every_dialect_has_a_name():
 def test_the_reversed_columns_of_a_phone_are_taken_by_name():
     """Sensor Logger writes z, y, x; the order of the rates is still x, y, z."""
     found = chosen("time,seconds_elapsed,z,y,x", "Gyroscope.csv")
-    assert found == TableColumns((4, 3, 2), "rad/s", (0,), "ns", dialect="Sensor Logger")
+    assert matched(found) == ((4, 3, 2), "rad/s", (0,), "ns", "Sensor Logger")
 
 
 def test_the_accelerometer_of_a_phone_is_not_taken_for_a_gyroscope():
@@ -77,29 +84,29 @@ def test_the_accelerometer_of_a_phone_is_not_taken_for_a_gyroscope():
 
 def test_gcsv_times_and_rates_are_scaled_as_its_keys_say():
     """A gcsv table takes its time unit from tscale and its rate factor from gscale."""
-    notes = Notes(declared={0: "ms"}, rate_scale=0.5, title="GYROFLOW IMU LOG")
+    notes = TableNotes(units={0: "ms"}, rate_scale=0.5, title="GYROFLOW IMU LOG")
     found = chosen("t,gx,gy,gz", notes=notes)
-    expected = TableColumns((1, 2, 3), "rad/s", (0,), "ms", dialect="gcsv", rate_scale=0.5)
-    assert found == expected
+    assert matched(found) == ((1, 2, 3), "rad/s", (0,), "ms", "gcsv")
+    assert found.scale == 0.5
 
 
 def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
     """Its rates are taken as they are, and the mounting that turns them is named."""
-    notes = Notes(declared={0: "ms"}, title="GYROFLOW IMU LOG", mount="y,-x,z")
-    (said,) = chosen("t,gx,gy,gz", notes=notes).remarks
-    assert said == (
-        "the file says how its sensor sits, and rates are taken as they are; to turn them into the "
-        "camera's axes say --mount y,-x,z"
+    notes = TableNotes(units={0: "ms"}, title="GYROFLOW IMU LOG", mount="y,-x,z")
+    (remark,) = chosen("t,gx,gy,gz", notes=notes).remarks
+    assert spelled(remark) == (
+        "the file says how its sensor is mounted, and rates are taken as they are; to turn them "
+        "into the camera's axes use --mount y,-x,z"
     )
 
 
 def test_stamps_that_a_sample_rate_replaces_are_named():
     """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
     found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")
-    assert (found.time, found.sample_rate) == ((), 200.0)
-    assert found.remarks == (
+    assert (found.timed.time, found.timed.sample_rate) == ((), 200.0)
+    assert [spelled(remark) for remark in found.remarks] == [
         "--sample-rate 200 counts the rows; the stamps in 'time' are not used",
-    )
+    ]
     assert chosen("wx,wy,wz", sample_rate=200.0, rate_unit="rad/s").remarks == ()
 
 
@@ -133,8 +140,8 @@ def test_gx_alone_is_not_a_gyroscope():
 )
 def test_a_name_is_taken_apart(text, key, unit):
     """Marks, case, brackets and unit suffixes are separated from the name proper."""
-    found = column(text)
-    assert (found.name, found.key, found.unit) == (text, key, unit)
+    found = parse_name(text)
+    assert (found.text, found.key, found.unit) == (text, key, unit)
 
 
 def test_units_that_are_not_declared_are_asked_for():
@@ -143,14 +150,15 @@ def test_units_that_are_not_declared_are_asked_for():
         chosen("t,frame_id,gyro_x,gyro_y,gyro_z")
     assert str(error.value) == (
         "log.csv: the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' and the unit of the time 't' "
-        "is not declared; say it with --rate-unit rad/s|deg/s and --time-unit s|ms|us|ns"
+        "is not declared; say it with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or "
+        "'us' or 'ns'"
     )
 
 
 def test_options_declare_what_the_header_does_not():
     """With both units said, clear names are enough."""
     found = chosen("t,frame_id,gyro_x,gyro_y,gyro_z", rate_unit="deg/s", time_unit="s")
-    assert found == TableColumns((2, 3, 4), "deg/s", (0,), "s")
+    assert matched(found) == ((2, 3, 4), "deg/s", (0,), "s", "")
 
 
 def test_several_possible_times_are_listed():
@@ -162,7 +170,7 @@ def test_several_possible_times_are_listed():
 def test_several_sets_of_rates_are_refused():
     """Two gyroscopes in one table are ambiguous until the columns are named."""
     header = "t,a.gyro_x,a.gyro_y,a.gyro_z,b.gyro_x,b.gyro_y,b.gyro_z"
-    with pytest.raises(UndeclaredError, match=r"x columns are 'a.gyro_x', 'b.gyro_x'.*--rate-cols"):
+    with pytest.raises(UndeclaredError, match=r"are 'a.gyro_x', 'b.gyro_x'.*rate_cols='X,Y,Z'"):
         chosen(header)
 
 
@@ -176,20 +184,18 @@ def test_biases_are_not_rates():
 def test_columns_are_named_by_name_or_number(cols):
     """An option finds a column as it is spelled, by its bare name, or by its number from 0."""
     found = chosen("t,x,y,z", **{**NAMED, "rate_cols": cols})
-    assert found == TableColumns((1, 2, 3), "rad/s", (0,), "us")
+    assert matched(found) == ((1, 2, 3), "rad/s", (0,), "us", "")
 
 
 def test_a_name_wins_over_a_number():
     """A column called "1" is found by its name, not as the second column."""
     found = chosen("1,2,3,0", **{**NAMED, "rate_cols": ("1", "2", "3"), "time_col": "0"})
-    assert (found.rate, found.time) == ((0, 1, 2), (3,))
+    assert (found.timed.numbers, found.timed.time) == ((0, 1, 2), (3,))
 
 
 def test_a_column_that_is_not_there_is_told_with_those_that_are():
     """Naming a column that does not exist is an error that lists the columns."""
-    with pytest.raises(
-        UsageError, match="--rate-cols asks for column 'w'; the columns are 't', 'x'"
-    ):
+    with pytest.raises(UsageError, match="rate_cols asks for column 'w'; the columns are 't', 'x'"):
         chosen("t,x,y,z", **{**NAMED, "rate_cols": ("w", "y", "z")})
 
 
@@ -201,11 +207,9 @@ def test_a_name_that_two_columns_share_is_refused():
 
 def test_a_unit_against_the_header_is_refused():
     """A unit option alone does not overrule a header that says another."""
-    with pytest.raises(
-        UsageError, match=r"--rate-unit says rad/s, but .* 'gyro_z_dps' are in deg/s"
-    ):
+    with pytest.raises(UsageError, match=r"rate_unit says rad/s, but .* 'gyro_z_dps' are in deg/s"):
         chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", rate_unit="rad/s")
-    with pytest.raises(UsageError, match=r"--time-unit says us, but .* name .* with --time-col"):
+    with pytest.raises(UsageError, match=r"time_unit says us, but .* name .* with time_col"):
         chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", time_unit="us")
 
 
@@ -213,7 +217,7 @@ def test_naming_the_columns_and_the_unit_overrules_the_header():
     """Who names both the columns and their unit knows that the header is wrong."""
     names = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
     found = chosen(",".join(("t_ns", *names)), rate_cols=names, rate_unit="rad/s")
-    assert found.rate_unit == "rad/s"
+    assert found.unit == "rad/s"
 
 
 def test_a_unit_of_another_kind_is_refused_by_name():
@@ -226,14 +230,17 @@ def test_a_unit_of_another_kind_is_refused_by_name():
 
 def test_a_declared_sample_rate_stands_in_for_a_time_column():
     """A counter is not a time; the rate in the comments is."""
-    found = chosen("Counter,Gyr_X,Gyr_Y,Gyr_Z", notes=Notes(sample_rate=50.0), rate_unit="rad/s")
-    assert found == TableColumns((1, 2, 3), "rad/s", (), "ns", 50.0)
+    found = chosen(
+        "Counter,Gyr_X,Gyr_Y,Gyr_Z", notes=TableNotes(sample_rate=50.0), rate_unit="rad/s"
+    )
+    assert matched(found) == ((1, 2, 3), "rad/s", (), "ns", "")
+    assert found.timed == TimedColumns((1, 2, 3), (), "ns", 50.0)
 
 
 def test_a_sample_rate_said_wins_over_a_time_column():
     """Rows are counted where the user says so."""
     found = chosen("t_ns,wx,wy,wz", sample_rate=200.0)
-    assert (found.time, found.sample_rate) == ((), 200.0)
+    assert (found.timed.time, found.timed.sample_rate) == ((), 200.0)
 
 
 @pytest.mark.parametrize("sample_rate", [0.0, -1.0, float("nan"), float("inf")])
@@ -245,15 +252,15 @@ def test_a_sample_rate_is_above_zero(sample_rate):
 
 def test_sample_rate_and_time_column_contradict():
     """Only one of the two can say when a row was taken."""
-    with pytest.raises(UsageError, match="--time-col and --sample-rate contradict each other"):
+    with pytest.raises(UsageError, match="time_col and sample_rate contradict each other"):
         chosen("t_ns,wx,wy,wz", sample_rate=200.0, time_col="t_ns")
 
 
 def test_the_log_clock_of_rostopic_is_its_first_column():
-    """With --clock log the time of recording is taken instead of the message's stamp."""
+    """With clock='log' the time of recording is taken instead of the message's stamp."""
     header = next(header for header in KNOWN if header.startswith("%time"))
-    assert chosen(header, clock="log").time == (0,)
-    assert chosen(header, clock="header").time == (2,)
+    assert chosen(header, clock="log").timed.time == (0,)
+    assert chosen(header, clock="header").timed.time == (2,)
 
 
 def test_a_clock_that_a_table_does_not_have_is_refused():
@@ -264,5 +271,5 @@ def test_a_clock_that_a_table_does_not_have_is_refused():
 
 def test_a_topic_is_refused():
     """A table has no topics; saying one is a mistake worth telling."""
-    with pytest.raises(UsageError, match="--topic is for logs of messages and this is a table"):
+    with pytest.raises(UsageError, match="topic is for logs of messages and this is a table"):
         chosen("t_ns,wx,wy,wz", topic="/imu")

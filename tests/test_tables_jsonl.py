@@ -5,10 +5,10 @@ import json
 
 import numpy as np
 import pytest
+from table_rates import rate_batches
 
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError
 from quatprop.formats import open_log
-from quatprop.selection import RateSelection
 
 ROW = '{"t_ns":%d,"wx":%r,"wy":%r,"wz":%r}\n'
 
@@ -23,7 +23,7 @@ def written(tmp_path, text, name="log.jsonl"):
 def read(path, **options):
     """Return stamps, rates and losses of a file."""
     with open_log(path) as log:
-        batches = list(log.series(log.choose(RateSelection(**options))))
+        batches = list(rate_batches(log, **options))
         t_ns = [stamp for batch in batches for stamp in batch.t_ns.tolist()]
         rates = [row for batch in batches for row in batch.rate.tolist()]
         return t_ns, rates, [(loss.place, loss.reason) for loss in log.losses]

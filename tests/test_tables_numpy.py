@@ -7,11 +7,11 @@ import zipfile
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from table_rates import rate_batches
 
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError, UnsupportedLogError
 from quatprop.formats import open_log
-from quatprop.selection import RateSelection
 from quatprop.tables.npy_arrays import HeaderError, read_header
 
 T_NS = np.array([1_700_000_000_123_456_789, 1_700_000_000_123_456_790, -5], np.int64)
@@ -30,7 +30,7 @@ def records(t_ns=T_NS, rates=RATES, dtype=RECORDS):
 def read(path, **options):
     """Return stamps, rates and losses of a file."""
     with open_log(path) as log:
-        batches = list(log.series(log.choose(RateSelection(**options))))
+        batches = list(rate_batches(log, **options))
         t_ns = np.concatenate([np.zeros(0, np.int64), *(batch.t_ns for batch in batches)])
         return t_ns, np.concatenate([np.zeros((0, 3)), *(b.rate for b in batches)]), log.losses
 
@@ -298,7 +298,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
     wide = np.zeros(100, [*RECORDS, ("frame", "S1000000")])
     np.save(path, wide)
     with open_log(path) as log:
-        sizes = [len(batch) for batch in log.series(log.choose(RateSelection()))]
+        sizes = [len(batch) for batch in rate_batches(log)]
     assert sum(sizes) == 100
     assert max(sizes) * wide.itemsize <= 1 << 24
 

@@ -18,7 +18,8 @@ from quatprop.messages.rates import rate_field_at
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.rate_dialects import column
+from quatprop.tables.matching.choose import match_rates
+from quatprop.tables.matching.column_names import parse_name
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -216,11 +217,11 @@ def _forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Ro
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows:
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):
-        if match := _ACCELERATION.fullmatch(column(name).key):
+        if match := _ACCELERATION.fullmatch(parse_name(name).key):
             axes.setdefault("xyz012".index(match["axis"]) % 3, position)
     if len(axes) != 3:  # noqa: PLR2004  # axes
         raise _no_accelerations(log)
-    timed = log.choose(selection).timed
+    timed = match_rates(log, selection).timed
     rows: Rows = log.rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
     return rows
 

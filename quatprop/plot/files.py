@@ -223,7 +223,7 @@ def _see_rates(
             *facts_of(counts),
             ("largest rate", highest),
         ),
-        remarks=(*source.remarks, *events_in(counts), *findings),
+        remarks=(*map(str, source.remarks), *events_in(counts), *findings),
         losses=tuple(log.losses),
     )
 

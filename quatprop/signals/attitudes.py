@@ -17,15 +17,7 @@ from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
 from quatprop.signals.message_values import FieldReader, choose_clock, stamps_logged, timed_values
-from quatprop.signals.signal import (
-    ATTITUDES,
-    MESSAGE_SETTINGS,
-    AttitudeSignal,
-    Candidate,
-    choose,
-    message_candidates,
-    refuse_settings,
-)
+from quatprop.signals.signal import ATTITUDES, AttitudeSignal, Candidate, choose, message_candidates
 from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, plain, quoted
@@ -71,7 +63,6 @@ def attitude_candidates(
         candidate is refused when its signal is asked for.
     """
     if is_table(log):
-        refuse_settings(log, selection, MESSAGE_SETTINGS, "is for messages, and {} is a table")
         return [Candidate("", "", partial(of_table, log, selection))]
     return message_candidates(cast("MessageLog", log), selection, ATTITUDES, _candidates)
 

@@ -12,16 +12,9 @@ from quatprop.messages.rates import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.signals.message_values import choose_clock, stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
-from quatprop.signals.signal import (
-    MESSAGE_SETTINGS,
-    RATES,
-    Candidate,
-    RateSignal,
-    choose,
-    message_candidates,
-    refuse_settings,
-)
+from quatprop.signals.signal import RATES, Candidate, RateSignal, choose, message_candidates
 from quatprop.tables.base import is_table
+from quatprop.tables.matching.choose import match_rates
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -32,6 +25,7 @@ if TYPE_CHECKING:
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import BlockReader
     from quatprop.tables.base import TableLog
+    from quatprop.tables.matching.choose import ColumnMatch
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
@@ -68,27 +62,31 @@ def rate_candidates(
         is refused when its signal is asked for.
     """
     if is_table(log):
-        refuse_settings(log, selection, MESSAGE_SETTINGS, "is for messages, and {} is a table")
         return [Candidate("", "", partial(_of_table, log, selection))]
     return message_candidates(cast("MessageLog", log), selection, RATES, _candidates)
 
 
 def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
-    columns = log.choose(selection)
-    names = log.columns()
-    rate = ",".join(names[position] for position in columns.rate)
-    time = ",".join(names[position] for position in columns.time)
-    counted = "" if columns.sample_rate is None else f"{columns.sample_rate:g} Hz"
+    columns = match_rates(log, selection)
     return RateSignal(
-        name=rate,
+        name=columns.name,
         type_name=columns.dialect,
-        field=rate,
-        clock=time or counted,
+        field=columns.name,
+        clock=columns.clock,
         remarks=columns.remarks,
-        batches=partial(log.series, columns),
-        unit=columns.rate_unit,
+        batches=partial(_table_rates, log, columns),
+        unit=columns.unit,
         method=columns.method,
     )
+
+
+def _table_rates(log: TableLog, columns: ColumnMatch) -> Iterator[GyroSeries]:
+    """Yield the rates of a table in rad/s."""
+    factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
+    for t_ns, rate in log.rows(columns.timed):
+        for factor in factors:
+            np.multiply(rate, factor, out=rate)
+        yield GyroSeries(t_ns, rate)
 
 
 def _candidates(

@@ -18,7 +18,7 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.signals.message_values import channels_of
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, Text, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Rows: TypeAlias = Iterator[tuple[Int64, NDArray[np.float64]]]
 
-MESSAGE_SETTINGS = ("topic", "rate_field", "quat_field", "frame", "time_field")
 TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
 
 
@@ -68,7 +67,7 @@ class Signal:
     type_name: str
     field: str
     clock: str
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str | Text, ...] = ()
     stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
 
 
@@ -243,7 +242,11 @@ def message_candidates(
     NoRatesError, NoAttitudesError
         The log holds nothing of this kind.
     """
-    refuse_settings(log, selection, TABLE_SETTINGS, "is for tables, and {} holds messages")
+    for name in TABLE_SETTINGS:
+        if getattr(selection, name, None) is not None:
+            raise UsageError(
+                Setting(name), f" is for tables, and {quoted(log.path)} holds messages"
+            )
     channels = channels_of(log, selection.topic)
     if found := [one for channel in channels for one in find(log, channel, selection)]:
         return found
@@ -262,18 +265,3 @@ def message_candidates(
     anywhere = replace(selection, topic=None, **{kind.field: None})
     topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
     raise NoSuchTopicError(log.path, selection.topic, topics, kind.name)
-
-
-def refuse_settings(
-    log: MessageLog | TableLog, selection: SignalSelection, names: Sequence[str], reason: str
-) -> None:
-    """Refuse settings that do not fit the kind of log.
-
-    Raises
-    ------
-    UsageError
-        One of them is given.
-    """
-    for name in names:
-        if getattr(selection, name, None) is not None:
-            raise UsageError(Setting(name), f" {reason.format(quoted(log.path))}")

@@ -6,7 +6,7 @@ unit, what is no number and what is damaged are dealt with once.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,11 +14,8 @@ import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError
-from quatprop.series import GyroSeries
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import TableLog, TableNotes
 from quatprop.tables.csv import decimal_time
-from quatprop.tables.matching import rate_columns as choosing
-from quatprop.tables.matching.column_matcher import Notes
 from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -27,8 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.selection import RateSelection
-    from quatprop.tables.base import TableColumns, TimedColumns
+    from quatprop.tables.base import TimedColumns
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -104,32 +100,25 @@ class TypedTable(TableLog):
         return [leaf.name for leaf in self._leaves]
 
     @property
-    def notes(self) -> Notes:
+    def notes(self) -> TableNotes:
         """Columns of timestamps carry their own unit."""
-        return Notes(
-            declared={
+        return TableNotes(
+            units={
                 k: leaf.type.unit
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
             }
         )
 
-    def choose(self, selection: RateSelection) -> TableColumns:
-        """Return which columns hold time and rates, from the options and the header."""
-        columns = choosing.choose(self.path, self.columns(), selection, self.notes)
-        self._refuse_other_than_numbers(columns.timed)
-        return columns
-
-    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
-        """Yield the chosen columns as rates in rad/s and stamps in ns, batch after batch.
+    def provenance(self) -> dict[str, Any]:
+        """Return how the content came about, as written beside it; empty where it is not.
 
         Raises
         ------
-        UnsupportedLogError
-            A column does not hold numbers, or a stamp does not fit in int64 ns.
+        DamagedLogError
+            What is written there is not what this package writes.
         """
-        for t_ns, rate in self.rows(columns.timed):
-            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
+        return {}
 
     def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
         """Yield the chosen columns as stamps in ns and numbers as stored, batch after batch.
@@ -176,7 +165,7 @@ class TypedTable(TableLog):
         return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
 
     def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
-        declared = self.notes.declared
+        declared = self.notes.units
         names = self.columns()
         for k in (*columns.numbers, *columns.time):
             leaf = self._leaves[k]

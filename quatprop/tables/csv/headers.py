@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
-from quatprop.tables.matching.column_matcher import Notes
-from quatprop.tables.matching.rate_dialects import RATE_UNITS, TIME_UNITS, column
+from quatprop.tables.base import TableNotes
+from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -69,7 +69,7 @@ class Layout:
     decimal: str
     body: int
     line: int
-    notes: Notes
+    notes: TableNotes
     header: bytes = b""
     dates: Mapping[int, str | None] = field(default_factory=dict)
 
@@ -120,7 +120,7 @@ def sniff(head: bytes, path: Path) -> Layout:
         body=sum(map(len, raw[:body])),
         line=body + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=replace(notes, declared={**notes.declared, **dict.fromkeys(dates, "ns")}),
+        notes=replace(notes, units={**notes.units, **dict.fromkeys(dates, "ns")}),
         dates=dates,
     )
 
@@ -206,7 +206,7 @@ def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
         return names
     above = _fitted(above, width)
     if any(above) and not any(map(_NUMBER.fullmatch, above)):
-        if all(not name or column(f"({name})").unit in _UNITS for name in names):
+        if all(not name or parse_name(f"({name})").unit in _UNITS for name in names):
             return [
                 f"{name} ({unit})" if unit else name
                 for name, unit in zip(above, names, strict=True)
@@ -232,13 +232,13 @@ def _grouped(groups: list[str], names: list[str]) -> list[str]:
     return full
 
 
-def _notes(before: list[str], names: list[str], path: Path) -> Notes:
+def _notes(before: list[str], names: list[str], path: Path) -> TableNotes:
     """Return what comments and ``key,value`` lines say."""
     title = before[0].strip("\ufeff \r\n") if before else ""
     rate = next(filter(None, map(_SAMPLE_RATE.search, before)), None)
     sample_rate = float(rate[1]) * (1000 if rate[2] else 1) if rate else None
     if title.upper() != "GYROFLOW IMU LOG":
-        return Notes(sample_rate=sample_rate, title=title)
+        return TableNotes(sample_rate=sample_rate, title=title)
     keys = dict(text.strip().split(",", 1) for text in before if "," in text)
     try:
         tick = Decimal(keys.get("tscale", "1").strip())
@@ -249,9 +249,9 @@ def _notes(before: list[str], names: list[str], path: Path) -> Notes:
         raise UnsupportedLogError(
             path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
         )
-    declared = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
+    units = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
     mount = _gcsv_mount(keys.get("orientation", "XYZ").strip())
-    return Notes(declared=declared, rate_scale=scale, title=title, mount=mount)
+    return TableNotes(units=units, rate_scale=scale, title=title, mount=mount)
 
 
 def _gcsv_mount(letters: str) -> str:

@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from quatprop.containers.base import Losses
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
-from quatprop.series import GyroSeries
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.decimal_time import counted
 from quatprop.tables.csv.headers import HEAD_BYTES, sniff
 from quatprop.tables.csv.last_line import TAIL_BYTES, is_cut
 from quatprop.tables.csv.rows import MISFITS, BlockParser, RowParser, Rows
 from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks, pieces, record_end
-from quatprop.tables.matching import rate_columns as choosing
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -25,11 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.selection import RateSelection
-    from quatprop.tables.base import TableColumns, TimedColumns
+    from quatprop.containers.base import Losses
+    from quatprop.tables.base import TableNotes, TimedColumns
     from quatprop.tables.csv.headers import Layout
     from quatprop.tables.csv.text_blocks import Block
-    from quatprop.tables.matching.column_matcher import Notes
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -63,8 +59,7 @@ class CsvLog(TableLog):
     kind = "csv"
 
     def __init__(self, source: Path | BinaryIO) -> None:
-        self.path = source if isinstance(source, Path) else _STDIN
-        self.losses = Losses()
+        super().__init__(source if isinstance(source, Path) else _STDIN)
         self.remarks: list[str] = []
         self._file = None if isinstance(source, Path) else source
         self._text: TextStream | None = self._open()
@@ -82,7 +77,7 @@ class CsvLog(TableLog):
         self._known_losses: int | None = None
 
     @property
-    def notes(self) -> Notes:
+    def notes(self) -> TableNotes:
         """What the lines before the header say."""
         return self._layout.notes
 
@@ -101,21 +96,6 @@ class CsvLog(TableLog):
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
-
-    def choose(self, selection: RateSelection) -> TableColumns:
-        """Return which columns hold time and rates, from the options and the header."""
-        return choosing.choose(self.path, self._layout.names, selection, self.notes)
-
-    def series(self, columns: TableColumns) -> Iterator[GyroSeries]:
-        """Yield the chosen columns as rates in rad/s and stamps in ns, block after block.
-
-        Raises
-        ------
-        UnsupportedLogError
-            Most rows do not fit.
-        """
-        for t_ns, rate in self.rows(columns.timed):
-            yield GyroSeries(t_ns, choosing.in_rad_s(rate, columns))
 
     def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
         """Yield the chosen columns as stamps in ns and numbers as stored, block after block.

@@ -1,0 +1,309 @@
+"""Choosing columns: three calls of one matcher, for rates, quaternions and other rotations."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
+from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
+from quatprop.tables.matching.column_names import ANGLE_UNITS, RATE_UNITS
+from quatprop.tables.matching.dialects import (
+    GENERIC,
+    ORIENTATION_ABSENT,
+    QUATERNION_PARTS,
+    RATE_PARTS,
+    ROTATIONS,
+)
+from quatprop.tables.matching.matcher import ColumnMatcher
+from quatprop.text import Setting, Text, listed, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.selection import AttitudeSelection, RateSelection
+    from quatprop.tables.base import TableLog, TimedColumns
+    from quatprop.tables.matching.dialects import Dialect
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnMatch:
+    """The columns of one quantity in a table, and what their numbers are.
+
+    Parameters
+    ----------
+    timed
+        What to read: the components in order (x, y, z; w, x, y, z; as in
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`), after a quaternion the
+        marks of an absent orientation, and the time.
+    name
+        The names of the components as the table spells them: rates in order, attitudes as stored.
+    clock
+        The names of the time columns, or the sample rate.
+    unit
+        ``"rad/s"`` or ``"deg/s"`` of rates, ``"rad"`` or ``"deg"`` of angles, ``""`` of the rest.
+    dialect
+        The convention that was recognised, such as ``"EuRoC"``, or ``""``.
+    representation
+        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"euler-zyx"`` or ``"matrix"``.
+    layout
+        The order in which quaternion components are stored, ``"scalar-first"`` or
+        ``"scalar-last"``; ``""`` where it is neither and their names say which is which.
+    scale
+        What stored rates are multiplied by to be in `unit`.
+    method
+        The integration rule that fits the samples, where the convention defines it.
+    remarks
+        What the user should know of the choice.
+    """
+
+    timed: TimedColumns
+    name: str
+    clock: str
+    unit: str = ""
+    dialect: str = ""
+    representation: str = ""
+    layout: str = ""
+    scale: float = 1.0
+    method: str | None = None
+    remarks: tuple[str | Text, ...] = ()
+
+
+def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
+    """Return which columns hold time and rates, and their units.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+
+    Raises
+    ------
+    NoRatesError
+        No columns look like body rates and the user names none.
+    UndeclaredError
+        A unit, the time, or one of several sets is declared neither by the header nor by the user.
+    UnsupportedLogError
+        The header declares a unit that is not supported.
+    UsageError
+        The user names what is not there, or contradicts the header.
+    """
+    matcher = ColumnMatcher(log, selection, "rate_cols", RATE_PARTS)
+    dialect = matcher.dialect("rate")
+    sets = matcher.sets(dialect.rate)
+    if selection.rate_cols is not None:
+        rate = matcher.named(selection.rate_cols)
+    elif not sets:
+        raise NoRatesError(log.path, log.columns(), "columns")
+    else:
+        rate = matcher.only_set(sets, "set of rates", "x")
+    convention = dialect if rate in sets else GENERIC
+    unit = matcher.unit("rate", rate, RATE_UNITS, convention.rate_unit)
+    timed = matcher.timed(rate, dialect)
+    return ColumnMatch(
+        timed,
+        *matcher.describe(rate, timed),
+        unit,
+        convention.name,
+        scale=log.notes.rate_scale,
+        method=convention.method,
+        remarks=tuple(_remarks(matcher, dialect)),
+    )
+
+
+def _remarks(matcher: ColumnMatcher, dialect: Dialect) -> Iterator[Text]:
+    if matcher.notes.mount:
+        yield Text(
+            "the file says how its sensor is mounted, and rates are taken as they are; "
+            "to turn them into the camera's axes use ",
+            Setting("mount", matcher.notes.mount),
+        )
+    if unused := matcher.unused_stamps(dialect):
+        yield Text(
+            Setting("sample_rate", f"{matcher.selection.sample_rate:g}"),
+            f" counts the rows; the stamps in {matcher.names(unused)} are not used",
+        )
+
+
+def match_quaternion(
+    log: TableLog, selection: AttitudeSelection, recorded: str | None = None
+) -> ColumnMatch:
+    """Return which columns hold the time and the quaternion.
+
+    The layout comes from the names of the columns, from the metadata of the file, or from the
+    user; where two of these contradict each other nothing is read.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+    recorded
+        The layout, where the metadata of the file declare it.
+
+    Raises
+    ------
+    NoAttitudesError
+        No columns look like a quaternion and the user names none.
+    UndeclaredError
+        The order, the time or its unit is not declared, or there are several quaternions.
+    UsageError
+        The user names what is not there; or names, metadata and user contradict each other.
+    """
+    layout = selection.from_layout and layout_named(selection.from_layout).name
+    matcher = ColumnMatcher(log, selection, "quat_cols", QUATERNION_PARTS)
+    dialect = matcher.dialect("quaternion")
+    sets = matcher.sets(dialect.quaternion)
+    if selection.quat_cols is not None:
+        # Who names the columns knows better than the metadata, but need not repeat it.
+        wxyz = _named_quaternion(matcher, dialect, selection.quat_cols, layout, recorded)
+    elif not sets:
+        raise NoAttitudesError(log.path, log.columns(), "columns")
+    else:
+        wxyz = matcher.only_set(sets, "quaternion", "scalar")
+        _refuse_contradiction(matcher, wxyz, layout, recorded)
+    timed = matcher.timed((*wxyz, *_absence(matcher, wxyz)), dialect)
+    return ColumnMatch(
+        timed,
+        *matcher.describe(sorted(wxyz), timed),
+        dialect=dialect.name if wxyz in sets else "",
+        representation="quaternion",
+        layout=_layout(sorted(wxyz), wxyz),
+    )
+
+
+def _named_quaternion(
+    matcher: ColumnMatcher,
+    dialect: Dialect,
+    quat_cols: Sequence[str],
+    layout: str | None,
+    recorded: str | None,
+) -> tuple[int, ...]:
+    """Return the columns that the user names, in the order w, x, y, z."""
+    stored = matcher.named(quat_cols)
+    for wxyz in (*matcher.sets(dialect.quaternion), *matcher.sets(GENERIC.quaternion)):
+        if set(wxyz) == set(stored):
+            given = _layout(stored, wxyz)
+            if layout not in (None, given):
+                raise UsageError(
+                    f"{plain(matcher.path)}: ",
+                    Setting("quat_cols"),
+                    f" gives {matcher.names(stored)}, which by their names are "
+                    f"{given or 'in no layout'}, but ",
+                    Setting("from_layout"),
+                    f" says {layout}; leave it out",
+                )
+            return wxyz
+    layout = layout or recorded
+    if layout is None:
+        raise UndeclaredError(
+            matcher.path,
+            f"which of the columns {matcher.names(stored)} is the scalar",
+            Setting("from_layout", "scalar-first|scalar-last"),
+        )
+    order = layout_named(layout).order
+    return tuple(stored[order.index(component)] for component in range(4))
+
+
+def _refuse_contradiction(
+    matcher: ColumnMatcher, wxyz: tuple[int, ...], layout: str | None, recorded: str | None
+) -> None:
+    """Refuse a declared layout that is not the one of the names."""
+    stored = _layout(sorted(wxyz), wxyz)
+    for source, declared in (
+        (Setting("from_layout"), layout),
+        ("the metadata of the file", recorded),
+    ):
+        if declared not in (None, stored):
+            raise UsageError(
+                f"{plain(matcher.path)}: the columns {matcher.names(sorted(wxyz))} are "
+                f"{stored or 'in no layout, but named'}, and ",
+                source,
+                f" says {declared}; settle it by naming them as stored, with ",
+                Setting("quat_cols", "A,B,C,D"),
+            )
+
+
+def _layout(stored: Sequence[int], wxyz: tuple[int, ...]) -> str:
+    """Return the layout of columns in their order of storage; ``""`` where it is neither."""
+    order = tuple(wxyz.index(position) for position in stored)
+    return next((known.name for known in (SCALAR_FIRST, SCALAR_LAST) if known.order == order), "")
+
+
+def _absence(matcher: ColumnMatcher, wxyz: tuple[int, ...]) -> list[int]:
+    """Return the column that marks a ROS orientation as absent, if there is one."""
+    prefix, found, _ = matcher.columns[wxyz[0]].key.rpartition("orientation.w")
+    return matcher.matching(re.escape(prefix) + ORIENTATION_ABSENT)[:1] if found else []
+
+
+def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch | None:
+    """Return which columns hold the time and a rotation that is no quaternion.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+
+    Returns
+    -------
+    ColumnMatch or None
+        None where no columns look like one.
+
+    Raises
+    ------
+    UndeclaredError
+        The unit, the time or its unit is not declared, or there are several rotations.
+    UsageError
+        The user contradicts the names.
+    """
+    matches = []
+    for representation, pattern, parts in ROTATIONS:
+        matcher = ColumnMatcher(log, selection, "quat_cols", parts)
+        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
+    if not matches:
+        return None
+    if len(matches) > 1:
+        names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
+        raise UndeclaredError(
+            log.path,
+            f"which rotation to use (their first columns are {names})",
+            "a table that holds one of them",
+        )
+    representation, matcher, columns = matches[0]
+    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
+    timed = matcher.timed(columns, GENERIC)
+    name, clock = matcher.describe(sorted(columns), timed)
+    return ColumnMatch(timed, name, clock, unit, representation=representation)
+
+
+def _angle_unit(
+    matcher: ColumnMatcher, representation: str, columns: tuple[int, ...], chosen: str | None
+) -> str:
+    names = matcher.names(columns)
+    if representation == "matrix":
+        if chosen is not None:
+            raise UsageError(
+                f"{plain(matcher.path)}: ",
+                Setting("from_angle_unit"),
+                f" is about angles, and {names} are a matrix; leave it out",
+            )
+        return ""
+    declared = matcher.declared(columns)
+    matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
+    if chosen is not None and declared not in {"", chosen}:
+        raise UsageError(
+            f"{plain(matcher.path)}: ",
+            Setting("from_angle_unit"),
+            f" says {chosen}, but by their names {names} are in {declared}; leave the option out",
+        )
+    if not (chosen or declared):
+        matcher.undeclared(
+            f"the unit of the angles {names}", Setting("from_angle_unit", "|".join(ANGLE_UNITS))
+        )
+    return chosen or declared

@@ -1,0 +1,211 @@
+"""Conventions of tables: how columns of time, rates and attitudes are named, and in what units.
+
+A new convention is one entry of :data:`DIALECTS`. Beyond them, names that clearly mean gyroscope
+axes, an attitude or time are recognised (:data:`GENERIC`), but their units only where the header
+declares them. Quaternion components that are numbered do not say which is the scalar: only a
+convention that is certain about it is trusted with those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one source of tables names its columns.
+
+    Patterns are regular expressions for whole
+    :attr:`quatprop.tables.matching.column_names.ColumnName.key` values.
+
+    Parameters
+    ----------
+    name
+        What the summary calls it.
+    rate, quaternion
+        The columns of each; the group ``part`` is the component, the rest of the name must be the
+        same in all of them. ``""`` where it has none.
+    time
+        Time columns, the preferred one first. A column ``sec`` or ``secs`` has its nanoseconds
+        in a column beside it.
+    rate_unit, time_unit
+        Units by convention, where the header does not declare them; ``""`` where it must.
+    log_time
+        The column of the time of recording, if there is one beside the message's own stamp.
+    needs
+        Further columns, or the first line of the file, by which the convention is recognised.
+    file
+        Pattern found in the name of the file, where columns alone are not enough.
+    method
+        The integration rule that fits the samples, where the convention defines it: ``"end"`` for
+        averages over the interval before the stamp.
+    """
+
+    name: str
+    rate: str = ""
+    quaternion: str = ""
+    time: tuple[str, ...] = ()
+    rate_unit: str = ""
+    time_unit: str = ""
+    log_time: str = ""
+    needs: tuple[str, ...] = ()
+    file: str = ""
+    method: str | None = None
+
+
+_XYZ = r"(?P<part>[xyz])"
+_WXYZ = r"(?P<part>[wxyz])"
+_INDEX = r"\[(?P<part>[012])\]"
+_Q_INDEX = r"q\[(?P<part>[0123])\]"
+_ROS_RATE = r"(?:.*\.)?(?:angular_velocity|twist\.angular)\." + _XYZ
+_ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + _WXYZ
+_ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
+
+TIME_NAMES = r"t|time|timestamp|time_?stamp|stamp"
+GYROSCOPE = (
+    r"(?!.*(?:bias|cov|std|var|noise))(?:(?:.*[._])?(?:gyroscope|gyro|gyr|omega|angular_?velocity"
+    r"|angular_?rate|ang_?vel|rotation_?rate)[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
+)
+_NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
+_NOT_ROTATION = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint|rate|speed|vel|acc))"
+_QUATERNION = (
+    rf"{_NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
+    rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){_WXYZ}"
+)
+ROTATION_VECTOR = (
+    rf"{_NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
+)
+EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
+_MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
+
+DIALECTS = (
+    Dialect("quatprop", "w" + _XYZ, "q" + _WXYZ, ("t",), "rad/s", "ns", needs=("t_ns",)),
+    Dialect(
+        "TUM",
+        quaternion="q" + _WXYZ,
+        time=(r"timestamp|time|t",),
+        time_unit="s",
+        needs=("tx", "ty", "tz"),
+    ),
+    Dialect(
+        "EuRoC",
+        r"w_[a-z]+_[a-z]+_" + _XYZ,
+        r"q_[a-z]+_" + _WXYZ,
+        ("timestamp",),
+        "rad/s",
+        "ns",
+    ),
+    Dialect(
+        "PX4 ulog2csv",
+        "gyro_rad" + _INDEX,
+        time=("timestamp",),
+        rate_unit="rad/s",
+        time_unit="us",
+        method="end",
+    ),
+    Dialect(
+        "PX4 ulog2csv",
+        r"(?P<part>roll|pitch|yaw)speed",
+        _Q_INDEX,
+        ("timestamp",),
+        "rad/s",
+        "us",
+        needs=("rollspeed", "q[0]", "q[3]"),
+    ),
+    Dialect(
+        "PX4 ulog2csv",
+        "xyz" + _INDEX,
+        time=("timestamp",),
+        rate_unit="rad/s",
+        time_unit="us",
+        file="vehicle_angular_velocity",
+    ),
+    Dialect(
+        "PX4 ulog2csv",
+        _XYZ,
+        time=("timestamp",),
+        rate_unit="rad/s",
+        time_unit="us",
+        needs=("device_id",),
+        file=r"sensor_gyro(?!_fifo)",
+    ),
+    *(
+        Dialect(
+            "PX4 ulog2csv",
+            quaternion=_Q_INDEX,
+            time=("timestamp",),
+            time_unit="us",
+            needs=needs,
+            file=file,
+        )
+        for needs, file in (
+            (("delta_q_reset[0]",), ""),
+            (("quat_reset_counter",), ""),
+            ((), r"vehicle_(?:attitude|odometry|visual_odometry)(?!_setpoint)"),
+        )
+    ),
+    Dialect(
+        "rostopic echo -p",
+        r"field\." + _ROS_RATE,
+        r"field\." + _ROS_QUATERNION,
+        (r"field\.(?:.*\.)?header\.stamp", "time"),
+        "rad/s",
+        "ns",
+        log_time="time",
+        needs=("%time",),
+    ),
+    Dialect(
+        "ROS messages as columns",
+        _ROS_RATE,
+        _ROS_QUATERNION,
+        (_ROS_STAMP, r"(?:.*\.)?header\.stamp"),
+        "rad/s",
+        log_time="time",
+    ),
+    Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
+    Dialect("x-io", "gyroscope_" + _XYZ, _WXYZ + "_element", ("time|timestamp",)),
+    Dialect("x-io", quaternion="quaternion_" + _WXYZ, time=("time|timestamp",)),
+    Dialect(
+        "Sensor Logger",
+        _XYZ,
+        time=("time",),
+        rate_unit="rad/s",
+        time_unit="ns",
+        needs=("seconds_elapsed",),
+        file="(?i)gyroscope",
+    ),
+    Dialect(
+        "Sensor Logger",
+        quaternion="q" + _WXYZ,
+        time=("time",),
+        time_unit="ns",
+        needs=("seconds_elapsed",),
+    ),
+)
+"""The conventions, tried in this order."""
+
+GENERIC = Dialect("", GYROSCOPE, _QUATERNION, (_ROS_STAMP, r"(?:stamp[._])?secs?", TIME_NAMES))
+"""Names that clearly mean a quantity and time, but declare no units."""
+
+ROTATIONS = (
+    ("rotvec", ROTATION_VECTOR, ("x", "y", "z")),
+    ("euler-zyx", EULER, ("yaw", "pitch", "roll")),
+    *(
+        (
+            "matrix",
+            _MATRIX.format(i),
+            tuple(f"{row}{column}|{row}_{column}" for row in i for column in i),
+        )
+        for i in ("123", "012")
+    ),
+)
+"""Representation, pattern and spellings of the components of attitudes that are no quaternions."""
+
+RATE_PARTS = ("x|0|[0]|roll", "y|1|[1]|pitch", "z|2|[2]|yaw")
+"""What the group ``part`` of each rate axis may be."""
+
+QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")
+"""What the group ``part`` of each quaternion component may be."""
+
+ORIENTATION_ABSENT = r"orientation_covariance(?:\[0\]|_?0|\.0)"
+"""After the prefix of a ROS orientation: a number that is -1 where there is none."""
