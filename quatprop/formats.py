@@ -1,12 +1,11 @@
-"""Containers and tables: one file a format, one line of :data:`READERS` each.
+"""All readers of logs: one line of :data:`READERS` a format.
 
-The kind of a log is told by its content first and by its suffix second; what neither tells is
-refused, with the option that settles it.
+The kind of a log is recognised by its content first and by its suffix second; where neither tells,
+the log is refused, and the user names the kind.
 """
 
 from __future__ import annotations
 
-import stat
 import sys
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -14,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.packed_files import file_compression, unpacked_copy
+from quatprop.containers.file_source import FileSource, os_reason
+from quatprop.containers.packed_files import UnpackedCopy, file_compression
 from quatprop.containers.remote import is_address, local_copy, without_secret
 from quatprop.errors import (
     DamagedLogError,
@@ -23,26 +23,25 @@ from quatprop.errors import (
     UnreadableLogError,
     UnsupportedLogError,
 )
-from quatprop.text import quoted
+from quatprop.text import Setting
 from quatprop.third_party_errors import as_errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.containers.base import MessageLog
-    from quatprop.containers.packed_files import UnpackedCopy
     from quatprop.tables.base import TableLog
 
 HEAD_BYTES = 4096
-"""How much of a file is looked at to tell its kind."""
+"""Bytes at the beginning of a file by which its kind is recognised."""
 
 
 _CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
-"""Bytes that no text has."""
+"""Bytes that do not occur in text."""
 
 
 class Reader(NamedTuple):
-    """How one kind of log is told and opened.
+    """How one kind of log is recognised and opened.
 
     Parameters
     ----------
@@ -51,22 +50,26 @@ class Reader(NamedTuple):
     magic
         What its content may begin with; empty where only the suffix tells.
     suffixes
-        Suffixes that tell it where the content does not.
+        Suffixes by which it is recognised where the content does not tell.
+    reads_source
+        Whether it reads from an open :class:`~quatprop.containers.file_source.FileSource`;
+        otherwise it opens the path itself.
     """
 
     load: str
     magic: tuple[bytes, ...]
     suffixes: tuple[str, ...]
+    reads_source: bool = False
 
 
 READERS: dict[str, Reader] = {
-    "mcap": Reader("quatprop.containers.mcap.log:McapLog", (b"\x89MCAP",), (".mcap",)),
+    "mcap": Reader("quatprop.containers.mcap.log:McapLog", (b"\x89MCAP",), (".mcap",), True),
     "bag": Reader(
-        "quatprop.containers.rosbag1.log:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active")
+        "quatprop.containers.rosbag1.log:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active"), True
     ),
     "db3": Reader("quatprop.containers.rosbag2.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
     "rosbag2": Reader("quatprop.containers.rosbag2.log:Rosbag2Log", (), ()),
-    "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",)),
+    "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
     "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",)),
     "feather": Reader(
         "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow")
@@ -76,14 +79,14 @@ READERS: dict[str, Reader] = {
     "jsonl": Reader("quatprop.tables.jsonl:JsonLinesLog", (b"{",), (".jsonl", ".ndjson")),
     "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }
-"""Every kind of log, in the order in which ``--from`` lists them."""
+"""Every kind of log, in the order in which errors and help list them."""
 
 
 @contextmanager
 def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog | TableLog]:
     """Open a log of any kind for the length of a ``with`` block.
 
-    A log inside a file that was packed as a whole is unpacked into a temporary copy.
+    A log inside a compressed file is decompressed into a temporary copy.
 
     Parameters
     ----------
@@ -91,7 +94,7 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
         A file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"`` for
         CSV on stdin.
     kind
-        A key of :data:`READERS`; None means: told by the content, then by the suffix.
+        A key of :data:`READERS`; None to recognise it by the content, then by the suffix.
 
     Yields
     ------
@@ -111,62 +114,78 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
         if str(path) == "-":
             if kind not in (None, "csv"):
                 raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
-            log = _open("csv", sys.stdin.buffer)
-            stack.enter_context(log)
-            yield log
-            return
-        if is_address(path):
+            yield _enter("csv", sys.stdin.buffer, stack)
+        elif is_address(path):
             copied = stack.enter_context(local_copy(str(path)))
-            with _told_of(without_secret(path)):
+            with _renamed_errors(without_secret(path)):
                 yield stack.enter_context(open_log(copied, kind))
-            return
-        path = Path(path)
-        head = _head(path)
-        if kind is not None and path.is_dir() != (kind == "rosbag2"):
-            raise UnreadableLogError(
-                path,
-                f"a {'folder' if path.is_dir() else 'file'} is no log of kind {kind}; "
-                "leave --from out, or name the log itself",
-            )
-        inside = path.with_suffix("") if path.suffix else path
-        packed = file_compression(head)
-        if packed and kind is None and inside.suffix.lower() in READERS["csv"].suffixes:
-            kind = "csv"
-        # A text table unpacks itself on the way, and its name may tell what it holds.
-        if kind == "csv" or not packed:
-            log = _open(kind or _kind(path, head), path)
-            stack.enter_context(log)
-            yield log
-            return
-        copy = stack.enter_context(_unpacked(path))
-        with _told_of(path):
-            log = _open(kind or _kind(inside, _head(copy.path)), copy.path)
-            stack.enter_context(log)
-            if copy.damage:
-                log.losses.note("end of the file", copy.damage)
-            yield log
+        elif Path(path).is_dir():
+            if kind not in (None, "rosbag2"):
+                raise _other_kind(path, "folder", kind)
+            yield _enter("rosbag2", Path(path), stack)
+        elif kind == "rosbag2":
+            raise _other_kind(path, "file", kind)
+        else:
+            yield _open_file(Path(path), kind, stack)
 
 
-def _open(kind: str, source: Path | BinaryIO) -> MessageLog | TableLog:
+def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
+    return UnreadableLogError(
+        path,
+        f"a {what} is no log of kind {kind}; leave ",
+        Setting("kind"),
+        " out, or name the log itself",
+    )
+
+
+def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | TableLog:
+    """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
+    source = stack.enter_context(FileSource(path))
+    head = _head(source)
+    inside = path.with_suffix("") if path.suffix else path
+    is_compressed = file_compression(head) != ""
+    if is_compressed and kind is None and inside.suffix.lower() in READERS["csv"].suffixes:
+        kind = "csv"
+    # A text table decompresses itself as it is read, and its name may tell what it holds.
+    if kind == "csv" or not is_compressed:
+        return _open_source(source, kind or _kind(path, head), stack)
+    source.close()
+    try:
+        copy = stack.enter_context(UnpackedCopy(path))
+    except CompressionError as error:
+        raise DamagedLogError(path, f"{error.reason}; unpack it by hand to see more") from error
+    stack.enter_context(_renamed_errors(path))
+    source = stack.enter_context(FileSource(copy.path))
+    log = _open_source(source, kind or _kind(inside, _head(source)), stack)
+    if copy.damage:
+        log.losses.note("end of the file", copy.damage)
+    return log
+
+
+def _open_source(source: FileSource, kind: str, stack: ExitStack) -> MessageLog | TableLog:
+    if READERS[kind].reads_source:
+        return _enter(kind, source, stack)
+    source.close()
+    return _enter(kind, source.path, stack)
+
+
+def _enter(
+    kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack
+) -> MessageLog | TableLog:
+    """Import the reader of a kind of log and open a log with it; `stack` closes it."""
     module, _, name = READERS[kind].load.partition(":")
     try:
         log: MessageLog | TableLog = getattr(import_module(module), name)(source)
     except OSError as error:
-        path = source if isinstance(source, Path) else Path("-")
-        raise UnreadableLogError(path, _os_reason(error)) from error
+        path = source if isinstance(source, Path) else getattr(source, "path", "-")
+        raise UnreadableLogError(path, os_reason(error)) from error
+    stack.enter_context(log)
     return log
 
 
-def _unpacked(path: Path) -> UnpackedCopy:
-    try:
-        return unpacked_copy(path)
-    except CompressionError as error:
-        raise DamagedLogError(path, f"{error.reason}; unpack it by hand to see more") from error
-
-
 @contextmanager
-def _told_of(path: Path | str) -> Iterator[None]:
-    """Let errors name the file the user knows, not the temporary copy."""
+def _renamed_errors(path: Path | str) -> Iterator[None]:
+    """Let errors name the file that the user knows, not the temporary copy."""
     try:
         yield
     except LogError as error:
@@ -175,8 +194,6 @@ def _told_of(path: Path | str) -> Iterator[None]:
 
 
 def _kind(path: Path, head: bytes) -> str:
-    if path.is_dir():
-        return "rosbag2"
     for kind, reader in READERS.items():
         if head.startswith(reader.magic):
             return kind
@@ -200,26 +217,12 @@ def _is_text(head: bytes) -> bool:
     return True
 
 
-def _head(path: Path) -> bytes:
-    """Return the first bytes of a file; a folder has none."""
+def _head(source: FileSource) -> bytes:
+    """Return the first bytes of a file."""
     try:
-        mode = path.stat().st_mode
-        if stat.S_ISDIR(mode):
-            return b""
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
+        head = source.read(0, HEAD_BYTES)
     except OSError as error:
-        raise UnreadableLogError(path, _os_reason(error)) from error
+        raise UnreadableLogError(source.path, os_reason(error)) from error
     if not head:
-        raise UnreadableLogError(path, "the file is empty; was the recording closed?")
+        raise UnreadableLogError(source.path, "the file is empty; was the recording closed?")
     return head
-
-
-def _os_reason(error: OSError) -> str:
-    match error:
-        case FileNotFoundError():
-            return "no such file or folder; check the path"
-        case PermissionError():
-            return "no permission to read it; check its owner and mode"
-        case _:
-            return f"it cannot be read: {quoted(error.strerror or error)}"

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.containers.compression import MAX_SIZE, CompressionError, decompress
-from quatprop.containers.packed_files import file_compression, unpacked_copy
+from quatprop.containers.packed_files import UnpackedCopy, file_compression
 
 PACK = {
     "": bytes,
@@ -114,7 +114,7 @@ def test_a_packed_file_is_unpacked_beside_and_removed(tmp_path, temporary, suffi
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT))
     assert file_compression(path.read_bytes()[:4]) == {".gz": "gz"}.get(suffix, suffix[1:])
-    with unpacked_copy(path) as copy:
+    with UnpackedCopy(path) as copy:
         assert copy.path.suffix == ".mcap"
         assert copy.path.read_bytes() == TEXT
         assert copy.damage == ""
@@ -126,7 +126,7 @@ def test_a_file_of_several_frames_is_one_file(tmp_path, temporary, suffix):
     """Parallel compressors write one frame after another."""
     path = tmp_path / ("log.db3" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT) + PACK_FILE[suffix](TEXT[:100]))
-    with unpacked_copy(path) as copy:
+    with UnpackedCopy(path) as copy:
         assert copy.path.read_bytes() == TEXT + TEXT[:100]
     assert list(temporary.iterdir()) == []
 
@@ -137,7 +137,7 @@ def test_a_packed_file_cut_off_keeps_what_comes_before(tmp_path, temporary, suff
     content = os.urandom(3 << 20)
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](content)[: 2 << 20])
-    with unpacked_copy(path) as copy:
+    with UnpackedCopy(path) as copy:
         good = copy.path.read_bytes()
         assert copy.damage.endswith("data is damaged or cut off")
     assert content.startswith(good)
@@ -151,7 +151,7 @@ def test_a_packed_file_without_anything_good_leaves_no_copy(tmp_path, temporary,
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT)[:6])
     with pytest.raises(CompressionError, match="data is damaged"):
-        unpacked_copy(path)
+        UnpackedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -160,7 +160,7 @@ def test_a_file_that_is_not_packed_is_refused(tmp_path, temporary):
     path = tmp_path / "log.mcap"
     path.write_bytes(TEXT)
     with pytest.raises(CompressionError, match="it is not packed with zstd, lz4, bz2 or gzip"):
-        unpacked_copy(path)
+        UnpackedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -176,7 +176,7 @@ def test_a_copy_that_does_not_fit_says_where(tmp_path, temporary, monkeypatch):
     way = Path.open
     monkeypatch.setattr(Path, "open", lambda p, mode: Full() if mode == "wb" else way(p, mode))
     with pytest.raises(CompressionError, match=r"does not fit into .* \(No space.*; set TMPDIR to"):
-        unpacked_copy(path)
+        UnpackedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -184,7 +184,7 @@ def test_a_forgotten_copy_is_removed(tmp_path, temporary):
     """The temporary file goes with its object."""
     path = tmp_path / "log.mcap.gz"
     path.write_bytes(gzip.compress(TEXT))
-    copy = unpacked_copy(path)
+    copy = UnpackedCopy(path)
     assert len(list(temporary.iterdir())) == 1
     del copy
     assert list(temporary.iterdir()) == []

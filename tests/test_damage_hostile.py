@@ -87,9 +87,9 @@ def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):
     alone = []
     load = mcap.load
 
-    def watched(source, region):
+    def watched(*arguments):
         alone.append(threading.current_thread() is threading.main_thread())
-        return load(source, region)
+        return load(*arguments)
 
     monkeypatch.setattr(mcap, "load", watched)
     for large, expected in ((1 << 30, {False}), (SIZE // 2, {False, True})):

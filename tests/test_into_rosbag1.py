@@ -8,6 +8,7 @@ from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli import cli
+from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag1.records import RecordFile, index_offsets, walked_records
 from quatprop.formats import open_log
 
@@ -67,8 +68,8 @@ def test_chunks_stand_in_order_of_time_and_the_index_tells_them(tmp_path):
     log, out = write_bag(tmp_path / "log.bag", count=12_000), tmp_path / "out.bag"
     assert run("propagate", log, "--into", out, "-q").exit_code == 0
     starts = []
-    with out.open("rb") as stream:
-        file = RecordFile(stream)
+    with FileSource(out) as source:
+        file = RecordFile(source)
         header = file.record(13)
         at, index = header.end, header.number(b"index_pos", 8)
         places = {}

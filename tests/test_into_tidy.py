@@ -10,8 +10,6 @@ from into_logs import write_bag, write_mcap, write_rosbag2
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import open_into
-from quatprop.into.mcap_copy import McapCopy
-from quatprop.into.rosbag1_copy import BagCopy
 from quatprop.writers.messages.kinds import Message
 
 OPEN = Path("/proc/self/fd")
@@ -105,16 +103,19 @@ def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("write", "copy", "place"),
+    ("write", "place"),
     [
-        (write_mcap, McapCopy, "quatprop.into.mcap_copy.survey"),
-        (write_bag, BagCopy, "quatprop.into.rosbag1_copy.indexed"),
+        (write_mcap, "quatprop.containers.mcap.log.survey"),
+        (write_bag, "quatprop.containers.rosbag1.log.indexed"),
     ],
 )
-def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, write, copy, place):
+def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, write, place):
     """The error names the log, which is closed."""
     log = write(tmp_path / "log")
     monkeypatch.setattr(place, no_room)
-    with pytest.raises(UnreadableLogError, match=f"{log}: .*No space left on device"):
-        copy(log)
+    with (
+        pytest.raises(UnreadableLogError, match=f"{log}: .*No space left on device"),
+        open_log(log),
+    ):
+        pass
     assert opened(tmp_path) == []

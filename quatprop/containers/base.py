@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.provenance import provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Hashable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Self
 
@@ -125,22 +125,24 @@ class Losses(list[Loss]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._entries: dict[tuple[str, str], tuple[int, dict[str, int]]] = {}
+        self._entries: dict[tuple[str, str], tuple[int, dict[Hashable, int]]] = {}
 
-    def note(self, place: str, reason: str, messages: int | None = None, topic: str = "") -> None:
+    def note(
+        self, place: str, reason: str, messages: int | None = None, part: Hashable = None
+    ) -> None:
         """Add a loss unless it was noted before.
 
         Parameters
         ----------
         place, reason, messages
             As for :class:`Loss`.
-        topic
-            Of which topic the messages are, where those of others may be lost at the same place:
-            the loss then counts the messages of all topics that were read.
+        part
+            Which messages of the place they are, such as those of one topic or block: the loss
+            counts the messages of all its parts, and of a part that is read again only once.
         """
         number, counts = self._entries.setdefault((place, reason), (len(self), {}))
         if messages is not None:
-            counts[topic] = max(messages, counts.get(topic, 0))
+            counts[part] = max(messages, counts.get(part, 0))
         loss = Loss(place, reason, sum(counts.values()) if counts else None)
         self[number : number + 1] = [loss]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 
+from quatprop.containers.compression import CompressionError
 from quatprop.errors import UsageError
 from quatprop.text import quoted
 
@@ -28,6 +29,35 @@ _POWERS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 def checksums_matter() -> bool:
     """Return whether what has a wrong checksum is left out."""
     return os.environ.get(CHECKSUMS, "").strip().lower() != "ignore"
+
+
+class UnpackBudget:
+    """Counts what one reading of a log unpacks to, up to the limit.
+
+    Parameters
+    ----------
+    packed
+        Bytes of the file.
+    """
+
+    def __init__(self, packed: int) -> None:
+        self._limit = unpacked_limit(packed)
+        self._unpacked = 0
+
+    def check(self) -> None:
+        """Refuse to unpack more when more was unpacked than a log may have.
+
+        Raises
+        ------
+        CompressionError
+            The limit is exceeded.
+        """
+        if self._unpacked > self._limit:
+            raise CompressionError(too_large(self._limit))
+
+    def spend(self, size: int) -> None:
+        """Count bytes that were unpacked."""
+        self._unpacked += size
 
 
 def unpacked_limit(packed: int) -> int:

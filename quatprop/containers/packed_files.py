@@ -110,8 +110,3 @@ class UnpackedCopy:
 
     def __exit__(self, *_error: object) -> None:
         self.close()
-
-
-def unpacked_copy(path: Path) -> UnpackedCopy:
-    """Return the unpacked copy of a packed file; see :class:`UnpackedCopy`."""
-    return UnpackedCopy(path)

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog
-from quatprop.containers.mcap.regions import Source
-from quatprop.errors import DamagedLogError, MessageError, UnreadableLogError, UnsupportedLogError
+from quatprop.containers.file_source import source_of
+from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
 from quatprop.times import NS_PER_UNIT
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from quatprop.containers.file_source import FileSource
 
 HEADER_SIZE = 16
 """Magic, version and start time."""
@@ -69,7 +71,7 @@ class UlogLog(MessageLog):
 
     Parameters
     ----------
-    path
+    log
         The file.
 
     Raises
@@ -84,12 +86,9 @@ class UlogLog(MessageLog):
 
     kind = "ulog"
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        try:
-            self._source = Source(path)
-        except OSError as error:
-            raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
+    def __init__(self, log: Path | FileSource) -> None:
+        self._source = source_of(log)
+        super().__init__(self._source.path)
         try:
             records = self._walked()
         except BaseException:
@@ -171,7 +170,9 @@ class UlogLog(MessageLog):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self.losses.note(f"topic {channel.topic}", str(error.reason), len(places))
+                self.losses.note(
+                    f"topic {channel.topic}", str(error.reason), len(places), int(places[0])
+                )
                 continue
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
@@ -210,7 +211,7 @@ class UlogLog(MessageLog):
         self._source.close()
 
 
-def _walk(source: Source, position: int, end: int, records: _Records) -> None:
+def _walk(source: FileSource, position: int, end: int, records: _Records) -> None:
     """Follow records by their lengths; behind damage go on at the next mark, if there is one."""
     while position + _HEAD.size <= end:
         data = source.read(position, min(_WINDOW, end - position))
@@ -253,7 +254,7 @@ def _followed(data: bytes, base: int, records: _Records) -> int:
     return position
 
 
-def _behind_mark(source: Source, position: int, end: int) -> int:
+def _behind_mark(source: FileSource, position: int, end: int) -> int:
     """Return where the next mark ends; `end` where there is none."""
     while position < end:
         data = source.read(position, min(_WINDOW, end - position))

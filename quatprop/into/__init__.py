@@ -11,7 +11,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.formats import open_log
 from quatprop.into.log_times import LogTimes
 from quatprop.text import listed, plain, quoted
 from quatprop.writers import WRITERS, kind_of, layout_of
@@ -113,8 +112,8 @@ def open_into(  # noqa: PLR0913  # as open_writer, and what is copied
     target
         Where the copy goes.
     stamps
-        Reads, of the log opened once more, stamps of the messages that the attitudes come from
-        and when they were logged: an attitude is logged when its message was.
+        Reads the stamps of the messages that the attitudes come from, and when they were logged:
+        an attitude is logged when its message was.
     layout, comment, message
         As for :func:`quatprop.writers.open_writer`.
 
@@ -136,11 +135,6 @@ def open_into(  # noqa: PLR0913  # as open_writer, and what is copied
     if comment:
         raise UsageError(f"{kind} has no comments; leave --header-comment out")
     module, _, name = _COPIERS[log.kind][1].partition(":")
-    addition = Addition(message or Message(), LogTimes(_read_again(log, stamps)))
+    addition = Addition(message or Message(), LogTimes(stamps(log)))
     writer: AttitudeWriter = getattr(import_module(module), name)(log, target, addition)
     return writer
-
-
-def _read_again(log: Log, stamps: Stamps) -> Iterator[tuple[Int64, Int64]]:
-    with open_log(log.path, log.kind) as again:
-        yield from stamps(again)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog
+    from quatprop.containers.mcap.log import McapLog
     from quatprop.into import Addition
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
@@ -36,8 +36,8 @@ class McapPart:
 
     Parameters
     ----------
-    source
-        What is copied.
+    log
+        What is copied; it stays open until the part is finished.
     place
         Where the copy goes: a path where nothing is, or a stream.
     message
@@ -54,12 +54,12 @@ class McapPart:
         Encodes the messages as the file has them.
     """
 
-    def __init__(self, source: Path, place: Path | BinaryIO, message: Message) -> None:
+    def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
         with ExitStack() as begun:
-            self._copy = begun.enter_context(closing(McapCopy(source)))
+            self._copy = McapCopy(log)
             contents, topic = self._copy.contents, message.place
             taken = [channel.topic for channel in contents.channels.values()]
-            refuse_taken(topic, taken, source)
+            refuse_taken(topic, taken, log.path)
             told = declared(message, ros1=self._copy.header.profile == "ros1")
             self.encoder = told.encoder
             if isinstance(place, Path):
@@ -123,13 +123,13 @@ class McapInto(AttitudeWriter):
         The topic is there already.
     """
 
-    def __init__(self, log: MessageLog, target: Path | str, addition: Addition) -> None:
+    def __init__(self, log: McapLog, target: Path | str, addition: Addition) -> None:
         self._topic = addition.message.place
         self._times = addition.times
         self._output = Output(target)
         try:
             with reported(target):
-                self._part = McapPart(log.path, self._output.stream, addition.message)
+                self._part = McapPart(log, self._output.stream, addition.message)
         except BaseException:
             self._output.discard()
             raise

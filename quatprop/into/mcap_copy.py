@@ -7,31 +7,24 @@ of what tells where things are, since they are elsewhere in the copy.
 from __future__ import annotations
 
 from bisect import bisect_right
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
 
+from quatprop.containers.limits import UnpackBudget
 from quatprop.containers.mcap.messages import at_offsets, walk
-from quatprop.containers.mcap.regions import (
-    CHUNK_HEAD,
-    INDEX_HEAD,
-    RECORD,
-    RegionError,
-    Source,
-    load,
-)
+from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
 from quatprop.containers.mcap.summary import MAGIC, MALFORMED, Content, Survey, read_footer
-from quatprop.containers.mcap.survey import survey
 from quatprop.errors import DamagedLogError, UnreadableLogError
 from quatprop.writers.mcap.contents import Contents
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
+    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.log import McapLog
     from quatprop.containers.mcap.messages import Messages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
@@ -62,8 +55,8 @@ class McapCopy:
 
     Parameters
     ----------
-    path
-        The file.
+    log
+        The file, which stays open until the copy is finished.
 
     Attributes
     ----------
@@ -78,27 +71,19 @@ class McapCopy:
         The file cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with ExitStack() as opened:
-            try:
-                self._source = opened.enter_context(Source(path))
-                found = survey(self._source)
-                footer = read_footer(self._source)
-                self.header = _header(self._source)
-            except OSError as error:
-                raise UnreadableLogError(path, f"{error.strerror}; check the path") from error
-            opened.pop_all()
+    def __init__(self, log: McapLog) -> None:
+        self._path, self._source, found = log.path, log.source, log.contents
+        self._budget = UnpackBudget(self._source.size)
+        try:
+            footer = read_footer(self._source)
+            self.header = _header(self._source)
+        except OSError as error:
+            raise UnreadableLogError(log.path, f"{error.strerror}; check the path") from error
         self.contents = Contents(dict(found.schemas), dict(found.channels))
         self._regions = {region.start: region for region in found.regions}
         self._starts = sorted(self._regions)
         self._at = len(MAGIC)
         self._end: int = self._source.size if footer is None else footer.data_end
-
-    @property
-    def first_ns(self) -> int:
-        """The earliest log time, ns; 0 where there is none."""
-        return min((region.first_ns for region in self._regions.values()), default=0)
 
     def up_to(self, first_ns: int, file: McapFile) -> None:
         """Copy what comes before messages that were logged after `first_ns`."""
@@ -107,10 +92,6 @@ class McapCopy:
     def rest(self, file: McapFile) -> None:
         """Copy everything that is left."""
         self._copy(file, None)
-
-    def close(self) -> None:
-        """Close the file; harmless the second time."""
-        self._source.close()
 
     def _copy(self, file: McapFile, until: int | None) -> None:
         while self._at < self._end:
@@ -176,7 +157,7 @@ class McapCopy:
     def _index(self, region: Region, file: McapFile) -> dict[int, int]:
         """Write the message index that a chunk lacks; return where that of each channel is."""
         try:
-            data, *_ = load(self._source, region)
+            data, *_ = load(self._source, region, self._budget)
         except RegionError:
             return {}  # kept as it is; what reads its messages tells of it
         messages = at_offsets(data, walk(data).offsets)
@@ -240,7 +221,7 @@ class McapCopy:
         return data
 
 
-def _header(source: Source) -> Header:
+def _header(source: FileSource) -> Header:
     """Return the header of a file, or one that says nothing."""
     opcode, length = RECORD.unpack(source.read(len(MAGIC), RECORD.size).ljust(RECORD.size, b"\0"))
     if opcode == Opcode.HEADER:

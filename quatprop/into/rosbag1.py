@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from quatprop.into.rosbag1_copy import BagCopy
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from quatprop.containers.base import MessageLog
+    from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.into import Addition
     from quatprop.series import AttitudeSeries
 
@@ -44,7 +44,7 @@ class Rosbag1Into(AttitudeWriter):
         The topic is there already, or the message is none of ROS.
     """
 
-    def __init__(self, log: MessageLog, target: Path | str, addition: Addition) -> None:
+    def __init__(self, log: Rosbag1Log, target: Path | str, addition: Addition) -> None:
         message = addition.message
         self._times = addition.times
         self._encoder = Encoder(message, ros1=True)
@@ -52,7 +52,7 @@ class Rosbag1Into(AttitudeWriter):
         name = message.definition.name
         definition, md5sum = ros1_types().generate_msgdef(name)
         with ExitStack() as begun:
-            self._copy = begun.enter_context(closing(BagCopy(log.path)))
+            self._copy = BagCopy(log)
             refuse_taken(message.place, self._copy.topics(), log.path)
             self._output = Output(target)
             begun.callback(self._output.discard)
@@ -91,5 +91,4 @@ class Rosbag1Into(AttitudeWriter):
     def abort(self) -> None:
         """Remove what was not committed."""
         self._bag.abort()
-        self._copy.close()
         self._output.discard()

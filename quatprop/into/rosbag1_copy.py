@@ -7,13 +7,12 @@ cut off are written again with the messages that are whole.
 from __future__ import annotations
 
 from collections import defaultdict
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.rosbag1.index import content, indexed, walked
+from quatprop.containers.rosbag1.index import content
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
@@ -22,16 +21,16 @@ from quatprop.containers.rosbag1.records import (
     index_offsets,
     walked_records,
 )
-from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.errors import DamagedLogError
 from quatprop.writers.rosbag1 import records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from quatprop.containers.rosbag1.index import Chunk
+    from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
     from quatprop.writers.rosbag1.file import BagFile
 
@@ -45,8 +44,8 @@ class BagCopy:
 
     Parameters
     ----------
-    path
-        The bag; readers have it open already, so that it is one.
+    log
+        The bag, which stays open until the copy is finished.
 
     Attributes
     ----------
@@ -55,23 +54,11 @@ class BagCopy:
     free
         A number that no connection has.
 
-    Raises
-    ------
-    UnreadableLogError
-        The bag cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with ExitStack() as opened:
-            try:
-                self._handle = opened.enter_context(path.open("rb"))
-                self._file = RecordFile(self._handle)
-                header = self._file.record(len(records.MAGIC))
-                index = indexed(self._file, header) or walked(self._file, header.end)
-            except (OSError, MalformedRecordError) as error:
-                raise UnreadableLogError(path, f"{error}; check the path") from error
-            opened.pop_all()
+    def __init__(self, log: Rosbag1Log) -> None:
+        self._path, index = log.path, log.index
+        self._file = RecordFile(log.source)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
         self._next = 0
         self.connections = {
@@ -94,10 +81,6 @@ class BagCopy:
                 return
             self._next += 1
             self._copy(chunk, bag)
-
-    def close(self) -> None:
-        """Close the bag; harmless the second time."""
-        self._handle.close()
 
     def _copy(self, chunk: Chunk, bag: BagFile) -> None:
         try:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import OutputError, UnsupportedLogError
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
-from quatprop.into.mcap_copy import McapCopy
 from quatprop.into.rosbag2_metadata import extended
 from quatprop.into.topics import refuse_taken
 from quatprop.text import plain
@@ -92,6 +92,7 @@ class Rosbag2Into(AttitudeWriter):
         self._files = _files(log.path)
         self._added: list[Added] = []
         self._part: _Part | None = None
+        self._open_log = ExitStack()
         is_folder = log.path.is_dir()
         with self._reported():
             starts = [_first_ns(file) for file in self._files[1:]]
@@ -140,6 +141,7 @@ class Rosbag2Into(AttitudeWriter):
         """Remove what was not committed."""
         if self._part is not None:
             self._part.close()
+        self._open_log.close()
         self._replacement.discard()
 
     def _metadata(self, custom: Mapping[str, str]) -> str | None:
@@ -166,13 +168,17 @@ class Rosbag2Into(AttitudeWriter):
         source = self._files[len(self._added)]
         place = self._replacement.path
         place = place / source.name if self._source.is_dir() else place
-        kind = McapPart if source.suffix == ".mcap" else sqlite.SqlitePart
-        self._part = kind(source, place, self._message)
+        if source.suffix == ".mcap":
+            log = self._open_log.enter_context(McapLog(source))
+            self._part = McapPart(log, place, self._message)
+        else:
+            self._part = sqlite.SqlitePart(source, place, self._message)
         self._added.append(Added())
 
     def _finish_part(self, metadata: str | None = None) -> None:
         if self._part is not None:
             self._part.finish(metadata)
+        self._open_log.close()
 
     def _put(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
         if self._part is not None and len(log_ns):
@@ -214,5 +220,5 @@ def _files(path: Path) -> list[Path]:
 def _first_ns(file: Path) -> int:
     if file.suffix != ".mcap":
         return sqlite.first_ns(file)
-    with closing(McapCopy(file)) as copy:
-        return copy.first_ns
+    with McapLog(file) as log:
+        return min((region.first_ns for region in log.contents.regions), default=0)

@@ -277,9 +277,9 @@ def _readable(
         if not error.positions:
             raise
         # Of the same reason in several blocks each counts, however often they are read.
-        first_ns = str(block.log_ns[error.positions[0]])
+        first_ns = int(block.log_ns[error.positions[0]])
         reason, count = str(error.reason), len(error.positions)
-        log.losses.note(f"topic {channel.topic}", reason, count, topic=first_ns)
+        log.losses.note(f"topic {channel.topic}", reason, count, part=first_ns)
         return _readable(log, channel, reader, _without(block, error.positions))
 
 

@@ -5,35 +5,29 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import LARGE
+from quatprop.containers.file_source import source_of
+from quatprop.containers.limits import UnpackBudget
 from quatprop.containers.mcap.messages import at_offsets, indexed, walk, with_marks
-from quatprop.containers.mcap.metadata import recorded
+from quatprop.containers.mcap.metadata import recorded_provenance
 from quatprop.containers.mcap.picked import picked
-from quatprop.containers.mcap.regions import (
-    PEEK,
-    Loaded,
-    RegionError,
-    Source,
-    chunk_head,
-    is_plain,
-    load,
-)
+from quatprop.containers.mcap.regions import PEEK, Loaded, RegionError, chunk_head, is_plain, load
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.survey import survey
 from quatprop.containers.prefetch import Deferred, prefetch
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
-from quatprop.provenance import provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.messages import Messages
     from quatprop.containers.mcap.regions import Region
     from quatprop.containers.mcap.summary import Survey
@@ -48,8 +42,15 @@ class McapLog(MessageLog):
 
     Parameters
     ----------
-    path
+    log
         The file.
+
+    Attributes
+    ----------
+    source
+        The open file.
+    contents
+        What it holds.
 
     Raises
     ------
@@ -63,23 +64,29 @@ class McapLog(MessageLog):
 
     kind = "mcap"
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(self, log: Path | FileSource) -> None:
+        self.source = source_of(log)
+        super().__init__(self.source.path)
         try:
-            with Source(path) as source:
-                magic = source.read(0, len(MAGIC))
-                if magic != MAGIC:
-                    self._refuse(magic)
-                found = survey(source)
-        except OSError as error:
-            raise self._unreadable(error) from error
+            magic = self.source.read(0, len(MAGIC))
+            if magic != MAGIC:
+                self._refuse(magic)
+            found = survey(self.source)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, OSError):
+                raise self._unreadable(error) from error
+            raise
+        self.contents = found
         self._regions = found.regions
         self._ids = _by_identity(found)
         self._stated = found.counts
         self.losses = found.losses
         if self.losses and not (self._ids or self._regions):
             first = self.losses[0]
-            raise DamagedLogError(path, f"nothing of it can be read; {first.place}: {first.reason}")
+            raise DamagedLogError(
+                self.path, f"nothing of it can be read; {first.place}: {first.reason}"
+            )
 
     def _refuse(self, magic: bytes) -> None:
         if len(magic) == len(MAGIC) and magic[:5] + magic[6:] == MAGIC[:5] + MAGIC[6:]:
@@ -123,11 +130,8 @@ class McapLog(MessageLog):
         regions.sort(key=lambda region: (region.first_ns, region.start))
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
         found = 0
-        try:
-            source = Source(self.path)
-        except OSError as error:
-            raise self._unreadable(error) from error
-        with source, closing(_each(source, ids, regions)) as loaded:
+        load_one = partial(_load, self.source, UnpackBudget(self.source.size), ids)
+        with closing(_each(self.source, load_one, regions)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _total([region], ids)
@@ -143,18 +147,16 @@ class McapLog(MessageLog):
                     yield _block(data, messages, bound)
         self._check_count(channel.topic, ids, found)
 
-    def provenance(self, topic: str) -> dict[str, Any]:
-        """Return how a topic came about, as a metadata record may say; empty where none does.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
+    def recorded_provenance(self) -> dict[str, str]:
+        """Return the provenance of each topic, which a metadata record may carry, as JSON."""
         try:
-            return provenance_of(recorded(self.path), topic, self.path)
+            return recorded_provenance(self.source)
         except OSError as error:
             raise self._unreadable(error) from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self.source.close()
 
     def _check_count(self, topic: str, ids: Sequence[int], told: int) -> None:
         """Note when the file states more messages than were read or told as lost."""
@@ -217,30 +219,28 @@ def _type_name(name: str, encoding: str) -> str:
 
 
 def _each(
-    source: Source, ids: Sequence[int], regions: Sequence[Region]
+    source: FileSource, load_one: Callable[[Region], Content], regions: Sequence[Region]
 ) -> Generator[Content, None, None]:
     """Load regions one after another, ahead where that is worth threads: where they are packed."""
-    if regions and not is_plain(source, regions[0]):
-        loaded: Generator[Content, None, None]
-        loaded = prefetch(partial(_load_or_wait, source, ids), regions)
-        yield from loaded
-    else:
-        yield from (_load(source, ids, region) for region in regions)
+
+    def load_or_defer(region: Region) -> Content | Deferred[Content]:
+        """Load a region; one that would be large only when it is asked for."""
+        start = source.read(region.start, PEEK) if region.is_chunk else b""
+        head = chunk_head(start, region.length)
+        is_large = head is not None and head.size > LARGE
+        return Deferred(partial(load_one, region)) if is_large else load_one(region)
+
+    if not regions or is_plain(source, regions[0]):
+        yield from map(load_one, regions)
+        return
+    loaded: Generator[Content, None, None] = prefetch(load_or_defer, regions)
+    yield from loaded
 
 
-def _load_or_wait(
-    source: Source, ids: Sequence[int], region: Region
-) -> Content | Deferred[Content]:
-    """Load a region; one that would be large only when it is asked for."""
-    load_now = partial(_load, source, ids, region)
-    head = chunk_head(source.read(region.start, PEEK), region.length) if region.is_chunk else None
-    return Deferred(load_now) if head is not None and head.size > LARGE else load_now()
-
-
-def _load(source: Source, ids: Sequence[int], region: Region) -> Content:
+def _load(source: FileSource, budget: UnpackBudget, ids: Sequence[int], region: Region) -> Content:
     """Return the picked messages of a region with the bytes around them, or all of it."""
     try:
-        return picked(source, region, ids) or load(source, region)
+        return picked(source, region, ids) or load(source, region, budget)
     except RegionError as error:
         return error
 

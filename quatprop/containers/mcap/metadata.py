@@ -10,27 +10,28 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 
-from quatprop.containers.mcap.regions import RECORD, Source
+from quatprop.containers.mcap.regions import RECORD
 from quatprop.containers.mcap.summary import read_footer
 from quatprop.provenance import METADATA_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
+
+    from quatprop.containers.file_source import FileSource
 
 _METADATA, _METADATA_INDEX = 12, 13
 _LARGEST = 1 << 24
 _DAMAGE = (McapError, struct.error, ValueError)
 
 
-def recorded(path: Path) -> dict[str, str]:
+def recorded_provenance(source: FileSource) -> dict[str, str]:
     """Return the provenance of each topic, as JSON; under ``""`` that of all others.
 
     They are found through the summary: a file that was cut off before it says nothing.
 
     Parameters
     ----------
-    path
+    source
         The file.
 
     Raises
@@ -38,12 +39,11 @@ def recorded(path: Path) -> dict[str, str]:
     OSError
         The file cannot be read.
     """
-    with Source(path) as source:
-        said = [_read(source, place) for place in _places(source)]
-    return {one.get("topic", ""): one["provenance"] for one in said if "provenance" in one}
+    records = [_read(source, place) for place in _places(source)]
+    return {one.get("topic", ""): one["provenance"] for one in records if "provenance" in one}
 
 
-def _places(source: Source) -> Iterator[int]:
+def _places(source: FileSource) -> Iterator[int]:
     """Yield where the records of this package are, by the index of the summary."""
     footer = read_footer(source)
     if footer is None or not 0 < footer.footer_start - footer.summary_start <= _LARGEST:
@@ -63,7 +63,7 @@ def _places(source: Source) -> Iterator[int]:
         position += length
 
 
-def _read(source: Source, place: int) -> dict[str, str]:
+def _read(source: FileSource, place: int) -> dict[str, str]:
     """Return what one record says; nothing where it is damaged."""
     head = source.read(place, RECORD.size)
     if len(head) < RECORD.size:

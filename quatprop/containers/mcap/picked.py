@@ -15,11 +15,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.messages import Messages
-    from quatprop.containers.mcap.regions import Region, Source
+    from quatprop.containers.mcap.regions import Region
 
 
-def picked(source: Source, region: Region, ids: Sequence[int]) -> tuple[Buffer, Messages] | None:
+def picked(
+    source: FileSource, region: Region, ids: Sequence[int]
+) -> tuple[Buffer, Messages] | None:
     """Return the messages of some channels, read stretch after stretch.
 
     Parameters

@@ -9,19 +9,17 @@ bytes of content, all little-endian.
 from __future__ import annotations
 
 import struct
-import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
 from quatprop.containers.compression import CompressionError, decompress, front
-from quatprop.containers.limits import CHECKSUMS, checksums_matter, too_large, unpacked_limit
+from quatprop.containers.limits import CHECKSUMS, checksums_matter
 
 if TYPE_CHECKING:
-    from pathlib import Path
-    from typing import Self
-
     from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.limits import UnpackBudget
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 5, 6, 7, 15
 """Opcodes."""
@@ -39,55 +37,6 @@ INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and size of the entries of a message index."""
 INDEX_ENTRY = 16
 """Bytes of one entry of a message index: log time and offset."""
-
-
-class Source:
-    """A file that several threads read at given places.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("rb", buffering=0)
-        self._lock = threading.Lock()
-        self.size = self._file.seek(0, 2)
-        self._unpacked = 0
-        self._limit = unpacked_limit(self.size)
-
-    def unpacks(self, size: int) -> None:
-        """Count bytes that were unpacked.
-
-        Raises
-        ------
-        RegionError
-            There were more already than a file may have.
-        """
-        if self._unpacked > self._limit:
-            raise RegionError(too_large(self._limit))
-        self._unpacked += size
-
-    def read(self, start: int, length: int) -> bytes:
-        """Return the bytes from `start`, fewer than `length` at the end of the file."""
-        length = max(0, min(length, self.size - start))
-        with self._lock:
-            self._file.seek(start)
-            data = self._file.read(length)
-            while len(data) < length and (more := self._file.read(length - len(data))):
-                data += more
-        return data
-
-    def close(self) -> None:
-        """Close the file; harmless the second time."""
-        self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
 
 
 @dataclass(slots=True)
@@ -156,7 +105,7 @@ class RegionError(Exception):
         self.reason = reason
 
 
-def is_plain(source: Source, region: Region) -> bool:
+def is_plain(source: FileSource, region: Region) -> bool:
     """Tell whether a region is a chunk that is not compressed, and begins where it should."""
     if not region.is_chunk:
         return False
@@ -189,7 +138,7 @@ TORN = "the file ends inside it"
 """The damage of what a recorder was writing when it died."""
 
 
-def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
+def load(source: FileSource, region: Region, budget: UnpackBudget, *, check: bool = True) -> Loaded:
     """Read a region, its message index with it, and unpack it.
 
     Parameters
@@ -198,6 +147,8 @@ def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
         The file.
     region
         Where in it.
+    budget
+        How much may be unpacked.
     check
         Whether to refuse a chunk whose checksum is wrong.
 
@@ -217,15 +168,15 @@ def load(source: Source, region: Region, *, check: bool = True) -> Loaded:
     chunk = chunk_head(raw, region.length)
     if chunk is None:
         raise RegionError("no chunk of the indexed length begins there")
-    source.unpacks(0)
     packed = memoryview(raw)[chunk.begin : chunk.end]
-    if is_torn:
-        return Loaded(front(packed, chunk.compression, chunk.size), raw, damage)
     try:
+        budget.check()
+        if is_torn:
+            return Loaded(front(packed, chunk.compression, chunk.size), raw, damage)
         data = decompress(packed, chunk.compression, chunk.size)
     except CompressionError as error:
         raise RegionError(error.reason) from error
-    source.unpacks(len(data) if chunk.compression else 0)
+    budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise RegionError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "

@@ -28,7 +28,7 @@ from quatprop.containers.mcap.regions import (
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from quatprop.containers.mcap.regions import Source
+    from quatprop.containers.file_source import FileSource
 
 CHUNKS = frozenset({CHUNK})
 """What is looked for where the messages of a plain chunk would be found too."""
@@ -52,7 +52,7 @@ _DATA_END_SIZE = 4
 
 
 def next_record(
-    source: Source, start: int, stop: int, end: int, kinds: Container[int]
+    source: FileSource, start: int, stop: int, end: int, kinds: Container[int]
 ) -> int | None:
     """Return where the first record that is one beyond doubt begins.
 
@@ -98,7 +98,7 @@ def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
     return np.flatnonzero(could).tolist()
 
 
-def _is_believed(source: Source, position: int, end: int) -> bool:
+def _is_believed(source: FileSource, position: int, end: int) -> bool:
     """Tell whether a record begins at a place, and not by chance."""
     for _ in range(_CHAIN):
         head = source.read(position, PEEK)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.containers.compression import Buffer
-    from quatprop.containers.mcap.regions import Source
+    from quatprop.containers.file_source import FileSource
 
 MAGIC = b"\x89MCAP0\r\n"
 """How every MCAP file begins and ends."""
@@ -101,7 +101,7 @@ class Footer:
     crc: int
 
 
-def read_footer(source: Source) -> Footer | None:
+def read_footer(source: FileSource) -> Footer | None:
     """Return the footer, or None where the file does not end with one."""
     start = source.size - _TAIL
     tail = source.read(start, _TAIL) if start >= len(MAGIC) else b""
@@ -135,7 +135,7 @@ class Summary:
         return bool(self.found.channels or self.chunks)
 
 
-def read_summary(source: Source, footer: Footer) -> Summary:
+def read_summary(source: FileSource, footer: Footer) -> Summary:
     """Return the summary, or an empty one where there is none or it is damaged."""
     size = footer.footer_start - footer.summary_start
     if footer.summary_start == 0 or size > MAX_SIZE:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.limits import checksums_matter
+from quatprop.containers.limits import UnpackBudget, checksums_matter
 from quatprop.containers.mcap.messages import at_offsets, walk
 from quatprop.containers.mcap.regions import (
     CHANNEL,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
     from quatprop.containers.compression import Buffer
-    from quatprop.containers.mcap.regions import Source
+    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.summary import Footer, Survey
 
 _STRETCH = 1 << 22
@@ -50,7 +51,7 @@ _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 _FIRST_PRIVATE_OPCODE = 0x80
 
 
-def survey(source: Source) -> Survey:
+def survey(source: FileSource) -> Survey:
     """Find out what a file that begins with :data:`MAGIC` holds.
 
     Parameters
@@ -86,14 +87,14 @@ def survey(source: Source) -> Survey:
     return found
 
 
-def _end_of_data(source: Source, footer: Footer | None, summary: Summary) -> int:
+def _end_of_data(source: FileSource, footer: Footer | None, summary: Summary) -> int:
     """Return where the scan ends at the latest."""
     if footer is None:
         return source.size
     return footer.data_end if summary else footer.footer_start
 
 
-def _where_it_says(source: Source, summary: Summary) -> dict[int, Region]:
+def _where_it_says(source: FileSource, summary: Summary) -> dict[int, Region]:
     """Return the chunks of the summary; none where bytes are missing or too many before the last.
 
     What else it says stands then all the same.
@@ -104,7 +105,7 @@ def _where_it_says(source: Source, summary: Summary) -> dict[int, Region]:
     return summary.chunks if chunk_head(_beginning(source, last.start), last.length) else {}
 
 
-def _beginning(source: Source, position: int) -> bytes:
+def _beginning(source: FileSource, position: int) -> bytes:
     return source.read(position, PEEK)
 
 
@@ -127,7 +128,7 @@ class _Scan:
         Where the record ends that ends the data; 0 while there is none.
     """
 
-    def __init__(self, source: Source, end: int, known: dict[int, Region]) -> None:
+    def __init__(self, source: FileSource, end: int, known: dict[int, Region]) -> None:
         self.source = source
         self.end = end
         self.known = known
@@ -285,26 +286,29 @@ class _Scan:
         return position + walked.end
 
 
-def _look_inside(source: Source, found: Survey, *, is_complete: bool) -> None:
+def _look_inside(source: FileSource, found: Survey, *, is_complete: bool) -> None:
     """Read the chunks that may hold channels and schemas not seen yet."""
     suspect = []
+    take = partial(_take_definitions, source, found, UnpackBudget(source.size))
     for region in found.regions:
         if region.holds is None:
             wanted = not is_complete or not all(map(found.is_defined, found.channels))
         else:
             wanted = not all(map(found.is_defined, region.holds))
-        if wanted and not _take_definitions(source, found, region, check=True):
+        if wanted and not take(region, check=True):
             suspect.append(region)  # told when its messages are wanted
     # What a chunk with a wrong checksum says of channels is better than nothing.
     for region in suspect:
         if not (is_complete and all(map(found.is_defined, found.channels))):
-            _take_definitions(source, found, region, check=False)
+            take(region, check=False)
 
 
-def _take_definitions(source: Source, found: Survey, region: Region, *, check: bool) -> bool:
+def _take_definitions(
+    source: FileSource, found: Survey, budget: UnpackBudget, region: Region, *, check: bool
+) -> bool:
     """Take what a region defines; return whether it can be read."""
     try:
-        loaded = load(source, region, check=check)
+        loaded = load(source, region, budget, check=check)
     except RegionError:
         return False
     data = loaded.data

@@ -14,6 +14,8 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
+from quatprop.containers.file_source import source_of
+from quatprop.containers.limits import UnpackBudget
 from quatprop.containers.prefetch import prefetch
 from quatprop.containers.rosbag1.index import Chunk, Content, Index, content, indexed, walked
 from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.file_source import FileSource
+
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
 
@@ -44,12 +48,19 @@ class Rosbag1Log(MessageLog):
 
     Parameters
     ----------
-    path
+    log
         The file.
+
+    Attributes
+    ----------
+    source
+        The open file.
+    index
+        What it holds.
 
     Raises
     ------
-    OSError
+    UnreadableLogError
         It is missing or not permitted.
     UnsupportedLogError
         It is of another format version, or encrypted.
@@ -59,14 +70,14 @@ class Rosbag1Log(MessageLog):
 
     kind = "bag"
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._handle = path.open("rb")
+    def __init__(self, log: Path | FileSource) -> None:
+        self.source = source_of(log)
+        super().__init__(self.source.path)
+        self._file = RecordFile(self.source)
         try:
-            self._file = RecordFile(self._handle)
-            index = self._index()
+            self.index = index = self._index()
         except BaseException:
-            self._handle.close()
+            self.close()
             raise
         self.losses = index.losses
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
@@ -144,8 +155,7 @@ class Rosbag1Log(MessageLog):
         wanted = {conn for conn, found in self._channels.items() if found == channel}
         chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
-        self._file.restart()
-        load = partial(self._messages, wanted)
+        load = partial(self._messages, wanted, UnpackBudget(self.source.size))
         # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
         packed = chunks and self._is_packed(chunks[0])
         with closing(prefetch(load, chunks) if packed else (load(one) for one in chunks)) as found:
@@ -169,16 +179,16 @@ class Rosbag1Log(MessageLog):
             return False
 
     def _messages(
-        self, wanted: set[int], chunk: Chunk
+        self, wanted: set[int], budget: UnpackBudget, chunk: Chunk
     ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
         """Read a chunk and find the messages of some connections in it; say what is damaged."""
         part = picked(self._file, chunk, wanted)
         if part is not None and (few := _indexed(part, chunk, wanted)) is not None:
             return part.data, few, ""
         try:
-            self._file.unpacks(0)
+            budget.check()
             loaded = content(self._file, chunk)
-            self._file.unpacks(0 if chunk.loose else len(loaded.data))
+            budget.spend(0 if chunk.loose else len(loaded.data))
         except (MalformedRecordError, CompressionError) as error:
             loaded = Content(np.empty(0, np.uint8), {}, str(error))
         if not loaded.damage:
@@ -189,7 +199,7 @@ class Rosbag1Log(MessageLog):
 
     def close(self) -> None:
         """Close the file."""
-        self._handle.close()
+        self.source.close()
 
 
 def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns | None:

@@ -12,20 +12,19 @@ ROS wiki, "Bags/Format/2.0".
 from __future__ import annotations
 
 import struct
-import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.limits import too_large, unpacked_limit
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import BinaryIO
 
     from numpy.typing import NDArray
+
+    from quatprop.containers.file_source import FileSource
 
     Buffer = bytes | memoryview
 
@@ -87,44 +86,22 @@ class Record:
 
 
 class RecordFile:
-    """Reads records from a bag, in several threads, without believing a length beyond its end.
+    """Reads records from a bag without believing a length beyond its end.
 
     Parameters
     ----------
-    file
+    source
         The open bag.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._lock = threading.Lock()
-        self.size = file.seek(0, 2)
-        self._unpacked = 0
-        self._limit = unpacked_limit(self.size)
-
-    def unpacks(self, size: int) -> None:
-        """Count bytes that were unpacked since the bag was opened, or read again.
-
-        Raises
-        ------
-        MalformedRecordError
-            There were more already than a file may have.
-        """
-        if self._unpacked > self._limit:
-            raise MalformedRecordError(too_large(self._limit))
-        self._unpacked += size
-
-    def restart(self) -> None:
-        """Count anew: a bag may be read more than once."""
-        self._unpacked = 0
+    def __init__(self, source: FileSource) -> None:
+        self._source = source
+        self.size = source.size
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer at the end of the file."""
-        start = min(start, self.size)
         try:
-            with self._lock:
-                self._file.seek(start)
-                return self._file.read(min(size, self.size - start))
+            return self._source.read(start, size)
         except OSError as error:
             # A worn card fails at one place; the rest of the bag is still good.
             raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.packed_files import UnpackedCopy, file_compression, unpacked_copy
+from quatprop.containers.packed_files import UnpackedCopy, file_compression
 from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
@@ -96,7 +96,7 @@ class Rosbag2Log(MessageLog):
             with file.open("rb") as opened:
                 head = opened.read(16)
             if file_compression(head):
-                part.copy = unpacked_copy(file)
+                part.copy = UnpackedCopy(file)
                 if part.copy.damage:
                     self._note(part, [Loss("end of the file", part.copy.damage)])
             with self._opened(part) as log:

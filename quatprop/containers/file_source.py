@@ -1,0 +1,96 @@
+"""A file that is opened once and read at places, from several threads."""
+
+from __future__ import annotations
+
+import os
+import stat
+import weakref
+from typing import TYPE_CHECKING
+
+from quatprop.errors import UnreadableLogError
+from quatprop.text import quoted
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from typing import Self
+
+
+class FileSource:
+    """A file that several threads may read at once.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    size
+        Its length when it was opened, bytes; a recorder may still append to it.
+
+    Raises
+    ------
+    UnreadableLogError
+        It is missing, not permitted, or no file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = os.open(path, os.O_RDONLY)
+        except OSError as error:
+            raise UnreadableLogError(path, os_reason(error)) from error
+        # Also runs when the log that reads from it is no longer used, whoever forgot to close it.
+        self._close = weakref.finalize(self, os.close, self._file)
+        status = os.fstat(self._file)
+        self.size = status.st_size
+        if not stat.S_ISREG(status.st_mode):
+            self.close()
+            what = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+            raise UnreadableLogError(path, f"it is {what}, not a file; name a file")
+
+    def read(self, start: int, length: int) -> bytes:
+        """Return the bytes from `start`, fewer than `length` at the end of the file.
+
+        Raises
+        ------
+        OSError
+            The medium is damaged there.
+        """
+        length = max(0, min(length, self.size - start))
+        data = os.pread(self._file, length, start)
+        while len(data) < length:
+            more = os.pread(self._file, length - len(data), start + len(data))
+            if not more:
+                break
+            data += more
+        return data
+
+    def close(self) -> None:
+        """Close the file; harmless the second time."""
+        self._close()
+        self._file = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+
+def source_of(log: Path | FileSource) -> FileSource:
+    """Return a file opened for reading, or the open file that it is already."""
+    return log if isinstance(log, FileSource) else FileSource(log)
+
+
+def os_reason(error: OSError) -> str:
+    """Return why a file cannot be read, as the end of a sentence about it."""
+    match error:
+        case FileNotFoundError():
+            return "no such file or folder; check the path"
+        case PermissionError():
+            return "no permission to read it; check its owner and mode"
+        case _:
+            return f"it cannot be read: {quoted(error.strerror or error)}"

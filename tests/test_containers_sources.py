@@ -1,0 +1,105 @@
+"""Files that logs are read from: opened once, read from several threads, recognised as files."""
+
+import os
+import sys
+import threading
+from collections import Counter
+
+import pytest
+from click.testing import CliRunner
+from into_logs import write_bag, write_mcap
+from test_containers_ulog import added, gyro, write
+
+from quatprop.cli import cli
+from quatprop.containers.file_source import FileSource
+from quatprop.errors import UnreadableLogError
+from quatprop.formats import open_log
+
+OPENED: Counter[str] | None = None
+
+
+def count_opens(event, arguments):
+    """Count files that are opened for reading while a test asks for it."""
+    if OPENED is not None and event == "open" and isinstance(arguments[0], str | os.PathLike):
+        OPENED[os.fspath(arguments[0])] += 1
+
+
+sys.addaudithook(count_opens)
+
+
+def make_log(path):
+    """Write a small log with rates in the format of its suffix."""
+    if path.suffix == ".mcap":
+        return write_mcap(path)
+    if path.suffix == ".bag":
+        return write_bag(path)
+    write(path, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 500_000, 5000), 1e-6))
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".bag", ".ulg"])
+@pytest.mark.parametrize("into", [False, True])
+def test_a_run_opens_its_log_once(tmp_path, monkeypatch, suffix, into):
+    """Channels, messages, provenance and copies share one open file.
+
+    The SHA-256 of the log is taken in a thread that opens it for itself.
+    """
+    if into and suffix == ".ulg":
+        pytest.skip("attitudes are not added to ULog")
+    log = make_log(tmp_path / f"log{suffix}")
+    target = ["--into", str(tmp_path / f"out{suffix}")] if into else ["-o", str(tmp_path / "o.csv")]
+    monkeypatch.setattr(sys.modules[__name__], "OPENED", Counter())
+    result = CliRunner().invoke(cli, ["propagate", str(log), *target])
+    assert result.exit_code == 0, result.output
+    assert OPENED[str(log)] == 1 + 1
+
+
+def test_info_opens_a_log_once(tmp_path, monkeypatch):
+    """Without the SHA-256, nothing opens it a second time."""
+    log = make_log(tmp_path / "log.mcap")
+    monkeypatch.setattr(sys.modules[__name__], "OPENED", Counter())
+    assert CliRunner().invoke(cli, ["info", str(log)]).exit_code == 0
+    assert OPENED[str(log)] == 1
+
+
+def test_threads_read_at_their_own_places(tmp_path):
+    """No thread moves the place at which another reads."""
+    path = tmp_path / "numbers"
+    path.write_bytes(b"".join(number.to_bytes(4, "big") for number in range(50_000)))
+    wrong = []
+
+    def read(first):
+        numbers = range(first, 50_000, 7)
+        wrong.extend(n for n in numbers if source.read(4 * n, 4) != n.to_bytes(4, "big"))
+
+    with FileSource(path) as source:
+        threads = [threading.Thread(target=read, args=(first,)) for first in range(7)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert wrong == []
+
+
+def test_reading_ends_with_the_file(tmp_path):
+    """Beyond the end there is nothing, and no error."""
+    path = tmp_path / "file"
+    path.write_bytes(b"0123")
+    with FileSource(path) as source:
+        assert source.size == 4
+        assert source.read(2, 10) == b"23"
+        assert source.read(9, 1) == b""
+    source.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_refused_with_the_way_out(tmp_path):
+    """Bytes that were read to recognise a log cannot be read again from a pipe."""
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    end = os.open(pipe, os.O_RDWR)
+    try:
+        with pytest.raises(UnreadableLogError, match=r"pipe.csv: it is a pipe or a device"):
+            open_log(pipe).__enter__()
+    finally:
+        os.close(end)
