@@ -9,19 +9,27 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from quatprop.errors import UsageError
 from quatprop.text import quoted
 
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    import numpy as np
+    from numpy.typing import NDArray
+
 NS_PER_S = 1_000_000_000
 """Nanoseconds in a second."""
+
+_LONGEST_NS = 2**63 - 1
 
 NS_PER_UNIT = {
     "ns": 1,
     "us": 1_000,
     "ms": 1_000_000,
-    "s": 1_000_000_000,
+    "s": NS_PER_S,
     "m": 60_000_000_000,
     "h": 3_600_000_000_000,
 }
@@ -82,8 +90,48 @@ def utc_text(ns: int) -> str:
     >>> utc_text(1_700_000_000_500_000_000)
     '2023-11-14T22:13:20Z'
     """
-    moment = datetime(1970, 1, 1) + timedelta(seconds=ns // NS_PER_UNIT["s"])  # noqa: DTZ001  # UTC
+    moment = datetime(1970, 1, 1) + timedelta(seconds=ns // NS_PER_S)  # noqa: DTZ001  # UTC
     return moment.isoformat(timespec="seconds") + "Z"
+
+
+def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
+    """Return the stamps of regular samples, without drift.
+
+    Parameters
+    ----------
+    start, stop
+        The samples from `start` up to, not including, `stop`.
+    rate
+        Samples a second, Hz.
+
+    Returns
+    -------
+    ndarray
+        Sample number / rate rounded down, shape ``(stop - start,)``, int64, ns.
+
+    Raises
+    ------
+    UsageError
+        A stamp does not fit in int64.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> regular_stamps(2, 4, Fraction(3)).tolist()
+    [666666666, 1000000000]
+    """
+    import numpy as np
+
+    period, divisor = NS_PER_S * rate.denominator, rate.numerator
+    if max(abs(start), abs(stop)) * period // divisor > _LONGEST_NS:
+        raise UsageError(
+            f"at {float(rate):.6g} Hz the times of {stop} samples do not fit in int64 ns"
+        )
+    # The first in unbounded integers, the others relative to it, in 64 bits where they fit.
+    whole, rest = divmod(start * period, divisor)
+    small = (stop - start) * period + divisor <= _LONGEST_NS
+    relative = np.arange(stop - start, dtype=np.int64 if small else object) * period + rest
+    return np.asarray(whole + relative // divisor, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,4 +191,4 @@ def _rfc3339_ns(text: str, match: re.Match[str]) -> int:
         raise UsageError(f"{quoted(text)} is not a time: {error}") from None
     whole = moment - datetime(1970, 1, 1, tzinfo=UTC)
     seconds = whole.days * 86_400 + whole.seconds
-    return seconds * NS_PER_UNIT["s"] + int((fraction or "").ljust(9, "0"))
+    return seconds * NS_PER_S + int((fraction or "").ljust(9, "0"))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import pyulog
 from px4_messages import DEFINITIONS, write_mcap
+from streams import propagated
 
 from quatprop.containers import ulog
 from quatprop.containers.ulog import SYNC
 from quatprop.errors import AmbiguousTopicError, DamagedLogError, SchemaError, UnsupportedLogError
 from quatprop.formats import open_log
-from quatprop.kinematics.propagate import propagate
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
@@ -174,7 +174,7 @@ def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):
     ]
     path = write(tmp_path / "log.ulg", added("vehicle_imu", 0, 1), *messages)
     series, _ = read(path)
-    *_, last = propagate([series])
+    *_, last = propagated([series])
     assert geodesic_angle(last.wxyz[-1], exp([0.75, 0, 0])) < 1e-15
 
 

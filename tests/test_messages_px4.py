@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from px4_messages import write_mcap, zeros
+from streams import propagated
 
 from quatprop.errors import SchemaError
 from quatprop.formats import open_log
-from quatprop.kinematics.propagate import attitudes, propagate
+from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.pipeline.job import Job, run
 from quatprop.selection import RateSelection
@@ -68,7 +69,7 @@ def test_increments_are_not_integrated_again(tmp_path):
     assert source.integration_rule("start") == "increments"
     assert source.method_remarks("start") == []
     assert series.span_ns.tolist() == (spans * 1000).tolist()
-    *_, last = propagate([series])
+    *_, last = propagated([series])
     whole = np.cumsum(angle[1:].astype(np.float64))
     truth = exp(np.stack([0 * whole, whole, 0 * whole], axis=1))
     assert geodesic_angle(last.wxyz[1:], truth).max() < 1e-13

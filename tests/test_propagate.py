@@ -7,12 +7,13 @@ import oracle
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from streams import propagated
 
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.increments import METHODS
-from quatprop.kinematics.propagate import TILE, attitudes, propagate
+from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
-from quatprop.series import BLOCK, GyroSeries
+from quatprop.series import BLOCK, GyroSeries, reblock
 
 SECOND = 1_000_000_000
 Z_AXIS = np.array([0.0, 0.0, 1.0])
@@ -207,7 +208,7 @@ def test_batches_do_not_matter(data):
     t_ns, rate = noisy(count, count, scale)
     whole = attitudes(t_ns, rate, method=method, rates=rates)
     stream = batches(t_ns, rate, data.draw(cuts(count)))
-    stamps, q = joined(propagate(stream, method=method, rates=rates))
+    stamps, q = joined(propagated(stream, method=method, rates=rates))
     assert np.array_equal(stamps, t_ns)
     assert q.tobytes() == whole.tobytes()
 
@@ -215,7 +216,7 @@ def test_batches_do_not_matter(data):
 def test_batches_of_one_sample_do_not_matter():
     """A stream of single samples gives the same bits as the whole series."""
     t_ns, rate = noisy(5, 3000)
-    _, q = joined(propagate(batches(t_ns, rate, range(3001))))
+    _, q = joined(propagated(batches(t_ns, rate, range(3001))))
     assert q.tobytes() == attitudes(t_ns, rate).tobytes()
 
 
@@ -230,13 +231,29 @@ def test_memory_order_does_not_matter():
     assert attitudes(t_ns[::-1].copy()[::-1], rate[::-1].copy()[::-1]).tobytes() == same.tobytes()
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_the_final_attitude_alone_is_that_of_the_series(data):
+    """The reduction ends where the series does, to the bit at the end of a tile."""
+    count = data.draw(st.sampled_from([1, 2, 9, 17, 100, TILE - 1, TILE, TILE + 1, BLOCK + 77]))
+    method = data.draw(st.sampled_from(sorted(METHODS)))
+    rates = data.draw(st.sampled_from(["body", "inertial"]))
+    t_ns, rate = noisy(count, count, data.draw(st.sampled_from([1e-4, 1.0, 30.0])))
+    q0 = [0.1, -0.7, 0.3, 0.5]
+    final = FinalAttitude(q0, method, rates)
+    for block in reblock(batches(t_ns, rate, data.draw(cuts(count)))):
+        final.advance(block)
+    whole = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)[-1]
+    assert np.abs(final.wxyz - whole).max() <= (0 if count == TILE else 1e-15)
+
+
 def test_what_was_given_is_never_changed():
     """A series handed out, and the rates handed in, stay as they were."""
     t_ns, rate = noisy(7, 2 * BLOCK)
     before = rate.copy()
     series = []
     copies = []
-    for block in propagate([GyroSeries(t_ns, rate)], rates="inertial"):
+    for block in propagated([GyroSeries(t_ns, rate)], rates="inertial"):
         series.append(block)
         copies.append(block.wxyz.copy())
     assert np.array_equal(rate, before)
@@ -252,7 +269,7 @@ def test_stream_is_lazy():
             given_out.append(part)
             yield GyroSeries(*noisy(part, BLOCK // 2))
 
-    stream = propagate(source())
+    stream = propagated(source())
     assert not given_out
     assert len(next(stream)) == BLOCK
     assert given_out == [0, 1]
@@ -264,8 +281,8 @@ def test_stream_is_lazy():
 def test_nothing_gives_nothing():
     """No batches, or only empty ones, give no series; no samples give no rows."""
     empty = GyroSeries(np.empty(0, np.int64), np.empty((0, 3)))
-    assert not list(propagate([]))
-    assert not list(propagate([empty, empty]))
+    assert not list(propagated([]))
+    assert not list(propagated([empty, empty]))
     assert attitudes(empty.t_ns, empty.rate).shape == (0, 4)
 
 
@@ -321,15 +338,15 @@ def test_length_of_q0_does_not_matter():
 def test_bad_q0_is_refused_at_once(q0, message):
     """What is no quaternion is refused before any sample is asked for."""
     with pytest.raises(SeriesError, match=message):
-        propagate([], q0=q0)
+        Propagation(q0, "start", "body")
 
 
 def test_unknown_method_and_frame_are_refused_at_once():
     """A misspelt option is refused before any sample is asked for."""
     with pytest.raises(UsageError, match=r"^there is no method 'Start'; choose one of 'start', "):
-        propagate([], method="Start")
+        Propagation([1, 0, 0, 0], "Start", "body")
     with pytest.raises(UsageError, match=r"^there is no frame 'world'; choose one of 'body', "):
-        propagate([], rates="world")
+        FinalAttitude([1, 0, 0, 0], "start", "world")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
@@ -339,7 +356,7 @@ def test_rates_that_are_no_numbers_are_refused(bad):
     rate[BLOCK + 20, 1] = bad
     message = f"^The attitude of sample {BLOCK + 21} is not finite; "
     with pytest.raises(SeriesError, match=message):
-        list(propagate([GyroSeries(t_ns, rate)]))
+        list(propagated([GyroSeries(t_ns, rate)]))
 
 
 def test_blocks_are_whole_tiles():

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from quatprop.kinematics.quaternion import (
     IDENTITY,
     conjugate,
     exp,
+    from_matrix,
     geodesic_angle,
     half_angle,
     log,
@@ -18,6 +19,7 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotate,
     rotation_matrix,
+    slerp,
 )
 
 QI, QJ, QK = np.eye(4)[1:]
@@ -218,3 +220,40 @@ def test_equal_attitudes_are_no_angle_apart():
     q = np.random.default_rng(4).normal(size=(10_000, 4))
     assert geodesic_angle(q, q).max() == 0.0
     assert geodesic_angle(q, -q).max() == 0.0
+
+
+@given(SEEDS, st.floats(0, 1))
+def test_slerp_agrees_with_scipy(seed, fraction):
+    """Between any two attitudes, of either sign, it goes the shorter way at a constant rate."""
+    p, q = some_quaternions(seed, 2)
+    rotations = Rotation.from_quat(np.array([p, q]), scalar_first=True)
+    expected = Slerp([0, 1], rotations)(fraction).as_quat(scalar_first=True)
+    assert geodesic_angle(slerp(p, q, fraction), expected) < 1e-14
+    assert geodesic_angle(slerp(p, -q, fraction), expected) < 1e-14
+
+
+def test_slerp_broadcasts_and_keeps_its_ends():
+    """Fractions of 0 and 1 are the attitudes themselves; rows need no loop."""
+    p, q = some_quaternions(1), some_quaternions(2)
+    both = slerp(p, q, np.array([[0.0], [1.0]]))
+    assert both.shape == (2, 50, 4)
+    assert geodesic_angle(both, [p, q]).max() < 1e-15
+    assert np.allclose(np.linalg.norm(both, axis=-1), 1, rtol=0, atol=4e-16)
+
+
+@given(SEEDS)
+def test_matrices_become_the_quaternions_that_scipy_gives(seed):
+    """From scipy's own matrices, of any leading shape, with w never below zero."""
+    rotation = Rotation.from_quat(some_quaternions(seed, 6), scalar_first=True)
+    expected = rotation.as_quat(scalar_first=True).reshape(2, 3, 4)
+    found = from_matrix(rotation.as_matrix().reshape(2, 3, 3, 3))
+    assert geodesic_angle(found, expected).max() < 4e-15
+    assert (found[..., 0] >= 0).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2, 3])
+def test_matrices_of_half_turns_are_exact(axis):
+    """Where three of the four components vanish, the fourth is taken."""
+    unit = np.eye(4)[axis]
+    assert close(from_matrix(rotation_matrix(unit)), unit)
+    assert np.isnan(from_matrix(np.full((3, 3), np.nan))).all()

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from streams import propagated
 
-from quatprop.kinematics.propagate import attitudes, propagate
+from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries, reblock
@@ -36,7 +37,7 @@ def resampled(gyro, times, method="start", rates="body", size=1000):
 
 def blocked(blocks, method, rates, size):
     """Propagate and give the attitudes in the same blocks as the samples."""
-    (joined,) = propagate(blocks, method=method, rates=rates)
+    (joined,) = propagated(blocks, method=method, rates=rates)
     for start in range(0, len(joined), size):
         part = slice(start, start + size)
         yield AttitudeSeries(joined.t_ns[part], joined.wxyz[part])

@@ -46,3 +46,34 @@ def test_the_difference_of_methods_is_that_of_their_ends(method):
     assert (series.wxyz == attitudes(t_ns, rate, method=method)).all()
     ends = [attitudes(t_ns, rate, method=each)[-1] for each in ("start", "coning")]
     assert segments.method_sensitivity_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)
+
+
+def test_the_sensitivity_is_computed_where_it_is_read():
+    """Nobody pays for a second propagation whose result is not wanted."""
+    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
+    batch = GyroSeries(np.arange(9) * 10_000_000, np.ones((9, 3)))
+    for _ in segments.attitudes([batch], sensitivity=False):
+        pass
+    assert segments.method_sensitivity_rad is None
+
+
+@pytest.mark.parametrize("on_gap", ["hold", "zero", "split"])
+def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
+    """It is the difference since the last restart, and no rotation is assumed inside gaps."""
+    random = np.random.default_rng(2)
+    t_ns, rate = np.arange(200) * 10_000_000, random.normal(0, 2, (200, 3))
+    t_ns[120:] += 10_000_000_000
+    policy = Policy(on_gap=on_gap)
+    segments = Segments(Timeline(policy, "log"), IDENTITY, method="start", rates="body")
+    list(segments.attitudes([GyroSeries(t_ns, rate)]))
+    ends = []
+    for method in ("start", "coning"):
+        if on_gap == "hold":
+            ends.append(attitudes(t_ns, rate, method=method)[-1])
+            continue
+        before = attitudes(t_ns[:120], rate[:120], method=method)[-1]
+        q0 = IDENTITY if on_gap == "split" else before
+        ends.append(attitudes(t_ns[120:], rate[120:], q0=q0, method=method)[-1])
+    assert geodesic_angle(segments.final, ends[0]) < 1e-15
+    expected = float(geodesic_angle(*ends))
+    assert segments.method_sensitivity_rad == pytest.approx(expected, abs=1e-15)

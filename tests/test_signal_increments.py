@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from streams import propagated
 
 from quatprop.conditioning import conditioned
 from quatprop.errors import SeriesError
 from quatprop.kinematics.increments import METHODS
-from quatprop.kinematics.propagate import propagate
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
@@ -31,7 +31,7 @@ def increments_of(wxyz, span_ns, t_ns):
 
 def attitudes_of(batches, **options):
     """Return all attitudes of a stream."""
-    return np.concatenate([series.wxyz for series in propagate(batches, **options)])
+    return np.concatenate([series.wxyz for series in propagated(batches, **options)])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -87,7 +87,7 @@ def test_between_samples_an_increment_is_shared_by_time(rates):
     )
     passed = np.array([0, 0.2, 1, 1.4, BLOCK - 0.75, BLOCK + 9])
     found = at_times(
-        zip(reblock([series]), propagate([series], rates=rates), strict=True),
+        zip(reblock([series]), propagated([series], rates=rates), strict=True),
         Listed((passed * 15_000_000).astype(np.int64)),
         method="start",
         rates=rates,

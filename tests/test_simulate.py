@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.errors import UsageError
 from quatprop.simulate import gyroscope, phase
-from quatprop.simulate.gyroscope import Gyroscope, elapsed_ns, record
+from quatprop.simulate.gyroscope import Gyroscope, record
 from quatprop.simulate.motion import MOTIONS, Shape, motion_named, precession, spin
+from quatprop.times import regular_stamps
 
 CLOSED_FORMS = ["rest", "spin", "coning", "tumbling"]
 SHAPE = Shape(
@@ -175,11 +176,11 @@ def test_an_unknown_motion_is_refused():
 def test_stamps_are_exact_for_rates_that_divide_no_second():
     """30 Hz has stamps of thirds of ns rounded down, also after a million years of samples."""
     np.testing.assert_array_equal(
-        elapsed_ns(0, 5, Fraction(30)), [0, 33333333, 66666666, 10**8, 133333333]
+        regular_stamps(0, 5, Fraction(30)), [0, 33333333, 66666666, 10**8, 133333333]
     )
     late = 27 * 10**10 + 1
     np.testing.assert_array_equal(
-        elapsed_ns(late, late + 2, Fraction(30)), [9 * 10**18 + 33333333, 9 * 10**18 + 66666666]
+        regular_stamps(late, late + 2, Fraction(30)), [9 * 10**18 + 33333333, 9 * 10**18 + 66666666]
     )
 
 

@@ -2,12 +2,6 @@
 
 Rotation vectors, angles about z, y and x, and matrices: each a set of columns whose names say what
 is in them, and in which unit.
-
-References
-----------
-Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", Journal of
-Guidance, Control, and Dynamics 23(6), 2000, and the references there; here the largest of the four
-squares is taken, as by Shepperd, "Quaternion from rotation matrix", same journal 1(3), 1978.
 """
 
 from __future__ import annotations
@@ -17,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.kinematics.quaternion import exp, log, normalize, rotation_matrix
+from quatprop.kinematics.quaternion import exp, from_matrix, log, normalize, rotation_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -123,29 +117,12 @@ def from_matrices(rows: Float64) -> Float64:
         Shape ``(N, 4)``; of unit length where the matrix is a rotation.
     """
     r = rows.reshape(-1, 3, 3)
-    xx, yy, zz = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
-    # Four times the products of the components: each row is the quaternion times one of them.
-    wx, wy, wz = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
-    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
-    products = np.array(
-        [
-            [1 + xx + yy + zz, wx, wy, wz],
-            [wx, 1 + xx - yy - zz, xy, xz],
-            [wy, xy, 1 - xx + yy - zz, yz],
-            [wz, xz, yz, 1 - xx - yy + zz],
-        ]
-    ).transpose(2, 0, 1)
     with np.errstate(invalid="ignore", over="ignore"):
-        squares = np.einsum("nii->ni", products)
-        largest = np.argmax(np.where(np.isfinite(squares), squares, -np.inf), axis=1)
-        q = products[np.arange(len(r)), largest]
-        q = q / np.linalg.norm(q, axis=1, keepdims=True)
         off = np.abs(r.transpose(0, 2, 1) @ r - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        mirrored = np.linalg.det(r) < 0
-        lengths = 1 + np.where(off > _ROUNDING, off, 0.0)
-        attitudes: Float64 = np.where(q[:, :1] < 0, -q, q) * lengths[:, None]
-    attitudes[~(off <= _SKEWED) | mirrored] = np.nan
-    return attitudes
+        reflected = np.linalg.det(r) < 0
+        attitudes = from_matrix(r) * (1 + np.where(off > _ROUNDING, off, 0.0))[:, None]
+    valid = (off <= _SKEWED) & ~reflected
+    return np.where(valid[:, None], attitudes, np.nan)
 
 
 def near_vertical(angles: Float64) -> int:

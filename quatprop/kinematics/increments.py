@@ -1,10 +1,10 @@
-"""Rates and times to rotation vectors: which samples rule an interval.
+"""Rates and times to rotation vectors: the integration rules.
 
 Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle
 that the body turns in it, resolved in the body frame at its start.
 
-Sensors that integrate by themselves give that vector instead of a rate. It is taken as it is: no
-method rules it, and it is not integrated again.
+Sensors that integrate by themselves give that vector instead of a rate. It is used as it is,
+under every rule, and is not integrated again.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.text import listed, quoted
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
     Rule = Callable[[Float64, Float64, Float64], Float64]
-
-NANOSECONDS = 1e9
-"""In a second. A quotient of integers is rounded once; 1e-9 would be rounded before."""
 
 
 def _start(before: Float64, after: Float64, dt: Float64) -> Float64:  # noqa: ARG001  # one signature
@@ -38,20 +36,24 @@ def _end(before: Float64, after: Float64, dt: Float64) -> Float64:  # noqa: ARG0
 
 
 def _mean(before: Float64, after: Float64, dt: Float64) -> Float64:
-    turned = np.add(before, after, out=_like(before))
-    turned *= dt / 2
-    return turned
+    rotvec = np.add(before, after, out=_like(before))
+    rotvec *= dt / 2
+    return rotvec
 
 
 def _coning(before: Float64, after: Float64, dt: Float64) -> Float64:
-    # The rate is linear between the samples, so its direction turns and the turns do not commute:
+    # The rate is linear between the samples, so its direction changes and rotations do not commute:
     # mean dt + dt^2/12 w_k x w_k+1. The term is the first of the Magnus series; the next is of
     # fifth order in dt.
     u, v = _start(before, after, dt), _end(before, after, dt)
-    turned = (u + v) / 2
+    rotvec = np.add(u, v, out=_like(u))
+    rotvec *= 0.5
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        turned[x] += (u[y] * v[z] - u[z] * v[y]) / 12
-    return turned
+        cross = u[y] * v[z]
+        cross -= u[z] * v[y]
+        cross /= 12
+        rotvec[x] += cross
+    return rotvec
 
 
 METHODS: Final[dict[str, Rule]] = {
@@ -60,11 +62,11 @@ METHODS: Final[dict[str, Rule]] = {
     "mean": _mean,
     "coning": _coning,
 }
-"""How an interval is ruled. The functions take the rates at its start and at its end, ``(3, M)``,
-rad/s, and its length, ``(M,)``, s, and return its rotation vector, ``(3, M)``, rad."""
+"""Integration rules. They take the rates at the start and at the end of intervals, ``(3, M)``,
+rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad."""
 
 
-def rule_of(method: str) -> Rule:
+def integration_rule(method: str) -> Rule:
     """Return the function of a method.
 
     Parameters
@@ -90,7 +92,7 @@ def rule_of(method: str) -> Rule:
 def rotation_vectors(
     t_ns: Int64, rate: Float64, method: str = "start", span_ns: Int64 | None = None
 ) -> Float64:
-    """Return how the body turned between neighbouring samples.
+    """Return the rotation vectors between neighbouring samples.
 
     Parameters
     ----------
@@ -101,15 +103,15 @@ def rotation_vectors(
         Angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved in
         the inertial frame, -w are body rates of the reference as seen from the body.
     method
-        A key of :data:`METHODS`: ``"start"``, sample k rules the interval from k to k + 1;
-        ``"end"``, sample k + 1 does; ``"mean"``, the average of the two; ``"coning"``, a rate
-        linear between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is
-        linear, of second order elsewhere.
+        A key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample
+        k; ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
+        between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear,
+        of second order elsewhere.
     span_ns
         Where samples are increments: the time over which the sensor integrated each, shape
-        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k then turns by
-        the increment of sample k + 1 under every method; by nothing where no time passes, because
-        a stamp that repeats is a message that does.
+        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. The rotation of interval k
+        is then the increment of sample k + 1 under every method; zero where no time passes,
+        because a repeated stamp is a repeated message.
 
     Returns
     -------
@@ -130,14 +132,14 @@ def rotation_vectors(
     >>> rotation_vectors(np.array([0, 500_000_000]), np.array([[0, 0, 1.0], [0, 0, 3.0]]), "mean")
     array([[0., 0., 1.]])
     """
-    rule = rule_of(method)
+    rule = integration_rule(method)
     if span_ns is not None:
-        dt = np.where(t_ns[1:] > t_ns[:-1], span_ns[1:], 0) / NANOSECONDS
+        dt = np.where(t_ns[1:] > t_ns[:-1], span_ns[1:], 0) / NS_PER_S
         return _end(rate[:-1].T, rate[1:].T, dt).T
-    dt = np.diff(t_ns) / NANOSECONDS
+    dt = np.diff(t_ns) / NS_PER_S
     return rule(rate[:-1].T, rate[1:].T, dt).T
 
 
 def _like(rows: Float64) -> Float64:
-    """Return room for ``(3, M)``; without it numpy would keep the order of the transposed input."""
+    """Return an array ``(3, M)`` in C order; numpy would keep that of the transposed input."""
     return np.empty(rows.shape)

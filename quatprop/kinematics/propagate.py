@@ -1,16 +1,15 @@
-"""Rates to attitudes: every step multiplied up, tile by tile.
+"""Rates to attitudes: the steps of all intervals composed, tile by tile.
 
 A sequential loop of q[k+1] = q[k] dq[k] (eq. 36) is slow in numpy, one sample at a time. But the
-product is associative, so a tile of samples is multiplied up as a tree: neighbouring steps are
-joined to steps over two intervals, those to steps over four, and so on; then the attitudes between
-are filled in on the way back. Every level is a handful of numpy calls, and rounding errors grow
-with the depth of the tree instead of its width.
+product is associative, so the steps of a tile are composed as a tree: neighbouring steps are
+multiplied to steps over two intervals, those to steps over four, and so on; then the attitudes in
+between are filled in on the way back. Every level is a handful of numpy calls, and rounding errors
+grow with the depth of the tree instead of its width.
 
 Inside, a quaternion w + xi + yj + zk is a pair of complex numbers, a = w + xi and b = y + zi,
 arrays ``(2, n)``: the product (a c - b d*, a d + b c*) then takes four complex multiplications.
 
-Tiles begin at fixed sample indices, so the result is the same to the bit however the samples
-arrived.
+Tiles begin at fixed sample indices, so the result is the same to the bit wherever batches end.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.errors import SeriesError, UsageError
-from quatprop.kinematics.increments import rotation_vectors, rule_of
+from quatprop.kinematics.increments import integration_rule, rotation_vectors
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, half_angle, normalize
 from quatprop.series import BLOCK, AttitudeSeries, GyroSeries, reblock
 from quatprop.text import listed, quoted
@@ -38,54 +37,10 @@ FRAMES: Final = ("body", "inertial")
 """Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 
 TILE: Final = BLOCK // 8
-"""Samples multiplied up together: few enough for the L2 cache, many enough for cheap calls."""
+"""Steps composed together: few enough for the L2 cache, many enough to make calls cheap."""
 
 SERIAL: Final = 8
-"""So few steps are multiplied up by a loop: faster than more levels, but errors add along it."""
-
-
-def propagate(
-    batches: Iterable[GyroSeries],
-    *,
-    q0: ArrayLike = IDENTITY,
-    method: str = "start",
-    rates: str = "body",
-) -> Iterator[AttitudeSeries]:
-    """Multiply a stream of rates up to attitudes.
-
-    Parameters
-    ----------
-    batches
-        Samples in order of time, in batches of any size. The result does not depend on where
-        batches end.
-    q0
-        Attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised.
-    method
-        Which samples rule an interval: a key of :data:`quatprop.kinematics.increments.METHODS`.
-    rates
-        The frame in which the rates are resolved: ``"body"`` multiplies on the right,
-        q[k+1] = q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k].
-
-    Returns
-    -------
-    iterator of AttitudeSeries
-        Unit quaternions body -> reference, in blocks: one attitude for every sample, the first of
-        them q0. Nothing where there are no samples.
-
-    Raises
-    ------
-    SeriesError
-        `q0` is not a quaternion that can be normalised, or, while iterating, an attitude is not
-        finite.
-    UsageError
-        No such method or frame.
-
-    References
-    ----------
-    Body rates eqs. 32, 35 and 36; inertial rates eq. 33.
-    """
-    run = Propagation(q0, method, rates)
-    return (AttitudeSeries(block.t_ns, run.advance(block)) for block in reblock(batches))
+"""Up to this many steps are composed by a loop: faster than more levels, but errors add up."""
 
 
 def attitudes(
@@ -96,7 +51,7 @@ def attitudes(
     method: str = "start",
     rates: str = "body",
 ) -> Float64:
-    """Multiply rates in memory up to attitudes: :func:`propagate` without a stream, bit for bit.
+    """Return the attitudes that rates in memory lead to.
 
     Parameters
     ----------
@@ -105,7 +60,7 @@ def attitudes(
     rate
         Angular rates, shape ``(N, 3)``, rad/s.
     q0, method, rates
-        As for :func:`propagate`.
+        As for :class:`Propagation`.
 
     Returns
     -------
@@ -118,6 +73,10 @@ def attitudes(
         The arrays do not fit, `q0` is not a quaternion, or an attitude is not finite.
     UsageError
         No such method or frame.
+
+    References
+    ----------
+    Body rates eqs. 32, 35 and 36; inertial rates eq. 33.
 
     Examples
     --------
@@ -134,13 +93,8 @@ def attitudes(
     return Propagation(q0, method, rates).advance(GyroSeries(t_ns, rate))
 
 
-class Propagation:
-    """What is carried from tile to tile: the last sample and the last attitude.
-
-    Parameters
-    ----------
-    q0, method, rates
-        As for :func:`propagate`.
+class _Composition:
+    """Steps of tiles that follow one another, and the attitude reached.
 
     Notes
     -----
@@ -151,13 +105,82 @@ class Propagation:
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         if rates not in FRAMES:
             raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
-        rule_of(method)
+        integration_rule(method)
         self._method = method
         self._inertial = rates == "inertial"
         q0 = unit_q0(q0)
         self._attitude: Pairs = (conjugate(q0) if self._inertial else q0).view(np.complex128)
-        self._sample: GyroSeries | None = None
+        self._last_sample: GyroSeries | None = None
+
+    def _steps(self, series: GyroSeries) -> Iterator[tuple[slice, Pairs]]:
+        """Yield where tiles are, and the steps that lead to their samples, ``(2, n)``."""
+        for start in range(0, len(series), TILE):
+            samples = self._with_previous(series, start)
+            rate = 0.0 - samples.rate if self._inertial else samples.rate
+            rotvec = rotation_vectors(samples.t_ns, rate, self._method, samples.span_ns)
+            yield slice(start, start + TILE), _steps(rotvec)
+        if len(series):
+            self._last_sample = series[np.array([len(series) - 1])]
+
+    def _with_previous(self, series: GyroSeries, start: int) -> GyroSeries:
+        """Return the samples of a tile and the one before them."""
+        stop = start + TILE
+        if start:
+            return series[start - 1 : stop]
+        # Before the very first sample comes itself: a step of no time leads to it.
+        return GyroSeries.joined([self._last_sample or series[:1], series[:stop]])
+
+
+class Propagation(_Composition):
+    """Propagates a stream of rates to attitudes.
+
+    Parameters
+    ----------
+    q0
+        Attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised.
+    method
+        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`.
+    rates
+        The frame in which the rates are resolved: ``"body"`` multiplies on the right,
+        q[k+1] = q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k].
+
+    Raises
+    ------
+    SeriesError
+        `q0` is not a quaternion that can be normalised.
+    UsageError
+        No such method or frame.
+
+    References
+    ----------
+    Body rates eqs. 32, 35 and 36; inertial rates eq. 33.
+    """
+
+    def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
+        super().__init__(q0, method, rates)
         self._count = 0
+
+    def run(self, batches: Iterable[GyroSeries]) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
+        """Yield the samples in blocks, with their attitudes.
+
+        Parameters
+        ----------
+        batches
+            Samples in order of time, in batches of any size. The result does not depend on where
+            batches end.
+
+        Yields
+        ------
+        tuple of GyroSeries and AttitudeSeries
+            One attitude for every sample, the first of them q0.
+
+        Raises
+        ------
+        SeriesError
+            An attitude is not finite.
+        """
+        for block in reblock(batches):
+            yield block, AttitudeSeries(block.t_ns, self.advance(block))
 
     def advance(self, series: GyroSeries) -> Float64:
         """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
@@ -175,16 +198,11 @@ class Propagation:
         """
         rows = np.empty((len(series), 4))
         with np.errstate(over="ignore", invalid="ignore"):
-            for start in range(0, len(series), TILE):
-                stop = start + TILE
-                self._advance_tile(self._with_previous(series, start, stop), rows[start:stop])
-        if len(series):
-            self._sample = series[np.array([len(series) - 1])]
+            for tile, steps in self._steps(series):
+                self._fill_tile(steps, rows[tile])
         return rows
 
-    def _advance_tile(self, samples: GyroSeries, rows: Float64) -> None:
-        rate = 0.0 - samples.rate if self._inertial else samples.rate
-        steps = _steps(rotation_vectors(samples.t_ns, rate, self._method, samples.span_ns))
+    def _fill_tile(self, steps: Pairs, rows: Float64) -> None:
         _write_rows(_product_scan(self._attitude, steps)[:, 1:], rows)
         self._attitude = rows[-1].copy().view(np.complex128)
         if not np.isfinite(rows[-1]).all():
@@ -199,12 +217,29 @@ class Propagation:
                 # Not a negation: that would write zeros as -0.
                 np.subtract(0.0, component, out=component)
 
-    def _with_previous(self, series: GyroSeries, start: int, stop: int) -> GyroSeries:
-        """Return the samples of a tile and the one before them."""
-        if start:
-            return series[start - 1 : stop]
-        # Before the very first sample comes itself: a step of no time leads to it.
-        return GyroSeries.joined([self._sample or series[:1], series[:stop]])
+
+class FinalAttitude(_Composition):
+    """The attitude at the last sample alone, for less than half the cost of all.
+
+    Parameters
+    ----------
+    q0, method, rates
+        As for :class:`Propagation`.
+    """
+
+    def advance(self, series: GyroSeries) -> None:
+        """Go on to the last of the next samples: a block, as for :meth:`Propagation.advance`."""
+        row = np.empty((1, 4))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _, steps in self._steps(series):
+                _write_rows(_product(self._attitude, steps), row)
+                self._attitude = row[0].copy().view(np.complex128)
+
+    @property
+    def wxyz(self) -> Float64:
+        """The attitude at the last sample so far, shape ``(4,)``."""
+        wxyz = self._attitude.view(np.float64)
+        return conjugate(wxyz) if self._inertial else wxyz
 
 
 def unit_q0(q0: ArrayLike) -> Float64:
@@ -247,23 +282,39 @@ def _product_scan(first: Pairs, steps: Pairs) -> Pairs:
     if count <= SERIAL:
         return _product_loop(first, steps)
     even, odd = steps[:, 0::2], steps[:, 1::2]
-    double = np.empty_like(odd)
-    _multiply(even[:, : odd.shape[1]], odd, out=double)
-    every_other = _product_scan(first, double)
+    every_other = _product_scan(first, _double_steps(even, odd))
     every = np.empty((2, count + 1), np.complex128)
     every[:, 0::2] = every_other
     _multiply(every_other[:, : even.shape[1]], even, out=every[:, 1::2])
     return every
 
 
+def _product(first: Pairs, steps: Pairs) -> Pairs:
+    """Return the last attitude of :func:`_product_scan`, ``(2, 1)``, by the same products."""
+    if steps.shape[1] <= SERIAL:
+        return _product_loop(first, steps)[:, -1:]
+    even, odd = steps[:, 0::2], steps[:, 1::2]
+    last = _product(first, _double_steps(even, odd))
+    if even.shape[1] > odd.shape[1]:
+        _multiply(last.copy(), even[:, -1:], out=last)
+    return last
+
+
+def _double_steps(even: Pairs, odd: Pairs) -> Pairs:
+    """Return each even step times the odd one after it."""
+    double = np.empty_like(odd)
+    _multiply(even[:, : odd.shape[1]], odd, out=double)
+    return double
+
+
 def _product_loop(first: Pairs, steps: Pairs) -> Pairs:
     """Return the same as :func:`_product_scan`, one step after the other."""
     a, b = first.tolist()
-    passed = [(a, b)]
+    attitudes = [(a, b)]
     for c, d in steps.T.tolist():
         a, b = a * c - b * d.conjugate(), a * d + b * c.conjugate()
-        passed.append((a, b))
-    return np.array(passed).T.copy()
+        attitudes.append((a, b))
+    return np.array(attitudes).T.copy()
 
 
 def _multiply(p: Pairs, q: Pairs, out: Pairs) -> None:

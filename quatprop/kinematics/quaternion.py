@@ -1,8 +1,7 @@
 """Quaternion arithmetic on arrays ``(..., 4)`` in the order w, x, y, z.
 
-Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude turns body
-coordinates into reference coordinates, v_ref = q v_body q* (eq. 3). Leading dimensions broadcast.
-Nothing here knows of time or files.
+Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude takes body
+coordinates to reference coordinates, v_ref = q v_body q* (eq. 3). Leading dimensions broadcast.
 
 Equation numbers here and in the other modules are those of the article "quaternion kinematics and
 angular velocity" of PhysicsLibrary (object 1105, version 3).
@@ -22,11 +21,11 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
-"""The attitude of a body whose axes are those of the reference."""
+"""The attitude of a body whose axes coincide with those of the reference."""
 IDENTITY.setflags(write=False)
 
 TERMS = 7
-"""Longest series for cosine and sine: enough for steps of 45 degrees. Libm does longer steps."""
+"""Longest series for cosine and sine: enough for steps of 45 degrees; libm is for longer steps."""
 
 _COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
 _RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
@@ -104,8 +103,8 @@ def normalize(q: ArrayLike) -> Float64:
 def half_angle(square: Float64) -> tuple[Float64, Float64]:
     """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
 
-    Both are power series in a squared, so nothing happens at zero and no angle is too small. As
-    many terms are taken as the largest angle needs to be exact in float64.
+    Both are power series in a squared: smooth through zero, for angles of any size. As many terms
+    are taken as the largest angle needs to be exact in float64.
 
     Parameters
     ----------
@@ -129,8 +128,8 @@ def half_angle(square: Float64) -> tuple[Float64, Float64]:
 def exp(rotvec: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation vector (eq. 34).
 
-    Smooth through zero; the angle may be of any size, and w is negative between half a turn and
-    one and a half.
+    Smooth through zero. The angle may be of any size; w is negative for angles between pi and
+    3 pi.
 
     Parameters
     ----------
@@ -170,7 +169,7 @@ def log(q: ArrayLike) -> Float64:
     -------
     ndarray
         Rotation vectors, shape ``(..., 3)``, rad, no longer than 2 pi; longer than pi where w is
-        negative. A quaternion -1, a full turn about no axis in particular, gives zero.
+        negative. The quaternion -1, a full turn about an undefined axis, gives zero.
     """
     q = _array(q)
     w, vector = q[..., :1], q[..., 1:]
@@ -181,7 +180,7 @@ def log(q: ArrayLike) -> Float64:
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
-    """Return q v q*: body coordinates turned into reference coordinates (eq. 3).
+    """Return q v q*: a vector's body coordinates as reference coordinates (eq. 3).
 
     Parameters
     ----------
@@ -203,8 +202,8 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
     q, v = _array(q), _array(v)
     w, vector = q[..., :1], q[..., 1:]
     twice = 2 * np.cross(vector, v)
-    turned: Float64 = v + w * twice + np.cross(vector, twice)
-    return turned
+    rotated: Float64 = v + w * twice + np.cross(vector, twice)
+    return rotated
 
 
 def rotation_matrix(q: ArrayLike) -> Float64:
@@ -223,6 +222,48 @@ def rotation_matrix(q: ArrayLike) -> Float64:
     q = _array(q)
     columns = [rotate(q, axis) for axis in np.eye(3)]
     return np.stack(columns, axis=-1)
+
+
+def from_matrix(matrix: ArrayLike) -> Float64:
+    """Return the unit quaternion of a rotation matrix: the inverse of :func:`rotation_matrix`.
+
+    Parameters
+    ----------
+    matrix
+        Rotation matrices with v_ref = R v_body, shape ``(..., 3, 3)``.
+
+    Returns
+    -------
+    ndarray
+        Unit quaternions wxyz body -> reference with w >= 0, shape ``(..., 4)``; NaN where the
+        matrix has elements that are not finite.
+
+    References
+    ----------
+    Shepperd, "Quaternion from rotation matrix", Journal of Guidance and Control 1(3), 1978: the
+    largest of the four squares is taken.
+
+    Examples
+    --------
+    >>> from_matrix([[0, -1, 0], [1, 0, 0], [0, 0, 1]]).round(6)
+    array([0.707107, 0.      , 0.      , 0.707107])
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(_array(matrix), (-2, -1), (0, 1))
+    # Four times the products of the components: each row is the quaternion times one of them.
+    rows = [
+        [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
+        [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
+        [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
+        [yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz],
+    ]
+    products = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    squares = np.einsum("...ii->...i", products)
+    largest = np.argmax(np.where(np.isfinite(squares), squares, -np.inf), axis=-1)
+    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    with np.errstate(invalid="ignore", over="ignore"):
+        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    unit: Float64 = np.where(q[..., :1] < 0, -q, q)
+    return unit
 
 
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
@@ -259,6 +300,32 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     )
     scalar = pw * qw + px * qx + py * qy + pz * qz
     return np.asarray(2 * np.arctan2(_length(vector), np.abs(scalar)))
+
+
+def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
+    """Return attitudes between two: on the shortest rotation from p to q, at a constant rate.
+
+    Parameters
+    ----------
+    p, q
+        Unit quaternions wxyz, shape ``(..., 4)``; their signs do not matter.
+    fraction
+        Elapsed fraction of the rotation, shape ``(...)``: 0 gives p, 1 gives q or -q.
+
+    Returns
+    -------
+    ndarray
+        Unit quaternions wxyz, shape ``(..., 4)``.
+
+    Examples
+    --------
+    >>> slerp([1, 0, 0, 0], exp([0, 0, 0.4]), 0.25) - exp([0, 0, 0.1])
+    array([0., 0., 0., 0.])
+    """
+    step = multiply(conjugate(p), q)
+    # q and -q are the same attitude: the step is the shorter way round.
+    step *= np.where(step[..., :1] < 0, -1.0, 1.0)
+    return normalize(multiply(p, exp(_array(fraction)[..., None] * log(step))))
 
 
 def _array(values: ArrayLike) -> Float64:

@@ -1,19 +1,21 @@
-"""Fewer attitudes out, or attitudes at other times: exact under the method that propagated them.
+"""Fewer attitudes, or attitudes at other times: exact under the integration rule that was used.
 
-Nothing is interpolated between attitudes. Between two samples the method says how the body turns,
-so the attitude at a time in between is the one before it times the step over the part of the
-interval that has passed.
+Nothing is interpolated between attitudes. Between two samples the rule says how the body rotates,
+so the attitude at a time in between is the one before it times the step over the elapsed part of
+the interval.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from quatprop.kinematics.increments import METHODS, NANOSECONDS
+from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -24,28 +26,26 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
-NS_PER_S = 1_000_000_000
-
 PIECE = 1 << 17
-"""Times at once: memory is bounded, and products with the period of steady ones fit in 64 bits."""
+"""Times at once: bounds memory, and products with the period of a regular rate fit in 64 bits."""
 
 
 def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSeries]:
-    """Yield every `step`-th attitude, beginning with the first.
+    """Yield every N-th attitude, beginning with the first.
 
     Parameters
     ----------
     series
         Attitudes in batches; the result does not depend on where they end.
     step
-        At least 1.
+        N, at least 1.
     """
-    passed = 0
+    count = 0
     for batch in series:
-        chosen = slice(-passed % step, None, step)
-        passed += len(batch)
-        if len(kept := batch.t_ns[chosen]):
-            yield AttitudeSeries(kept, batch.wxyz[chosen])
+        chosen = slice(-count % step, None, step)
+        count += len(batch)
+        if len(t_ns := batch.t_ns[chosen]):
+            yield AttitudeSeries(t_ns, batch.wxyz[chosen])
 
 
 class Times(Protocol):
@@ -57,7 +57,7 @@ class Times(Protocol):
         Parameters
         ----------
         first_ns
-            The first sample of the stretch; earlier times have no attitude.
+            The first sample of the segment; earlier times have no attitude.
         last_ns
             The last sample read so far.
         """
@@ -73,7 +73,7 @@ class Steady:
     """
 
     def __init__(self, rate: Fraction) -> None:
-        self._rate, self._per = rate.numerator, rate.denominator * NS_PER_S
+        self._rate = rate
         self._origin: int | None = None
         self._next = 0
 
@@ -81,18 +81,14 @@ class Steady:
         """Yield the next times; see :class:`Times`."""
         if self._origin is None:
             self._origin = first_ns
-        first = max(self._next, -(-(first_ns - self._origin) * self._rate // self._per))
-        # floor(k per / rate) <= t is k < (t + 1) rate / per.
-        stop = max(first, -(-(last_ns - self._origin + 1) * self._rate // self._per))
+        per_ns = self._rate / NS_PER_S
+        first = max(self._next, math.ceil((first_ns - self._origin) * per_ns))
+        # floor(k / rate) <= t is k < (t + 1) rate.
+        stop = max(first, math.ceil((last_ns - self._origin + 1) * per_ns))
         self._next = stop
         for start in range(first, stop, PIECE):
-            yield self._times(start, min(start + PIECE, stop))
-
-    def _times(self, start: int, stop: int) -> Int64:
-        # The start with Python's integers; only the rest has to fit in 64 bits.
-        whole, rest = divmod(start * self._per, self._rate)
-        ahead = np.arange(stop - start, dtype=np.int64) * self._per + rest
-        return (self._origin or 0) + whole + ahead // self._rate
+            stop_piece = min(start + PIECE, stop)
+            yield self._origin + regular_stamps(start, stop_piece, self._rate)
 
 
 class Listed:
@@ -124,7 +120,7 @@ def at_times(
     method: str,
     rates: str,
 ) -> Iterator[AttitudeSeries]:
-    """Yield attitudes at the wanted times of one stretch.
+    """Yield attitudes at the wanted times of one segment.
 
     Parameters
     ----------
@@ -144,51 +140,37 @@ def at_times(
     last: tuple[GyroSeries, AttitudeSeries] | None = None
     for block, attitudes in propagated:
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
-        gyro, attitude = _after(last, block, attitudes)
-        last = _tail(gyro, attitude)
+        gyro, wxyz = block, attitudes.wxyz
+        if last is not None:
+            # The interval between blocks begins with the last sample of the block before.
+            gyro = GyroSeries.joined([last[0], block])
+            wxyz = np.concatenate([last[1].wxyz, wxyz])
+        last = gyro[-1:], AttitudeSeries(gyro.t_ns[-1:], wxyz[-1:])
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            yield AttitudeSeries(wanted, _between(gyro, attitude.wxyz, wanted, method, rates))
-
-
-def _tail(gyro: GyroSeries, attitude: AttitudeSeries) -> tuple[GyroSeries, AttitudeSeries]:
-    return (
-        gyro[-1:],
-        AttitudeSeries(attitude.t_ns[-1:], attitude.wxyz[-1:]),
-    )
-
-
-def _after(
-    last: tuple[GyroSeries, AttitudeSeries] | None, gyro: GyroSeries, attitude: AttitudeSeries
-) -> tuple[GyroSeries, AttitudeSeries]:
-    """Put the last sample of the batch before in front."""
-    if last is None:
-        return gyro, attitude
-    joined = GyroSeries.joined([last[0], gyro])
-    wxyz = np.concatenate([last[1].wxyz, attitude.wxyz])
-    return joined, AttitudeSeries(joined.t_ns, wxyz)
+            yield AttitudeSeries(wanted, _between(gyro, wxyz, wanted, method, rates))
 
 
 def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates: str) -> Float64:
     """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(gyro) - 1)
-    passed = (wanted - gyro.t_ns[before]) / NANOSECONDS
-    whole = (gyro.t_ns[after] - gyro.t_ns[before]) / NANOSECONDS
+    elapsed = (wanted - gyro.t_ns[before]) / NS_PER_S
+    interval = (gyro.t_ns[after] - gyro.t_ns[before]) / NS_PER_S
+    fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
     sign = -1.0 if rates == "inertial" else 1.0
-    ruling = sign * gyro.rate[before].T, sign * gyro.rate[after].T
-    share = np.divide(passed, whole, out=np.zeros_like(whole), where=whole > 0)
-    lasted = passed
+    first, second = sign * gyro.rate[before].T, sign * gyro.rate[after].T
+    duration = elapsed
     if gyro.span_ns is not None:
-        # Of an increment only the whole is known: within it the rate is taken as constant.
-        method, lasted = "end", share * (gyro.span_ns[after] / NANOSECONDS)
+        # Of an increment only the whole is measured: within it the rate is taken as constant.
+        method, duration = "end", fraction * (gyro.span_ns[after] / NS_PER_S)
     elif method == "coning":
         # A rate that is linear in time has got part of the way to the next sample's.
-        ruling = ruling[0], ruling[0] + share * (ruling[1] - ruling[0])
-    steps = exp(METHODS[method](*ruling, lasted).T)
+        second = first + fraction * (second - first)
+    steps = exp(METHODS[method](first, second, duration).T)
     if rates == "inertial":
-        turned = conjugate(multiply(conjugate(wxyz[before]), steps))
+        attitudes = conjugate(multiply(conjugate(wxyz[before]), steps))
     else:
-        turned = multiply(wxyz[before], steps)
+        attitudes = multiply(wxyz[before], steps)
     # At a sample itself the attitude is the sample's, to the bit.
-    exactly: Float64 = np.where((passed == 0)[:, None], wxyz[before], turned)
-    return exactly
+    exact: Float64 = np.where((elapsed == 0)[:, None], wxyz[before], attitudes)
+    return exact

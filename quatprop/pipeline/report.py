@@ -50,7 +50,7 @@ class RunResult(NamedTuple):
     q0, final
         Attitudes at the first and at the last sample, wxyz.
     method_sensitivity_rad
-        Angle between the final attitudes of this and another method, rad.
+        Angle between the final attitudes of this and another method, rad; None where nobody asked.
     rows
         Attitudes written.
     remarks
@@ -65,7 +65,7 @@ class RunResult(NamedTuple):
     conditioned: dict[str, Any]
     q0: NDArray[np.float64]
     final: NDArray[np.float64]
-    method_sensitivity_rad: float
+    method_sensitivity_rad: float | None
     rows: int
     remarks: Sequence[str | Text]
     fingerprint: dict[str, Any]

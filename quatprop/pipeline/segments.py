@@ -1,7 +1,7 @@
-"""A log propagated stretch by stretch: across gaps, at the times that are wanted.
+"""A log propagated segment by segment: across gaps, at the times that are wanted.
 
-A gap that is not to be propagated across ends a stretch. The next begins from the attitude before
-it, if nothing is to turn in between, or from q0 again.
+A gap that is not propagated across ends a segment. The next one begins with the attitude before the
+gap, if no rotation is assumed in between, or with q0 again.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from quatprop.kinematics.propagate import Propagation
+from quatprop.kinematics.propagate import FinalAttitude, Propagation
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import at_times
-from quatprop.series import AttitudeSeries, reblock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -21,21 +20,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.kinematics.resample import Times
-    from quatprop.series import GyroSeries
+    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Timeline
 
 
 class Segments:
-    """Propagates a log stretch by stretch and knows the attitude reached.
+    """Propagates a log segment by segment.
 
     Parameters
     ----------
     timeline
-        Cuts the samples into stretches; its policy says how one goes on from another.
+        Cuts the samples into segments; its policy says how one continues from another.
     q0
         Attitude at the first sample, wxyz, unit length.
     method, rates
-        As for :func:`quatprop.kinematics.propagate.propagate`.
+        As for :class:`quatprop.kinematics.propagate.Propagation`.
     times
         When attitudes are wanted; None is at every sample.
 
@@ -55,39 +54,61 @@ class Segments:
         times: Times | None = None,
     ) -> None:
         self._timeline = timeline
-        self._q0 = self.final = self._other_final = q0
+        self._q0 = self.final = q0
         self._method, self._rates = method, rates
-        self._other_method = "start" if method == "coning" else "coning"
         self._times = times
+        self._other_final: NDArray[np.float64] | None = None
 
-    def attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
-        """Return the attitudes at every sample, or at the times that are wanted."""
+    def attitudes(
+        self, batches: Iterable[GyroSeries], *, sensitivity: bool = True
+    ) -> Iterator[AttitudeSeries]:
+        """Return the attitudes at every sample, or at the times that are wanted.
+
+        Parameters
+        ----------
+        batches
+            Samples in the order of the log.
+        sensitivity
+            Whether to find out how much the final attitude depends on the method.
+        """
+        self._other_final = self._q0 if sensitivity else None
         return chain.from_iterable(map(self._wanted, self._timeline.segments(batches)))
 
-    def _wanted(self, stretch: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
-        propagated = self._propagated(stretch)
+    def _wanted(self, segment: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
+        propagated = self._propagated(segment)
         if self._times is None:
             return (series for _, series in propagated)
         return at_times(propagated, self._times, method=self._method, rates=self._rates)
 
     def _propagated(
-        self, stretch: Iterable[GyroSeries]
+        self, segment: Iterable[GyroSeries]
     ) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
         """Yield samples with their attitudes; after a gap from q0, or from the one before it."""
-        if self._timeline.policy.on_gap == "split":
-            self.final = self._other_final = self._q0
-        this = Propagation(self.final, self._method, self._rates)
-        other = Propagation(self._other_final, self._other_method, self._rates)
-        for block in reblock(stretch):
-            wxyz = this.advance(block)
-            self.final, self._other_final = wxyz[-1], other.advance(block)[-1]
-            yield block, AttitudeSeries(block.t_ns, wxyz)
+        restart = self._timeline.policy.on_gap == "split"
+        propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
+        other = None
+        if self._other_final is not None:
+            method = other_method(self._method)
+            other = FinalAttitude(self._q0 if restart else self._other_final, method, self._rates)
+        for block, attitudes in propagation.run(segment):
+            self.final = attitudes.wxyz[-1]
+            if other is not None:
+                other.advance(block)
+                self._other_final = other.wxyz
+            yield block, attitudes
 
     @property
-    def method_sensitivity_rad(self) -> float:
-        """Angle between the ends of the coning method and of the one used, rad.
+    def method_sensitivity_rad(self) -> float | None:
+        """Angle between the final attitudes of the method and of :func:`other_method`, rad.
 
-        It tells what the samples leave open: how the body turned between them. For coning it is
-        held against start.
+        It shows what the samples leave open: how the body rotated between them. None where it was
+        not asked for.
         """
+        if self._other_final is None:
+            return None
         return float(geodesic_angle(self.final, self._other_final))
+
+
+def other_method(method: str) -> str:
+    """Return the method with which the final attitude of a method is compared."""
+    return "start" if method == "coning" else "coning"

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
 from quatprop.formats import open_log
-from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
+from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
@@ -202,13 +202,5 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
             path,
             f"{t_ns} ns is {where} its {word} attitude at {stamp} ns; are both on the same clock?",
         )
-    share = (t_ns - before[0]) / (after[0] - before[0])
-    return _on_arc(normalize(before[1]), normalize(after[1]), share)
-
-
-def _on_arc(p: Float64, q: Float64, share: float) -> Float64:
-    """Return the attitude after a share of the shortest rotation from p to q (slerp)."""
-    between = multiply(conjugate(p), q)
-    if between[0] < 0:
-        between = -between
-    return normalize(multiply(p, exp(share * log(between))))
+    fraction = (t_ns - before[0]) / (after[0] - before[0])
+    return slerp(normalize(before[1]), normalize(after[1]), fraction)

@@ -11,6 +11,7 @@ import numpy as np
 from quatprop.errors import UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.simulate.product import hamilton
+from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,8 +30,6 @@ BATCH = 1 << 16
 NOISE_DECIMALS = 9
 """Noise is rounded to 1e-9 rad/s: its far tails go through a logarithm, which need not agree to
 the last place between machines."""
-
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +69,7 @@ class Gyroscope:
     def __post_init__(self) -> None:
         if self.sample_rate <= 0 or self.samples < 1:
             raise UsageError("a log needs at least one sample, at a rate above zero")
-        if BATCH * _NS_PER_S * self.sample_rate.denominator > np.iinfo(np.int64).max:
+        if BATCH * NS_PER_S * self.sample_rate.denominator > np.iinfo(np.int64).max:
             raise UsageError(
                 f"a sample rate of {float(self.sample_rate)} Hz has too many digits to keep its "
                 "stamps exact; give it to three decimals"
@@ -113,7 +112,8 @@ def record(
     random = np.random.default_rng(gyroscope.seed)
     first = np.array(q0, np.float64)
     for begin in range(0, gyroscope.samples, BATCH):
-        elapsed = elapsed_ns(begin, min(begin + BATCH, gyroscope.samples), gyroscope.sample_rate)
+        end = min(begin + BATCH, gyroscope.samples)
+        elapsed = regular_stamps(begin, end, gyroscope.sample_rate)
         rate, wxyz = motion(elapsed)
         if gyroscope.noise:
             noise = random.standard_normal(rate.shape) * gyroscope.deviation
@@ -134,24 +134,7 @@ def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
     >>> samples_in(20_000_000_000, Fraction(100))
     2000
     """
-    return max(1, math.ceil(duration_ns * sample_rate / _NS_PER_S))
-
-
-def elapsed_ns(begin: int, end: int, sample_rate: Fraction) -> NDArray[np.int64]:
-    """Return when samples `begin` to `end` are taken, ns since sample 0, rounded down.
-
-    Exact for any index: an index in 64-bit ns times a rate would overflow in the end, so the
-    batch's first sample is placed in unbounded integers and the others relative to it.
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> elapsed_ns(0, 4, Fraction(30))
-    array([        0,  33333333,  66666666, 100000000])
-    """
-    interval, unit = _NS_PER_S * sample_rate.denominator, sample_rate.numerator
-    whole, rest = divmod(begin * interval, unit)
-    return whole + (rest + np.arange(end - begin, dtype=np.int64) * interval) // unit
+    return max(1, math.ceil(duration_ns * sample_rate / NS_PER_S))
 
 
 def _unit(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
