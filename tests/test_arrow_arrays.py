@@ -60,7 +60,8 @@ def test_pandas_is_not_imported(tmp_path, name, kind):
     code = (
         "import sys\n"
         "from quatprop.pipeline.job import Job, run\n"
-        "run(Job(sys.argv[1], sys.argv[2], to=sys.argv[3]))\n"
+        "from quatprop.pipeline.settings import OutputSettings\n"
+        "run(Job(sys.argv[1], OutputSettings(sys.argv[2], to=sys.argv[3])))\n"
         "print('pandas' in sys.modules)"
     )
     command = [sys.executable, "-c", code, SAMPLES / name, tmp_path / "out", kind]

@@ -18,6 +18,7 @@ from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, UsageError
 from quatprop.pipeline.job import Job
+from quatprop.pipeline.settings import OutputSettings
 from quatprop.third_party_errors import TRACEBACK
 
 INSTALLED = Path(sys.executable).with_name("quatprop")
@@ -93,7 +94,9 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
     run_job = batch.run
     monkeypatch.setattr(batch, "run", fails)
     bad, good = (str(log(tmp_path / name)) for name in ("bad.csv", "good.csv"))
-    outcomes = [propagated(Job(name, str(tmp_path / "out.csv"))) for name in (bad, good)]
+    outcomes = [
+        propagated(Job(name, OutputSettings(str(tmp_path / "out.csv")))) for name in (bad, good)
+    ]
     assert str(outcomes[0].error).startswith(sentence.format(log=bad))
     assert not outcomes[1].error
     # One log is propagated in this process.
@@ -344,7 +347,7 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
     """It makes the same job of a log, and another one than without it."""
     jobs = []
 
-    def record(job, *_):
+    def record(job, *_, **__):
         jobs.append(job)
         raise LogError(job.log, "that is all")
 
@@ -356,7 +359,9 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
     for words in (said, []):
         CliRunner().invoke(cli, ["propagate", "a.csv", "-o", str(out), *beside, *words])
         run("a.csv", "-o", tmp_path, *beside, *words)
-    alone, among, plain, plain_among = [replace(job, to=None) for job in jobs]
+    alone, among, plain, plain_among = [
+        replace(job, output=replace(job.output, to=None)) for job in jobs
+    ]
     assert alone == among
     assert plain == plain_among
     assert alone != plain
@@ -374,7 +379,7 @@ def test_the_installed_command_runs_processes(tmp_path):
 def test_a_cluster_that_is_not_there(tmp_path):
     """The address is named."""
     pytest.importorskip("distributed")
-    job = Job(str(log(tmp_path / "a.csv")), str(tmp_path / "a.npy"))
+    job = Job(str(log(tmp_path / "a.csv")), OutputSettings(str(tmp_path / "a.npy")))
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([job], "nonsense"))
 
@@ -397,7 +402,7 @@ def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
 
     monkeypatch.setattr(distributed, "Client", Client)
     monkeypatch.setattr(Client, "__enter__", lambda self: self)
-    jobs = [Job(name, str(tmp_path / name)) for name in ("a", "b")]
+    jobs = [Job(name, OutputSettings(str(tmp_path / name))) for name in ("a", "b")]
     errors = [outcome.error for outcome in on_a_cluster(jobs, "here")]
     assert errors[0] == (
         "a: the cluster did not do it (ModuleNotFoundError: No module named 'quatprop')"

@@ -21,6 +21,7 @@ from quatprop.containers.rosbag1 import index as rosbag1_index
 from quatprop.containers.rosbag2 import db3
 from quatprop.formats import open_log as opened
 from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
@@ -64,7 +65,8 @@ def logs(tmp_path_factory):
 def result(log, target):
     """Return the bytes of the attitudes of a log."""
     tilted = Conditioning(bias=(1e-3, -2e-3, 3e-3), mount="0.8,0.36,-0.48,0")
-    run(Job(log=str(log), output=str(target), method="coning", conditioning=tilted))
+    settings = PropagationSettings(method="coning", conditioning=tilted)
+    run(Job(str(log), OutputSettings(str(target)), settings))
     content = target.read_bytes()
     target.unlink()
     return content

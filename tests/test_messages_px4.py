@@ -10,6 +10,7 @@ from quatprop.formats import open_log
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose_rates, rate_candidates
@@ -179,8 +180,8 @@ def test_the_report_says_what_ruled_the_intervals(tmp_path):
     for kind in ("VehicleImu", "SensorCombined"):
         known = [{name: row[name] for name in row if name in zeros(kind)} for row in samples]
         path = write_mcap(tmp_path / f"{kind}.mcap", kind, known)
-        reports[kind] = run(Job(log=str(path), output=str(tmp_path / f"{kind}.csv")))
-    assert reports["VehicleImu"]["convention"]["method"] == "increments"
-    assert reports["VehicleImu"]["result"]["net_rotation_rad"] == pytest.approx(0.09, abs=1e-8)
-    assert reports["SensorCombined"]["convention"]["method"] == "start"
-    assert "which is what method end assumes" in reports["SensorCombined"]["remarks"][0]
+        reports[kind] = run(Job(str(path), OutputSettings(str(tmp_path / f"{kind}.csv"))))
+    assert reports["VehicleImu"].convention.method == "increments"
+    assert reports["VehicleImu"].result.net_rotation_rad == pytest.approx(0.09, abs=1e-8)
+    assert reports["SensorCombined"].convention.method == "start"
+    assert "which is what method end assumes" in str(reports["SensorCombined"].remarks[0])

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 NOT_GENERATED = {".gitattributes", "README.md", "demo.sh", "generate.py"}
@@ -88,7 +89,8 @@ def attitudes(path):
 def test_every_log_propagates_to_its_truth(tmp_path, log, truth, method, bound):
     """From the container to the attitude file, the error stays below what the motion explains."""
     result = tmp_path / "result.csv"
-    run(Job(str(SAMPLE_LOGS / log), str(result), method=method))
+    settings = PropagationSettings(method=method)
+    run(Job(str(SAMPLE_LOGS / log), OutputSettings(str(result)), settings))
     error = (attitudes(SAMPLE_LOGS / truth).inv() * attitudes(result)).magnitude()
     assert error.max() < bound
 
@@ -98,7 +100,7 @@ def test_containers_do_not_matter(tmp_path):
     results = []
     for log in ("tumbling.bag", "tumbling_ros2"):
         results.append(tmp_path / f"{log}.csv")
-        run(Job(str(SAMPLE_LOGS / log), str(results[-1])))
+        run(Job(str(SAMPLE_LOGS / log), OutputSettings(str(results[-1]))))
     assert results[0].read_bytes() == results[1].read_bytes()
 
 

@@ -8,6 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.pipeline.survey import survey
 from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose_rates
@@ -39,8 +40,9 @@ def bag(path, stamps):
 
 def remarks(path, tmp_path, **options):
     """Return the remarks of a propagation."""
-    job = Job(log=str(path), output=str(tmp_path / "out.csv"), selection=RateSelection(**options))
-    return run(job)["remarks"]
+    settings = PropagationSettings(selection=RateSelection(**options))
+    report = run(Job(str(path), OutputSettings(str(tmp_path / "out.csv")), settings))
+    return [str(remark) for remark in report.remarks]
 
 
 def test_nothing_is_said_of_stamps_that_are_a_little_late(tmp_path):

@@ -10,7 +10,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.containers.remote import is_address, without_secret
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.pipeline.job import Job
+    from quatprop.pipeline.report import RunReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +47,13 @@ class Outcome:
     log: str
     output: str
     error: str | Text = ""
-    report: dict[str, Any] | None = None
+    report: RunReport | None = None
     seconds: float = 0.0
 
     @property
     def data_lost(self) -> bool:
         """Whether something of the log was lost on the way."""
-        return bool(self.report and self.report["data_lost"])
+        return bool(self.report and self.report.data_lost)
 
 
 def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
@@ -152,7 +153,7 @@ class BatchManifest:
     def is_fresh(self, job: Job) -> bool:
         """Tell whether an output is there that came from this log, as it is, by these options."""
         known = self._known.get(self._key(job))
-        return Path(job.output).exists() and known is not None and known == origin(job)
+        return Path(job.output.path).exists() and known is not None and known == origin(job)
 
     def note(self, job: Job, came_from: str | None) -> None:
         """Note that an output was made, and from what: its :func:`origin` before it was."""
@@ -169,7 +170,7 @@ class BatchManifest:
             output.commit()
 
     def _key(self, job: Job) -> str:
-        return Path(os.path.relpath(job.output, self._place.parent)).as_posix()
+        return Path(os.path.relpath(job.output.path, self._place.parent)).as_posix()
 
 
 def origin(job: Job) -> str | None:
@@ -179,22 +180,23 @@ def origin(job: Job) -> str | None:
     """
     if is_address(job.log):
         return None
-    read = [Path(name) for name in (job.log, job.q0.words, job.at) if name]
+    read = [Path(name) for name in (job.log, *job.settings.inputs)]
     parts = [part for place in read for part in (sorted(place.glob("*")) or [place])]
     files = []
     for part in parts:
         with suppress(OSError):
             found = part.stat()
             files.append((part.name, found.st_size, found.st_mtime_ns))
-    said = (__version__, replace(job, log=os.path.abspath(job.log), output=""), files)  # noqa: PTH100
-    return hashlib.sha256(repr(said).encode()).hexdigest()
+    log = os.path.abspath(job.log)  # noqa: PTH100  # links stay what they are
+    made_from = (__version__, log, job.settings, replace(job.output, path=""), files)
+    return hashlib.sha256(repr(made_from).encode()).hexdigest()
 
 
 def propagated(job: Job) -> Outcome:
     """Propagate one log; what goes wrong is its outcome."""
     began = time.perf_counter()
     try:
-        Path(job.output).parent.mkdir(parents=True, exist_ok=True)
+        Path(job.output.path).parent.mkdir(parents=True, exist_ok=True)
         report = run(job)
     except QuatpropError as error:
         return _failed(job, error.text, time.perf_counter() - began)
@@ -203,11 +205,11 @@ def propagated(job: Job) -> Outcome:
             raise
         return _failed(job, _about(job, str(sentence)), time.perf_counter() - began)
     log = without_secret(job.log)
-    return Outcome(log, job.output, "", report, time.perf_counter() - began)
+    return Outcome(log, job.output.path, "", report, time.perf_counter() - began)
 
 
 def _failed(job: Job, error: str | Text, seconds: float = 0.0) -> Outcome:
-    return Outcome(without_secret(job.log), job.output, error, None, seconds)
+    return Outcome(without_secret(job.log), job.output.path, error, None, seconds)
 
 
 def _about(job: Job, words: str) -> str:

@@ -12,16 +12,17 @@ from quatprop.check.spelling import sentence
 from quatprop.comparison import compare
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.pipeline.job import run
+from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings
 from quatprop.provenance import as_json
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Any
 
     from quatprop.check.case import Case
+    from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries
 
 
@@ -38,17 +39,17 @@ class CaseRun:
     """
 
     series: AttitudeSeries
-    report: Mapping[str, Any]
+    report: RunReport
 
     @property
     def samples(self) -> int:
         """Number of samples that were propagated."""
-        return int(self.report["result"]["samples"])
+        return self.report.result.samples
 
     @property
     def final_wxyz(self) -> tuple[float, ...]:
         """The attitude at the last sample."""
-        return tuple(self.report["result"]["final_wxyz"])
+        return tuple(map(float, self.report.result.final_wxyz))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +94,17 @@ def propagate_case(case: Case, every: int | None) -> CaseRun:
     """
     with TemporaryDirectory(prefix="quatprop-") as folder:
         output = str(Path(folder) / "attitude.parquet")
-        job = replace(case.job, output=output, to="parquet", report=None)
-        report = run(job if chooses_rows(case) else replace(job, every=every))
+        settings = case.job.settings
+        if not chooses_rows(case):
+            settings = replace(settings, every=every)
+        report = run(Job(case.job.log, OutputSettings(output, to="parquet"), settings))
         return CaseRun(load_attitudes(AttitudeInput(output, "parquet")).series, report)
 
 
 def chooses_rows(case: Case) -> bool:
     """Return whether the case itself says which attitudes are kept."""
-    return any(choice is not None for choice in (case.job.every, case.job.rate, case.job.at))
+    settings = case.job.settings
+    return any(choice is not None for choice in (settings.every, settings.rate, settings.at))
 
 
 def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:

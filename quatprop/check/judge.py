@@ -66,7 +66,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
             raise
         reason = f"{sentence(error)}; the same bytes could be used by quatprop {pin.quatprop}"
         return CaseResult(case.name, "error", reason)
-    if run.report["data_lost"]:
+    if run.report.data_lost:
         notes.append(f"data of {plain(case.job.log)} were lost or left out, see propagate")
     failures = []
     if run.samples != pin.samples and (case.strict or case.pins_log):

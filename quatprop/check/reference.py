@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,7 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
         It cannot be written.
     """
     target = Path(str(case.reference))
-    report = {key: value for key, value in run.report.items() if key != "timings"}
+    report = replace(run.report, seconds=None).as_json()
     # The content must not depend on the folder in which it was made.
     report["source"] = {**report["source"], "path": Path(case.job.log).name}
     if "q0" in hashes:

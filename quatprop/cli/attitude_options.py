@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import CLOCKS, KINDS, LAYOUTS, TIME_UNITS
-from quatprop.cli.types import Names
+from quatprop.cli.types import names
+from quatprop.settings import CLOCKS, KINDS, LAYOUTS, TIME_UNITS
 
 if TYPE_CHECKING:
     from quatprop.cli.options import Option
@@ -39,7 +39,7 @@ ATTITUDE_OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "quat_cols": (
         "--quat-cols",
         {
-            "type": Names("A,B,C,D"),
+            "type": names("A,B,C,D"),
             "help": "Columns of the quaternion in {side} in the order in which they are stored, "
             "by name or number from 0.  [default: by the header]",
         },

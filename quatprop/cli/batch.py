@@ -166,17 +166,17 @@ def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Out
 def _line(outcome: Outcome, width: int) -> str:
     """Return what came of one log in a line, and what is to be said of it beneath."""
     from quatprop.cli.spelling import spelled
-    from quatprop.cli.summary import lost
+    from quatprop.cli.summary import loss_lines
     from quatprop.text import plain
     from quatprop.times import duration_text
 
-    report = outcome.report or {}
-    result = report["result"]
-    span = duration_text(result["last_ns"] - result["first_ns"])
-    figures = f"{result['samples']:>12,} samples over {span:<10}"
+    if (report := outcome.report) is None:
+        return plain(outcome.log)
+    counts = report.counts
+    figures = f"{counts.used:>12,} samples over {duration_text(counts.span_ns):<10}"
     lines = [f"{plain(outcome.log):<{width}}  {figures}  -> {plain(outcome.output)}"]
-    lines += [f"  warning: {spelled(remark)}" for remark in report["remarks"]]
-    return "\n".join(lines + [f"  {said}" for said in lost(report["losses"])])
+    lines += [f"  warning: {spelled(remark)}" for remark in report.remarks]
+    return "\n".join(lines + [f"  {said}" for said in loss_lines(report.losses)])
 
 
 def _tally(done: list[Outcome], skipped: int) -> str:
@@ -184,7 +184,7 @@ def _tally(done: list[Outcome], skipped: int) -> str:
         return f"nothing to do: all {skipped} outputs are as they would be"
     failed = sum(bool(outcome.error) for outcome in done)
     said = f"{len(done) - failed} of {len(done)} logs done"
-    samples = sum(outcome.report["result"]["samples"] for outcome in done if outcome.report)
+    samples = sum(outcome.report.counts.used for outcome in done if outcome.report)
     said += f", {samples:,} samples"
     return said + (f"; {skipped} skipped, as their outputs are as they would be" if skipped else "")
 
@@ -195,5 +195,5 @@ def _report(outcome: Outcome) -> dict[str, Any]:
         "output": outcome.output,
         "error": str(outcome.error) or None,
         "seconds": outcome.seconds,
-        "report": outcome.report,
+        "report": outcome.report and outcome.report.as_json(),
     }

@@ -17,8 +17,10 @@ from quatprop.check.case import BrokenCase, Case
 from quatprop.check.spelling import sentence
 from quatprop.check.suite import read_suite
 from quatprop.cli import compare, propagate
-from quatprop.cli.types import Angle, InitialAttitude
-from quatprop.errors import QuatpropError, SuiteError
+from quatprop.cli.types import ANGLE
+from quatprop.errors import QuatpropError, SuiteError, UsageError
+from quatprop.pipeline.settings import propagation_settings
+from quatprop.settings import PROPAGATE as SETTINGS
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -111,6 +113,15 @@ def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
     raise SuiteError(suite.path, f"no such key; {way_out}", case, place)
 
 
+def _matters(name: str, values: Mapping[str, object]) -> bool:
+    """Return whether a setting is something else than its default."""
+    given = {key: value for key, value in values.items() if key in SETTINGS}
+    try:
+        return propagation_settings(given) != propagation_settings({**given, name: None})
+    except UsageError:
+        return True
+
+
 class _Parser:
     """Makes a case of its table."""
 
@@ -140,8 +151,8 @@ class _Parser:
             del chosen["quiet"], chosen["verbose"]
             try:
                 job = propagate.job_of(chosen)
-            except click.UsageError as error:
-                raise self._error(error.message) from error
+            except UsageError as error:
+                raise self._error(sentence(error)) from error
         reference = self._reference()
         external = reference is None
         against = self._path("reference-log") if "reference-log" in values else log
@@ -194,7 +205,7 @@ class _Parser:
         if chosen["tolerance"] is None:
             if external:
                 raise self._error('no tolerance; say tol = "0.5deg" or the like', "tol")
-            chosen["tolerance"] = Angle().convert(DEFAULT_TOLERANCE, None, None)
+            chosen["tolerance"] = ANGLE.convert(DEFAULT_TOLERANCE, None, None)
         return chosen
 
     def _path(self, key: str, *, required: bool = False) -> str:
@@ -229,7 +240,7 @@ class _Parser:
                 raise self._error("this is true or false", key)
             return [name] if value else []
         text = self._text(key, value)
-        if isinstance(option.type, click.Path | InitialAttitude):
+        if option.name in {"q0", "at"}:
             place = self.folder / text
             if text not in WORDS and ("," not in text or place.exists()):
                 text = self.inputs[key] = str(place)
@@ -253,12 +264,11 @@ class _Parser:
 
     def _said(self, context: click.Context) -> dict[str, str]:
         """Return what the case says of the propagation, without what is the default."""
-        default = propagate.command.make_context("propagate", ["--output=-", "--", "-"]).params
         return {
             key: self._text(key, value) if not isinstance(value, bool) else str(value).lower()
             for key, value in sorted(self.table.values.items())
             if (option := PROPAGATE.get(key)) is not None
-            and context.params[str(option.name)] != default[str(option.name)]
+            and _matters(str(option.name), context.params)
         }
 
     def _error(self, reason: str, key: str | None = None) -> SuiteError:

@@ -10,7 +10,7 @@ import click
 
 from quatprop.cli.attitude_options import UNSOUND_OPTIONS, attitude_options, attitude_selection
 from quatprop.cli.options import plot_option, refuse_stdin_twice, with_options
-from quatprop.cli.types import Angle, Duration, TimeOffset
+from quatprop.cli.types import ANGLE, DURATION, TIME_OFFSET
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -33,7 +33,7 @@ MATCHES = ("exact", "nearest", "interpolate")
 @click.option(
     "--tol",
     "tolerance",
-    type=Angle(),
+    type=ANGLE,
     help="Largest error that passes, such as 1e-9rad or 0.1deg; above it the exit code is 1.  "
     "[default: none, all pass]",
 )
@@ -47,7 +47,7 @@ MATCHES = ("exact", "nearest", "interpolate")
 )
 @click.option(
     "--time-offset",
-    type=TimeOffset(),
+    type=TIME_OFFSET,
     metavar="DUR|auto",
     default=0,
     help="Added to B's stamps, such as -12ms; auto finds it from the angular speeds.  "
@@ -63,7 +63,7 @@ MATCHES = ("exact", "nearest", "interpolate")
 @click.option(
     "--max-dt",
     "max_dt_ns",
-    type=Duration(),
+    type=DURATION,
     help="How far apart samples that belong together, or are interpolated between, may be.  "
     "[default: half the median interval to the nearest, 10 to interpolate]",
 )
@@ -78,7 +78,7 @@ MATCHES = ("exact", "nearest", "interpolate")
 @click.option(
     "--window",
     "window_ns",
-    type=Duration(),
+    type=DURATION,
     help="Compare also the rotations over windows of this length.  [default: none]",
 )
 @with_options(UNSOUND_OPTIONS)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from quatprop.cli.summary import lost
+from quatprop.cli.summary import loss_lines
 from quatprop.comparison.statistics import FIGURES
+from quatprop.containers.base import Loss
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -122,7 +123,7 @@ def _judgement(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
         rows = report[side]["rows"]
         if left_out := rows["read"] - rows["used"]:
             yield "lost", f"{left_out} rows of {side.upper()} are no rotation"
-        for loss in lost(report[side]["losses"]):
+        for loss in loss_lines([Loss(**loss) for loss in report[side]["losses"]]):
             yield "", loss
     for remark in report["remarks"]:
         yield "remark", plain(remark)

@@ -77,6 +77,7 @@ def command(**chosen: Any) -> None:
     quatprop convert attitude.csv - --as euler-zyx --euler-unit deg
     """
     from quatprop.cli import summary as words
+    from quatprop.containers.base import Loss
     from quatprop.conventions import Meaning
     from quatprop.conversion import Conversion, convert
 
@@ -97,7 +98,8 @@ def command(**chosen: Any) -> None:
         report = convert(job, tick)
     step = report["conversions"][-1]
     if not quiet:
-        click.echo("\n".join([_summary(job.output, step), *words.lost(step["losses"])]), err=True)
+        losses = words.loss_lines([Loss(**loss) for loss in step["losses"]])
+        click.echo("\n".join([_summary(job.output, step), *losses]), err=True)
     if step["losses"] or step["counts"]["read"] != step["counts"]["used"]:
         raise click.exceptions.Exit(3)
 

@@ -9,7 +9,8 @@ import click
 
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.spelling import sentence, spelled
-from quatprop.cli.summary import lost
+from quatprop.cli.summary import loss_lines
+from quatprop.containers.base import Loss
 from quatprop.provenance import as_json as to_json
 from quatprop.text import plain
 
@@ -81,7 +82,7 @@ def _described(facts: dict[str, Any]) -> str:
         if source["missing"]:
             lines.append(f"  {name}: {spelled(source['missing'])}")
         lines += [f"  {name}: {spelled(text)}" for text in source["remarks"]]
-    lines += [f"  {line}" for line in lost(facts["losses"])]
+    lines += [f"  {line}" for line in loss_lines([Loss(**loss) for loss in facts["losses"]])]
     return "\n".join(lines)
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
-from quatprop.cli.types import Names
+from quatprop.cli.types import Parsed
+from quatprop.settings import CLOCKS, KINDS, RATE_UNITS, SELECT_RATES, TIME_UNITS
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
 
@@ -21,17 +22,6 @@ if TYPE_CHECKING:
         def __call__(self, command: Command, /) -> Command:
             """Return the command with the option."""
 
-
-KINDS = (
-    *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "jsonl", "csv"),
-)
-"""The keys of :data:`quatprop.formats.READERS`; spelled out so that help imports no reader."""
-
-LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
-RATE_UNITS = ("rad/s", "deg/s")
-TIME_UNITS = ("s", "ms", "us", "ns")
-CLOCKS = ("header", "log", "publish")
 
 kind_option = click.option(
     "--from",
@@ -60,7 +50,7 @@ SELECTION_OPTIONS = (
     ),
     click.option(
         "--rate-cols",
-        type=Names("X,Y,Z"),
+        type=Parsed(SELECT_RATES["rate_cols"], "X,Y,Z"),
         help="Rate columns of a table, by name or number from 0.  [default: by the header]",
     ),
     click.option(
@@ -80,14 +70,13 @@ SELECTION_OPTIONS = (
     ),
     click.option(
         "--sample-rate",
-        type=click.FloatRange(min=0, min_open=True),
-        metavar="HZ",
+        type=Parsed(SELECT_RATES["sample_rate"], "HZ"),
         help="Samples a second of a table without a time.  [default: none]",
     ),
     click.option(
         "--clock",
         type=click.Choice(CLOCKS),
-        help="Whose stamps.  [default: header where the message has one, else log]",
+        help="Timestamp source.  [default: header where the message has one, else log]",
     ),
 )
 

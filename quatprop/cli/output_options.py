@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import LAYOUTS
+from quatprop.settings import LAYOUTS
 
 if TYPE_CHECKING:
+    from quatprop.pipeline.settings import OutputSettings
     from quatprop.writers.messages.kinds import Message
 
 KINDS = (
@@ -105,3 +106,21 @@ def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:
         both = "" if output is None else ", not both"
         raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
     return {"output": into or output, "into": into is not None}
+
+
+def output_settings(chosen: dict[str, Any]) -> OutputSettings:
+    """Return where attitudes go and as what, from a command's options."""
+    from quatprop.conventions.layout import layout_named
+    from quatprop.pipeline.settings import OutputSettings
+
+    where = destination(chosen)
+    layout = chosen["layout"]
+    return OutputSettings(
+        path=where["output"],
+        into=where["into"],
+        to=chosen["to"],
+        layout=layout and layout_named(layout).name,
+        message=message(chosen),
+        comment=chosen["comment"],
+        report=chosen["report"],
+    )

@@ -16,7 +16,7 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.spelling import spelled
-from quatprop.cli.types import Angle, Duration, Time, TimeOffset
+from quatprop.cli.types import ANGLE, DURATION, TIME, TIME_OFFSET
 
 OF_SAMPLES = ("kind", "topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
 """Options that rates and attitudes share."""
@@ -50,11 +50,11 @@ OWN_OPTIONS = [
 )
 @click.option(
     "--start",
-    type=Time(),
+    type=TIME,
     help="Draw from here: RFC 3339, ns, +10s from the first or -30s from the last sample.  "
     "[default: all]",
 )
-@click.option("--end", type=Time(), help="Draw up to here; as --start.  [default: all]")
+@click.option("--end", type=TIME, help="Draw up to here; as --start.  [default: all]")
 @click.option(
     "--reference",
     metavar="REF",
@@ -64,7 +64,7 @@ OWN_OPTIONS = [
 @click.option(
     "--tol",
     "tolerance",
-    type=Angle(),
+    type=ANGLE,
     help="With --reference: draw this tolerance, such as 0.1deg, and mark the first sample above "
     "it; the exit code stays 0.  [default: none]",
 )
@@ -77,7 +77,7 @@ OWN_OPTIONS = [
 )
 @click.option(
     "--time-offset",
-    type=TimeOffset(),
+    type=TIME_OFFSET,
     metavar="DUR|auto",
     default=0,
     help="With --reference: added to its stamps; as for compare.  [default: none]",
@@ -85,7 +85,7 @@ OWN_OPTIONS = [
 @click.option(
     "--max-dt",
     "max_dt_ns",
-    type=Duration(),
+    type=DURATION,
     help="With --reference: how far apart samples that belong together may be; as for compare.  "
     "[default: half the median interval to the nearest, 10 to interpolate]",
 )

@@ -2,29 +2,131 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli.options import (
-    LAYOUTS,
     SELECTION_OPTIONS,
     plot_option,
     quiet_option,
     report_option,
-    selection,
     with_options,
 )
-from quatprop.cli.output_options import OUTPUT_OPTIONS, destination, into_option, message
-from quatprop.cli.types import Bias, Duration, Frequency, InitialAttitude, Time
+from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
+from quatprop.cli.types import Parsed
+from quatprop.settings import FRAMES, LAYOUTS, METHODS, PROPAGATE
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from quatprop.pipeline.job import Job
     from quatprop.plot.propagation import PropagationPicture
+
+
+PROPAGATION_OPTIONS = (
+    click.option(
+        "--method",
+        type=click.Choice(METHODS),
+        help="Integration rule: the rate over an interval is that of the sample at its start, of "
+        "the one at its end, their mean, or linear between them (coning).  [default: start]",
+    ),
+    click.option(
+        "--rates",
+        type=click.Choice(FRAMES),
+        help="Frame the rates are resolved in: body multiplies right, inertial left.  "
+        "[default: body]",
+    ),
+    click.option(
+        "--q0",
+        type=Parsed(PROPAGATE["q0"], "W,X,Y,Z|level|log|FILE"),
+        help="Attitude body to reference at the first sample: four numbers; level, roll and pitch "
+        "from gravity at rest; log, the log's own orientation; or FILE, an attitude series, at "
+        "that time.  [default: identity]",
+    ),
+    click.option(
+        "--heading",
+        type=Parsed(PROPAGATE["heading"], "DEG"),
+        help="For --q0 level: rotation about the reference's z axis.  [default: 0]",
+    ),
+    click.option(
+        "--reference-z",
+        type=click.Choice(("up", "down")),
+        help="For --q0 level: where the reference's z axis points (down for north-east-down).  "
+        "[default: up]",
+    ),
+    click.option(
+        "--q0-layout",
+        type=click.Choice(LAYOUTS),
+        help="Order of the four numbers of --q0.  [default: scalar-first]",
+    ),
+    click.option(
+        "--bias",
+        type=Parsed(PROPAGATE["bias"], "X,Y,Z|static[:DUR]"),
+        help="Subtracted from the rates, in --rate-unit; static takes the mean rate at rest, found "
+        "in windows of DUR (1s).  [default: none]",
+    ),
+    click.option(
+        "--mount",
+        metavar="W,X,Y,Z|x,-y,-z",
+        help="Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
+        "[default: they are the same]",
+    ),
+    click.option(
+        "--start",
+        type=Parsed(PROPAGATE["start"], "TIME"),
+        help="Use the log from here: RFC 3339, ns, +10s from its first or -30s from its last "
+        "sample.  [default: all]",
+    ),
+    click.option(
+        "--end",
+        type=Parsed(PROPAGATE["end"], "TIME"),
+        help="Use the log up to here; as --start.  [default: all]",
+    ),
+    click.option(
+        "--on-backwards",
+        type=click.Choice(("error", "drop", "sort")),
+        help="Timestamps that go backwards: refuse, drop until the clock has caught up, or sort "
+        "(holds the log in memory).  [default: error]",
+    ),
+    click.option(
+        "--on-nonfinite",
+        type=click.Choice(("error", "drop", "hold")),
+        help="Rates that are NaN or infinite: refuse, drop, or hold the previous rate.  "
+        "[default: error]",
+    ),
+    click.option(
+        "--max-gap",
+        type=Parsed(PROPAGATE["max_gap"], "DUR"),
+        help="Intervals longer than this count as gaps.  [default: 10 median intervals]",
+    ),
+    click.option(
+        "--on-gap",
+        type=click.Choice(("hold", "zero", "split", "error")),
+        help="Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, "
+        "or refuse.  [default: hold]",
+    ),
+    click.option(
+        "--every",
+        type=Parsed(PROPAGATE["every"], "N"),
+        help="Write every N-th attitude only.  [default: all]",
+    ),
+    click.option(
+        "--rate",
+        type=Parsed(PROPAGATE["rate"], "HZ"),
+        help="Write attitudes at this rate, exact at those times under the method.  "
+        "[default: at the samples]",
+    ),
+    click.option(
+        "--at",
+        type=click.Path(exists=True),
+        metavar="FILE",
+        help="Write attitudes at the stamps of this series of attitudes or rates, exact under the "
+        "method; times outside the log are left out.  [default: at the samples]",
+    ),
+)
+"""Settings of a propagation: each is a key of :data:`quatprop.settings.PROPAGATE`."""
 
 
 @click.command(no_args_is_help=True)
@@ -37,116 +139,7 @@ if TYPE_CHECKING:
 )
 @into_option
 @with_options(OUTPUT_OPTIONS)
-@click.option(
-    "--method",
-    type=click.Choice(("start", "end", "mean", "coning")),
-    default="start",
-    show_default=True,
-    help="Which samples rule an interval: the one at its start, at its end, their mean, or a rate "
-    "linear between them.",
-)
-@click.option(
-    "--rates",
-    type=click.Choice(("body", "inertial")),
-    default="body",
-    show_default=True,
-    help="Frame the rates are resolved in: body multiplies right, inertial left.",
-)
-@click.option(
-    "--q0",
-    type=InitialAttitude(),
-    help="Attitude body to reference at the first sample: four numbers; level, roll and pitch from "
-    "gravity at rest; log, the log's own orientation; or FILE, an attitude series, at that time.  "
-    "[default: identity]",
-)
-@click.option(
-    "--heading",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="DEG",
-    help="For --q0 level: rotation about the reference's z axis.",
-)
-@click.option(
-    "--reference-z",
-    type=click.Choice(("up", "down")),
-    default="up",
-    show_default=True,
-    help="For --q0 level: where the reference's z axis points (down for north-east-down).",
-)
-@click.option(
-    "--q0-layout",
-    type=click.Choice(LAYOUTS),
-    default="scalar-first",
-    show_default=True,
-    help="Order of the four numbers of --q0.",
-)
-@click.option(
-    "--bias",
-    type=Bias(),
-    help="Subtracted from the rates, in --rate-unit; static takes the mean over the log's rest, "
-    "looked for in windows of DUR (1s).  [default: none]",
-)
-@click.option(
-    "--mount",
-    metavar="W,X,Y,Z|x,-y,-z",
-    help="Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
-    "[default: they are the same]",
-)
-@click.option(
-    "--start",
-    type=Time(),
-    help="Use the log from here: RFC 3339, ns, +10s from its first or -30s from its last sample.  "
-    "[default: all]",
-)
-@click.option("--end", type=Time(), help="Use the log up to here; as --start.  [default: all]")
-@click.option(
-    "--on-backwards",
-    type=click.Choice(("error", "drop", "sort")),
-    default="error",
-    show_default=True,
-    help="Stamps that step back: refuse, drop until the clock has caught up, or sort (holds the "
-    "log in memory).",
-)
-@click.option(
-    "--on-nonfinite",
-    type=click.Choice(("error", "drop", "hold")),
-    default="error",
-    show_default=True,
-    help="Rates that are NaN or infinite: refuse, drop, or hold the rate before.",
-)
-@click.option(
-    "--max-gap",
-    type=Duration(),
-    help="Longest interval that is no gap.  [default: 10 median intervals]",
-)
-@click.option(
-    "--on-gap",
-    type=click.Choice(("hold", "zero", "split", "error")),
-    default="hold",
-    show_default=True,
-    help="Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, or "
-    "refuse.",
-)
-@click.option(
-    "--every",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Write every N-th attitude only.  [default: all]",
-)
-@click.option(
-    "--rate",
-    type=Frequency(),
-    help="Write attitudes so often a second, exact at those times under the method.  "
-    "[default: at the samples]",
-)
-@click.option(
-    "--at",
-    type=click.Path(exists=True),
-    metavar="FILE",
-    help="Write attitudes at the stamps of this series of attitudes or rates, exact under the "
-    "method; times outside the log are left out.  [default: at the samples]",
-)
+@with_options(PROPAGATION_OPTIONS)
 @report_option
 @plot_option
 @quiet_option
@@ -167,12 +160,12 @@ def command(**chosen: Any) -> None:
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
     with words.progress(quiet=quiet) as tick, _drawing(job, plot) as picture:
-        report = run(job, tick, picture)
+        report = run(job, tick, picture, summary=not quiet)
         if picture is not None:
             picture.commit(report)
     if not quiet:
         click.echo(words.summary(report, verbose=verbose), err=True)
-    if report["data_lost"]:
+    if report.data_lost:
         raise click.exceptions.Exit(3)
 
 
@@ -182,64 +175,19 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
         return nullcontext()
     from quatprop.plot.propagation import PropagationPicture
 
-    resampled = job.rate is not None or job.at is not None
-    inputs = [job.log, job.q0.words, job.at]
-    return PropagationPicture(plot, inputs, [job.output, job.report], resampled=resampled)
+    settings, output = job.settings, job.output
+    resampled = settings.rate is not None or settings.at is not None
+    inputs = [job.log, *settings.inputs]
+    return PropagationPicture(plot, inputs, [output.path, output.report], resampled=resampled)
 
 
 def job_of(chosen: dict[str, Any]) -> Job:
-    """Return what the options ask for; in the context of the command, whose options they are."""
-    from quatprop.conditioning import Conditioning
-    from quatprop.conventions.layout import layout_named
-    from quatprop.pipeline.initial_attitude import Start
+    """Return what the options ask for, with typed values."""
     from quatprop.pipeline.job import Job
-    from quatprop.timeline import Policy
+    from quatprop.pipeline.settings import propagation_settings
 
-    # What is drawn of a job is no part of it.
-    chosen.pop("plot", None)
-    _refuse_idle(chosen["q0"])
-    start = {
-        "heading": math.radians(chosen.pop("heading")),
-        "down": chosen.pop("reference_z") == "down",
-    }
-    q0, q0_order = chosen.pop("q0"), layout_named(chosen.pop("q0_layout")).order
-    if isinstance(q0, str):
-        start["words"] = q0
-    elif q0 is not None:
-        start["wxyz"] = tuple(q0[q0_order.index(part)] for part in range(4))
-    bias = chosen.pop("bias")
-    layout = chosen.pop("layout")
     return Job(
-        log=chosen.pop("log"),
-        selection=selection(chosen),
-        policy=Policy(
-            on_backwards=chosen.pop("on_backwards"),
-            on_nonfinite=chosen.pop("on_nonfinite"),
-            on_gap=chosen.pop("on_gap"),
-            max_gap_ns=chosen.pop("max_gap"),
-        ),
-        q0=Start(**start),
-        layout=layout and layout_named(layout).name,
-        message=message(chosen),
-        **destination(chosen),
-        conditioning=Conditioning(
-            bias=bias if isinstance(bias, tuple) else None,
-            static_ns=bias if isinstance(bias, int) else None,
-            mount=chosen.pop("mount"),
-            start=chosen.pop("start"),
-            end=chosen.pop("end"),
-        ),
-        **chosen,
+        log=chosen["log"],
+        output=output_settings(chosen),
+        settings=propagation_settings({name: chosen[name] for name in PROPAGATE}),
     )
-
-
-def _refuse_idle(q0: tuple[float, ...] | str | None) -> None:
-    """Refuse options that belong to another kind of --q0 than the one that is given."""
-    source = click.get_current_context().get_parameter_source
-    for option, goes_with, fits in (
-        ("heading", "level", q0 == "level"),
-        ("reference_z", "level", q0 == "level"),
-        ("q0_layout", "W,X,Y,Z", isinstance(q0, tuple)),
-    ):
-        if not fits and source(option) is not click.core.ParameterSource.DEFAULT:
-            raise click.UsageError(f"--{option.replace('_', '-')} goes with --q0 {goes_with}")

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from quatprop.cli.types import MAX_RATE, Duration, Numbers
+from quatprop.cli.types import DURATION, numbers
+from quatprop.settings import MAX_FREQUENCY
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -88,7 +89,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--duration",
-    type=Duration(),
+    type=DURATION,
     help="How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
 )
 @click.option(
@@ -124,14 +125,14 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--bias",
-    type=Numbers("X,Y,Z"),
+    type=numbers("X,Y,Z"),
     default="0,0,0",
     show_default=True,
     help="Constant error of the rates, rad/s.",
 )
 @click.option(
     "--q0",
-    type=Numbers("W,X,Y,Z"),
+    type=numbers("W,X,Y,Z"),
     default="1,0,0,0",
     show_default=True,
     help="True attitude at the first sample, body to reference, scalar first.",
@@ -146,7 +147,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--axis",
-    type=Numbers("X,Y,Z"),
+    type=numbers("X,Y,Z"),
     default="0,0,1",
     show_default=True,
     help="Axis of a spin in the body.",
@@ -192,7 +193,7 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.run import simulate, truth_beside
 
     _refuse_idle(options["motion"])
-    if not 0 < options["sample_rate"] <= MAX_RATE:
+    if not 0 < options["sample_rate"] <= MAX_FREQUENCY:
         raise click.BadParameter("a rate is above 0 and at most 1e9 Hz", param_hint="'--rate'")
     if options["samples"] is not None and options["duration"] is not None:
         raise click.UsageError("--samples and --duration say the same thing; give one of them")

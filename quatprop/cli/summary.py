@@ -1,4 +1,4 @@
-"""Words on stderr: the summary of a run, the progress of a long one."""
+"""What goes to stderr: the summary of a run, the progress of a long one."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import spelled
+from quatprop.provenance import as_json
 from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-MAX_LOST = 20
-"""Losses that are told one by one."""
+    from quatprop.containers.base import Loss
+    from quatprop.pipeline.report import RunReport
+
+MAX_LOSSES = 20
+"""Losses that are listed one by one."""
 
 PROGRESS_EVERY_S = 0.2
 """How often the progress line changes; nothing shows before the first interval is over."""
@@ -44,89 +48,92 @@ def progress(*, quiet: bool) -> Iterator[Callable[[int], None]]:
             click.echo("\r\033[K", err=True, nl=False)
 
 
-def summary(report: dict[str, Any], *, verbose: bool) -> str:
+def summary(report: RunReport, *, verbose: bool) -> str:
     """Return what a run did in a few lines.
 
     Parameters
     ----------
     report
-        The report of :func:`quatprop.pipeline.job.run`.
+        The report of the run.
     verbose
-        Also say conventions, policies and timings.
+        Also state conventions, policies and timings.
     """
-    lines = [f"{name:<9} {value}" for name, value in _facts(report)]
+    lines = [f"{name:<11} {value}" for name, value in _facts(report)]
     if verbose:
-        lines += [f"{name:<9} {value}" for name, value in _conventions(report)]
-    lines += [f"warning: {spelled(remark)}" for remark in report["remarks"]]
-    return "\n".join(lines + lost(report["losses"]))
+        lines += [f"{name:<11} {value}" for name, value in _conventions(report)]
+    lines += [f"warning: {spelled(remark)}" for remark in report.remarks]
+    return "\n".join(lines + loss_lines(report.losses))
 
 
-def lost(losses: list[dict[str, Any]]) -> list[str]:
-    """Return a line for each thing that a damaged log has lost, or for the first of many."""
-    shown = losses if len(losses) <= MAX_LOST else losses[:MAX_LOST]
-    lines = [f"lost: {plain(loss['place'])}: {plain(loss['reason'])}" for loss in shown]
-    if len(losses) > len(shown):
-        more = len(losses) - len(shown)
-        lines.append(f"lost: {more} more like these, which the JSON report lists")
+def loss_lines(losses: Sequence[Loss]) -> list[str]:
+    """Return a line for each loss in a damaged log, or for the first of many."""
+    lines = [f"lost: {plain(loss.place)}: {plain(loss.reason)}" for loss in losses[:MAX_LOSSES]]
+    if (more := len(losses) - len(lines)) > 0:
+        lines.append(f"lost: {more} more, which the JSON report lists")
     return lines
 
 
-def _facts(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    source, counts, result = report["source"], report["counts"], report["result"]
-    convention = report["convention"]
-    named = " ".join(plain(source[key]) for key in ("name", "type") if source[key])
-    yield "source", f"{plain(source['path'])} ({source['kind']}): {named}"
-    yield "rate", f"{plain(source['rate'])} in {source['rate_unit']}, {source['clock']} clock"
-    yield "samples", _samples(counts, result)
-    yield "method", f"{convention['method']}, {convention['rates']} rates: {convention['side']}"
-    conditioning = report["conditioning"]
-    if conditioning["bias_rad_s"] is not None:
-        yield "bias", _bias(conditioning)
-    if convention["q0_from"] != "given":
-        yield "q0", f"{_numbers(convention['q0_wxyz'])}, from {plain(convention['q0_from'])}"
-    other = "start" if convention["method"] == "coning" else "coning"
-    spread = math.degrees(result["method_sensitivity_rad"])
-    yield "spread", f"{spread:.3g} deg: how far method {other} would end from here"
-    yield "final", _numbers(result["final_wxyz"])
+def _facts(report: RunReport) -> Iterator[tuple[str, str]]:
+    source, counts, result = report.source, report.counts, report.result
+    convention = report.convention
+    name = " ".join(plain(text) for text in (source.name, source.type) if text)
+    yield "source", f"{plain(source.path)} ({source.kind}): {name}"
+    yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
+    yield "samples", _samples(report)
+    yield "method", f"{convention.method}, {convention.rates} rates: {convention.side}"
+    if report.conditioning["bias_rad_s"] is not None:
+        yield "bias", _bias(report.conditioning)
+    if convention.q0_from != "given":
+        yield "q0", f"{_numbers(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+    other = "start" if convention.method == "coning" else "coning"
+    if result.method_sensitivity_rad is not None:
+        difference = f"{math.degrees(result.method_sensitivity_rad):.3g} deg"
+        yield "sensitivity", f"{difference} between the final attitudes of this method and {other}"
+    yield "final", _numbers(result.final_wxyz)
     rotation = (
-        f"{math.degrees(result['net_rotation_rad']):.6g} deg from q0 to the end, "
-        f"{math.degrees(result['path_angle_rad']):.6g} deg traversed in total, "
-        f"at most {math.degrees(counts['max_rate']):.6g} deg/s"
+        f"{math.degrees(result.net_rotation_rad):.6g} deg from q0 to the final attitude, "
+        f"{math.degrees(result.path_angle_rad):.6g} deg traversed, "
+        f"at most {math.degrees(counts.max_rate):.6g} deg/s"
     )
     yield "rotation", rotation
 
 
-def _numbers(wxyz: list[float]) -> str:
+def _numbers(wxyz: Iterable[float]) -> str:
     return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
-def _bias(conditioning: dict[str, Any]) -> str:
-    said = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*conditioning["bias_rad_s"])
+def _bias(conditioning: Mapping[str, Any]) -> str:
+    bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*conditioning["bias_rad_s"])
     if (rest := conditioning["rest"]) is None:
-        return said
+        return bias
     return (
-        f"{said}, from {rest['samples']} samples of rest over "
+        f"{bias}, from {rest['samples']} samples at rest over "
         f"{duration_text(rest['last_ns'] - rest['first_ns'])} from t = {rest['first_ns']} ns, "
         f"scatter {rest['scatter_rad_s']:.3g} rad/s"
     )
 
 
-def _samples(counts: dict[str, Any], result: dict[str, Any]) -> str:
-    said = f"{result['samples']}"
-    if counts["read"] != counts["used"]:
-        said += f" of {counts['read']}"
-    if result["span_s"]:
-        span = result["last_ns"] - result["first_ns"]
-        said += f" over {duration_text(span)}, {result['sample_rate_hz']:.6g} Hz"
-    if result["rows"] != result["samples"]:
-        said += f"; {result['rows']} attitudes written"
-    return said
+def _samples(report: RunReport) -> str:
+    counts, result = report.counts, report.result
+    text = f"{result.samples}"
+    if counts.read != counts.used:
+        text += f" of {counts.read}"
+    if result.span_s:
+        text += f" over {duration_text(counts.span_ns)}, {result.sample_rate_hz:.6g} Hz"
+    if result.rows != result.samples:
+        text += f"; {result.rows} attitudes written"
+    return text
 
 
-def _conventions(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    convention = report["convention"]
-    for name in ("quaternion", "product", "attitude", "step", "layout", "q0_wxyz"):
-        yield name, str(convention[name])
-    for name, value in report["policy"].items():
+def _conventions(report: RunReport) -> Iterator[tuple[str, str]]:
+    convention = report.convention
+    yield "quaternion", convention.quaternion
+    yield "product", convention.product
+    yield "attitude", convention.attitude
+    yield "step", convention.step
+    yield "layout", str(convention.layout)
+    yield "q0_wxyz", str(as_json(convention.q0_wxyz))
+    for name, value in as_json(report.policy).items():
         yield name, str(value)
-    yield "seconds", f"{report['timings']['seconds']:.3f}"
+    if report.seconds is not None:
+        yield "seconds", f"{report.seconds:.3f}"

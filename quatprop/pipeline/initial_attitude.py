@@ -20,7 +20,7 @@ from quatprop.signals.message_values import FieldReader, channels_of, choose_clo
 from quatprop.tables.base import is_table
 from quatprop.tables.matching.choose import match_rates
 from quatprop.tables.matching.column_names import parse_name
-from quatprop.text import quoted
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,12 +51,12 @@ _ACCELERATION = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class InitialAttitude:
     """Where a propagation begins.
 
     Parameters
     ----------
-    words
+    source
         ``"level"``, ``"log"``, or the path of an attitude series; ``""`` for `wxyz`.
     wxyz
         The attitude body -> reference, where it is given.
@@ -66,7 +66,7 @@ class Start:
         For ``"level"``: whether the reference's z axis points down, as in north-east-down.
     """
 
-    words: str = ""
+    source: str = ""
     wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     heading: float = 0.0
     down: bool = False
@@ -78,21 +78,21 @@ class Recording(NamedTuple):
     Parameters
     ----------
     log
-        Open, and able to be read again.
+        Open, and able to be read again; None for rates in memory.
     source, selection
         Its rates, and how they were chosen.
     mount
         Sensor axes to body axes, shape ``(3, 3)``, for the accelerometer too; None for the same.
     """
 
-    log: MessageLog | TableLog
+    log: MessageLog | TableLog | None
     source: RateSignal
     selection: RateSelection
     mount: Float64 | None
 
 
 def starting(
-    start: Start, recording: Recording, samples: Iterator[GyroSeries]
+    start: InitialAttitude, recording: Recording, samples: Iterator[GyroSeries]
 ) -> tuple[Float64, Iterator[GyroSeries]]:
     """Return the attitude at the first sample, and the samples, of which the first were needed.
 
@@ -120,19 +120,21 @@ def starting(
         The log has no accelerations, or the other series, or the log's own orientation, does not
         reach to the first sample.
     """
-    first = next(samples, None) if start.words else None
+    first = next(samples, None) if start.source else None
     if first is None:
         return unit_q0(start.wxyz), samples
     log, source, selection, mount = recording
     first_ns = int(first.t_ns[0])
-    if start.words == "log":
+    if start.source not in {"level", "log"}:
+        return unit_q0(attitude_at(start.source, first_ns)), chain([first], samples)
+    if log is None:
+        raise UsageError(Setting("q0", start.source), " needs a log, not rates in memory")
+    if start.source == "log":
         wxyz = first_orientation(log, source, first_ns)
-    elif start.words == "level":
+    else:
         _refuse_motion(first, log)
         force = _force(log, source, selection, first_ns)
         wxyz = level(force if mount is None else mount @ force, start.heading, down=start.down)
-    else:
-        wxyz = attitude_at(start.words, first_ns)
     return unit_q0(wxyz), chain([first], samples)
 
 

@@ -1,30 +1,26 @@
-"""What a run says of itself: the JSON report, which is also the metadata of its output."""
+"""What a run reports: the summary, the JSON report and the metadata of outputs are made from it."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.containers.remote import without_secret
-from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.provenance import as_json
-from quatprop.timeline.counts import remarks
 from quatprop.writers.atomic import Output, reported
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping
     from typing import Self
 
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Log
-    from quatprop.pipeline.job import Job
-    from quatprop.signals.signal import RateSignal
+    from quatprop.containers.base import Loss
     from quatprop.text import Text
-    from quatprop.timeline import Timeline
+    from quatprop.timeline import Policy
+    from quatprop.timeline.counts import Counts
 
 CONVENTION = {
     "product": "Hamilton, ij = k",
@@ -33,46 +29,167 @@ CONVENTION = {
     "inertial": "rates resolved in the reference frame; q[k+1] = dq[k] * q[k]",
     "step": "dq = cos(|w| dt / 2) + w/|w| sin(|w| dt / 2)",
 }
-"""What the numbers mean, in the words that every output carries."""
+"""The convention as every output states it."""
 
 
-class RunResult(NamedTuple):
-    """What a job has come to.
+@dataclass(frozen=True, slots=True)
+class SourceReport:
+    """Where the samples came from.
 
     Parameters
     ----------
-    log, source
-        Where the samples came from.
-    timeline
-        What was seen of time.
-    conditioned
-        What was done to the rates, JSON-ready.
-    q0, final
-        Attitudes at the first and at the last sample, wxyz.
-    method_sensitivity_rad
-        Angle between the final attitudes of this and another method, rad; None where nobody asked.
-    rows
-        Attitudes written.
-    remarks
-        What looks wrong.
+    path, kind
+        The log.
     fingerprint
-        Bytes and SHA-256 of the log; see :func:`quatprop.provenance.fingerprint`.
+        Its size and SHA-256; see :func:`quatprop.provenance.fingerprint`.
+    name, type
+        Topic and message type, or rate columns and dialect.
+    rate, rate_unit
+        The field or the columns that are the rate, and their unit.
+    clock
+        The timestamp source.
     """
 
-    log: Log
-    source: RateSignal
-    timeline: Timeline
-    conditioned: dict[str, Any]
-    q0: NDArray[np.float64]
-    final: NDArray[np.float64]
-    method_sensitivity_rad: float | None
+    path: str
+    kind: str
+    fingerprint: Mapping[str, Any]
+    name: str
+    type: str
+    rate: str
+    rate_unit: str
+    clock: str
+
+
+@dataclass(frozen=True, slots=True)
+class ConventionReport:
+    """What the numbers mean.
+
+    Parameters
+    ----------
+    rates
+        ``"body"`` or ``"inertial"``.
+    method
+        The integration rule that was used, or ``"increments"``.
+    layout
+        Order of the columns written; None where nothing was written.
+    q0_wxyz
+        Attitude at the first sample, scalar first.
+    q0_from
+        ``"given"``, ``"level"``, ``"log"`` or a file.
+    """
+
+    rates: str
+    method: str
+    layout: str | None
+    q0_wxyz: NDArray[np.float64]
+    q0_from: str
+    quaternion: str = field(default="w + x i + y j + z k", init=False)
+    product: str = field(default=CONVENTION["product"], init=False)
+    attitude: str = field(default=CONVENTION["attitude"], init=False)
+    step: str = field(default=CONVENTION["step"], init=False)
+    time: str = field(default="int64 nanoseconds", init=False)
+
+    @property
+    def side(self) -> str:
+        """The side on which steps are multiplied, in words."""
+        return CONVENTION[self.rates]
+
+
+@dataclass(frozen=True, slots=True)
+class ResultReport:
+    """What came out.
+
+    Parameters
+    ----------
+    samples
+        Samples that were propagated.
+    first_ns, last_ns
+        Their first and last stamp, ns.
+    span_s
+        Time between them, s.
+    sample_rate_hz
+        Mean rate of the samples, Hz; None where they span no time.
+    rows
+        Attitudes that were written.
+    final_wxyz
+        Attitude at the last sample, scalar first.
+    net_rotation_rad
+        Angle from the first to the last attitude, rad.
+    method_sensitivity_rad
+        Angle between the final attitudes of this and another method, rad; None where it was not
+        computed.
+    path_angle_rad
+        Total angle traversed, rad.
+    """
+
+    samples: int
+    first_ns: int | None
+    last_ns: int | None
+    span_s: float
+    sample_rate_hz: float | None
     rows: int
-    remarks: Sequence[str | Text]
-    fingerprint: dict[str, Any]
+    final_wxyz: NDArray[np.float64]
+    net_rotation_rad: float
+    method_sensitivity_rad: float | None
+    path_angle_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunReport:
+    """What was read, done, counted and lost in one run.
+
+    Parameters
+    ----------
+    source, convention, policy, counts, conditioning, result
+        The parts.
+    losses
+        What of the log could not be read.
+    remarks
+        What the user should know of.
+    seconds
+        How long the run took, s; not part of an output's metadata.
+    """
+
+    source: SourceReport
+    convention: ConventionReport
+    policy: Policy
+    counts: Counts
+    losses: tuple[Loss, ...]
+    remarks: tuple[str | Text, ...]
+    conditioning: Any
+    result: ResultReport
+    seconds: float | None = None
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether a part of the log could not be read, or samples were dropped."""
+        return bool(self.losses or self.counts.dropped)
+
+    def timed(self, seconds: float) -> RunReport:
+        """Return the same report with the duration of the run."""
+        return replace(self, seconds=seconds)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the report as JSON: the content of a report file and of outputs' metadata."""
+        source = as_json(self.source)
+        fingerprint = source.pop("fingerprint")
+        report = {
+            "quatprop": __version__,
+            "source": {**source, **fingerprint},
+            "convention": {**as_json(self.convention), "side": self.convention.side},
+            "policy": as_json(self.policy),
+            "counts": as_json(self.counts),
+            "losses": as_json(self.losses),
+            "data_lost": self.data_lost,
+            "remarks": as_json(self.remarks),
+            "conditioning": as_json(self.conditioning),
+            "result": as_json(self.result),
+        }
+        return report if self.seconds is None else {**report, "timings": {"seconds": self.seconds}}
 
 
 class ReportFile:
-    """A report as JSON, in its place only when everything else is.
+    """A report as JSON, put in its place only when everything else is.
 
     Parameters
     ----------
@@ -82,17 +199,17 @@ class ReportFile:
     Raises
     ------
     OutputError
-        The target cannot be written; told before anything is computed.
+        The target cannot be written; raised before anything is computed.
     """
 
     def __init__(self, target: str | None) -> None:
         self._output = None if target is None else Output(target)
 
-    def commit(self, report: dict[str, Any]) -> None:
+    def commit(self, report: Mapping[str, Any]) -> None:
         """Write the report and put it in its place."""
         if self._output is not None:
             with reported(self._output.target):
-                self._output.stream.write((json.dumps(as_json(report), indent=2) + "\n").encode())
+                self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
             self._output.commit()
 
     def __enter__(self) -> Self:
@@ -101,60 +218,3 @@ class ReportFile:
     def __exit__(self, *_error: object) -> None:
         if self._output is not None:
             self._output.discard()
-
-
-def report_on(job: Job, done: RunResult) -> dict[str, Any]:
-    """Return the report on a job: what was read, done, counted and lost; JSON-ready."""
-    log, source, timeline = done.log, done.source, done.timeline
-    counts = timeline.counts
-    span_s = counts.span_ns * 1e-9
-    return {
-        "quatprop": __version__,
-        "source": {
-            "path": without_secret(job.log),
-            "kind": log.kind,
-            **done.fingerprint,
-            "name": source.name,
-            "type": source.type_name,
-            "rate": source.field,
-            "rate_unit": source.unit,
-            "clock": source.clock,
-        },
-        "convention": {
-            "quaternion": "w + x i + y j + z k",
-            "product": CONVENTION["product"],
-            "attitude": CONVENTION["attitude"],
-            "step": CONVENTION["step"],
-            "rates": job.rates,
-            "side": CONVENTION[job.rates],
-            "method": source.integration_rule(job.method),
-            "layout": job.layout,
-            "time": "int64 nanoseconds",
-            "q0_wxyz": done.q0.tolist(),
-            "q0_from": job.q0.words or "given",
-        },
-        "policy": asdict(job.policy),
-        "counts": asdict(counts),
-        "losses": [asdict(loss) for loss in log.losses],
-        "data_lost": bool(log.losses or counts.dropped),
-        "remarks": [
-            *source.remarks,
-            *source.method_remarks(job.method),
-            *remarks(counts, job.policy),
-            *done.remarks,
-            *log.remarks,
-        ],
-        "conditioning": done.conditioned,
-        "result": {
-            "samples": counts.used,
-            "first_ns": counts.first_ns,
-            "last_ns": counts.last_ns,
-            "span_s": span_s,
-            "sample_rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
-            "rows": done.rows,
-            "final_wxyz": done.final.tolist(),
-            "net_rotation_rad": float(geodesic_angle(done.q0, done.final)),
-            "method_sensitivity_rad": done.method_sensitivity_rad,
-            "path_angle_rad": counts.path_angle_rad,
-        },
-    }

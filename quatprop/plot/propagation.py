@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from quatprop.plot.accumulators import AttitudeSketch, RateSketch
 from quatprop.plot.names import names_of, noted
 from quatprop.plot.page import Page, Table
 from quatprop.plot.picture import Group, Part, instant_text, picture
 from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.provenance import as_json
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from typing import Self
 
+    from quatprop.containers.base import Loss
+    from quatprop.pipeline.report import ConventionReport, RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
 
 
@@ -69,7 +72,7 @@ class PropagationPicture:
         """Yield the attitudes as they are, having looked at them."""
         return self._attitudes.passing(batches)
 
-    def commit(self, report: dict[str, Any]) -> None:
+    def commit(self, report: RunReport) -> None:
         """Draw the picture and put it in its place.
 
         Parameters
@@ -77,18 +80,18 @@ class PropagationPicture:
         report
             The report of :func:`quatprop.pipeline.job.run`.
         """
-        limit_ns = report["counts"]["gap_limit_ns"]
+        limit_ns = report.counts.gap_limit_ns
         attitudes = self._attitudes.reduced()
         groups = [Group(self._rates.rows, self._rates.reduced(), limit_ns)]
         if len(attitudes):
             between = None if self._resampled else limit_ns
             groups.append(Group(self._attitudes.rows, attitudes, between))
-        source, convention = report["source"], report["convention"]
-        (name,) = names_of([source["path"]])
-        title = " ".join(text for text in (f"{name}:", source["name"], source["type"]) if text)
-        samples = f"{report['result']['samples']:,} samples, {source['clock']} clock"
-        method = f"method {convention['method']}, {convention['rates']} rates"
-        warnings = tuple(report["remarks"])
+        source, convention = report.source, report.convention
+        (name,) = names_of([source.path])
+        title = " ".join(text for text in (f"{name}:", source.name, source.type) if text)
+        samples = f"{report.result.samples:,} samples, {source.clock} clock"
+        method = f"method {convention.method}, {convention.rates} rates"
+        warnings = tuple(map(str, report.remarks))
         page = Page(
             heading=title,
             lead=(f"Propagated: {method}; {samples}.",),
@@ -98,7 +101,7 @@ class PropagationPicture:
                 facts=(f"{method}; Hamilton q, body to reference, as zyx angles", samples),
                 notes=noted(warnings),
             ),
-            warnings=(*warnings, *_lost(report["losses"])),
+            warnings=(*warnings, *_lost(report.losses)),
             tables=(
                 Table("Result", tuple(_result(report))),
                 Table("Convention", tuple(_convention(convention))),
@@ -115,33 +118,33 @@ class PropagationPicture:
         self._file.discard()
 
 
-def _lost(losses: list[dict[str, Any]]) -> Iterator[str]:
-    yield from (f"lost: {loss['place']}: {loss['reason']}" for loss in losses)
+def _lost(losses: Iterable[Loss]) -> Iterator[str]:
+    yield from (f"lost: {loss.place}: {loss.reason}" for loss in losses)
 
 
-def _result(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    source, counts, result = report["source"], report["counts"], report["result"]
-    yield "file", f"{source['path']} ({source['kind']})"
-    yield "rate", f"{source['rate']} in {source['rate_unit']}, {source['clock']} clock"
-    yield "samples", f"{counts['used']:,} used of {counts['read']:,} read"
-    span = duration_text(result["last_ns"] - result["first_ns"])
-    yield "time", f"{instant_text(result['first_ns'])}, {span}"
-    yield "attitudes", f"{result['rows']:,} written"
-    yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result["final_wxyz"])
-    yield "net rotation", f"{math.degrees(result['net_rotation_rad']):.6g} deg"
-    yield "total angle traversed", f"{math.degrees(result['path_angle_rad']):.6g} deg"
-    yield "largest rate", f"{math.degrees(counts['max_rate']):.6g} deg/s"
+def _result(report: RunReport) -> Iterator[tuple[str, str]]:
+    source, counts, result = report.source, report.counts, report.result
+    yield "file", f"{source.path} ({source.kind})"
+    yield "rate", f"{source.rate} in {source.rate_unit}, {source.clock} clock"
+    yield "samples", f"{counts.used:,} used of {counts.read:,} read"
+    span = duration_text(counts.span_ns)
+    yield "time", f"{instant_text(result.first_ns or 0)}, {span}"
+    yield "attitudes", f"{result.rows:,} written"
+    yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result.final_wxyz)
+    yield "net rotation", f"{math.degrees(result.net_rotation_rad):.6g} deg"
+    yield "total angle traversed", f"{math.degrees(result.path_angle_rad):.6g} deg"
+    yield "largest rate", f"{math.degrees(counts.max_rate):.6g} deg/s"
 
 
-def _convention(convention: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _convention(convention: ConventionReport) -> Iterator[tuple[str, str]]:
     for key in ("quaternion", "product", "attitude", "step", "side", "method", "layout"):
-        yield key, str(convention[key])
-    yield "q0", f"{convention['q0_wxyz']} (w, x, y, z), {convention['q0_from']}"
+        yield key, str(getattr(convention, key))
+    yield "q0", f"{as_json(convention.q0_wxyz)} (w, x, y, z), {convention.q0_from}"
 
 
-def _done(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for name, value in report["policy"].items():
+def _done(report: RunReport) -> Iterator[tuple[str, str]]:
+    for name, value in as_json(report.policy).items():
         yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
     for name, words in CONDITIONING.items():
-        if (value := report["conditioning"][name]) is not None:
+        if (value := report.conditioning[name]) is not None:
             yield words, str(value)

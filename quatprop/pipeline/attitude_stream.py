@@ -1,0 +1,188 @@
+"""The attitudes of one log as a stream, and the report on what happened on the way."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.conditioning import clipping_remarks, condition
+from quatprop.containers.remote import without_secret
+from quatprop.errors import NoSamplesError
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.resample import Listed, Steady, every
+from quatprop.pipeline.initial_attitude import Recording, starting
+from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
+from quatprop.pipeline.segments import Segments
+from quatprop.signals.interpolation import stamps_in
+from quatprop.signals.rates import UNITS
+from quatprop.timeline import Timeline
+from quatprop.timeline.counts import remarks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from typing import Any, Protocol
+
+    from quatprop.containers.base import MessageLog
+    from quatprop.kinematics.resample import Times
+    from quatprop.pipeline.settings import PropagationSettings
+    from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import TableLog
+    from quatprop.text import Text
+
+    class Observer(Protocol):
+        """Looks at the series that pass, such as a picture in the making."""
+
+        def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+            """Yield the rates unchanged, bias and mounting applied."""
+
+        def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+            """Yield the attitudes unchanged, at all samples or at the times asked for."""
+
+
+class AttitudeStream:
+    """Propagates one source of rates.
+
+    Parameters
+    ----------
+    path
+        The log, for errors and the report.
+    source
+        Its rates.
+    settings
+        How to propagate them.
+    log
+        The open log, which can be read again; None for rates in memory.
+    observer
+        Looks at rates and attitudes as they pass.
+    sensitivity
+        Whether to compute how far another method would end from this one.
+
+    Raises
+    ------
+    LogError
+        The log cannot be used as asked.
+    """
+
+    def __init__(  # noqa: PLR0913  # a log, what to do with it, and who looks on
+        self,
+        path: str,
+        source: RateSignal,
+        settings: PropagationSettings,
+        log: MessageLog | TableLog | None,
+        *,
+        observer: Observer | None = None,
+        sensitivity: bool = True,
+    ) -> None:
+        self._path, self._log, self._source, self._settings = path, log, source, settings
+        self._observer, self._sensitivity = observer, sensitivity
+        self._rows = 0
+        batches, self._conditioned = condition(
+            source.batches, settings.conditioning, UNITS[source.unit]
+        )
+        mount = self._conditioned["mount"] and np.array(self._conditioned["mount"])
+        recording = Recording(log, source, settings.selection, mount)
+        self._q0, self._batches = starting(settings.q0, recording, batches)
+        self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
+        self._segments = Segments(
+            self._timeline,
+            self._q0,
+            method=settings.method,
+            rates=settings.rates,
+            times=_times(settings),
+        )
+
+    @property
+    def samples(self) -> int:
+        """Samples propagated so far."""
+        return self._timeline.counts.used
+
+    def __iter__(self) -> Iterator[AttitudeSeries]:
+        """Yield the attitudes in batches, once.
+
+        Raises
+        ------
+        NoSamplesError
+            There are none.
+        """
+        used = self._checks.passing(self._batches)
+        if self._observer is not None:
+            used = self._observer.rates(used)
+        attitudes = self._segments.attitudes(used, sensitivity=self._sensitivity)
+        if self._observer is not None:
+            attitudes = self._observer.attitudes(attitudes)
+        for series in every(attitudes, self._settings.every or 1):
+            self._rows += len(series)
+            yield series
+        if not self.samples:
+            raise NoSamplesError(self._path, self._source.name, self._conditioned["outside"])
+
+    def report(
+        self, *, layout: str | None = None, fingerprint: Mapping[str, Any] | None = None
+    ) -> RunReport:
+        """Return the report, when all attitudes have passed.
+
+        Parameters
+        ----------
+        layout
+            Order of the columns written.
+        fingerprint
+            Size and SHA-256 of the log.
+        """
+        settings, source, log = self._settings, self._source, self._log
+        counts = self._timeline.counts
+        span_s = counts.span_ns * 1e-9
+        findings: list[str | Text] = [
+            *source.remarks,
+            *source.method_remarks(settings.method),
+            *remarks(counts, settings.policy),
+            *clipping_remarks(settings.conditioning, self._conditioned),
+            *self._checks.remarks(counts.median_dt_ns),
+        ]
+        if log is not None and self._path != "-":
+            findings += log_remarks(log, source)
+        return RunReport(
+            source=SourceReport(
+                path=without_secret(self._path),
+                kind="series" if log is None else log.kind,
+                fingerprint=fingerprint or {},
+                name=source.name,
+                type=source.type_name,
+                rate=source.field,
+                rate_unit=source.unit,
+                clock=source.clock,
+            ),
+            convention=ConventionReport(
+                rates=settings.rates,
+                method=source.integration_rule(settings.method),
+                layout=layout,
+                q0_wxyz=self._q0,
+                q0_from=settings.q0.source or "given",
+            ),
+            policy=settings.policy,
+            counts=counts,
+            losses=() if log is None else tuple(log.losses),
+            remarks=(*findings, *(() if log is None else log.remarks)),
+            conditioning=self._conditioned,
+            result=ResultReport(
+                samples=counts.used,
+                first_ns=counts.first_ns,
+                last_ns=counts.last_ns,
+                span_s=span_s,
+                sample_rate_hz=(counts.used - 1) / span_s if span_s > 0 else None,
+                rows=self._rows,
+                final_wxyz=self._segments.final,
+                net_rotation_rad=float(geodesic_angle(self._q0, self._segments.final)),
+                method_sensitivity_rad=self._segments.method_sensitivity_rad,
+                path_angle_rad=counts.path_angle_rad,
+            ),
+        )
+
+
+def _times(settings: PropagationSettings) -> Times | None:
+    """Return when attitudes are wanted; None is at the samples."""
+    if settings.at is not None:
+        return Listed(stamps_in(settings.at))
+    return None if settings.rate is None else Steady(settings.rate)

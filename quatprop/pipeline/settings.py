@@ -1,0 +1,184 @@
+"""What is to be done with one log, as typed values: which rates, how they are propagated, where to.
+
+:func:`propagation_settings` makes them of the names and values in :mod:`quatprop.settings`, for the
+library, the command line and suites alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quatprop.conditioning import Conditioning
+from quatprop.conventions.layout import layout_named
+from quatprop.errors import UsageError
+from quatprop.pipeline.initial_attitude import InitialAttitude
+from quatprop.selection import RateSelection
+from quatprop.settings import FROM_THE_LOG, SELECT_RATES, StaticBias, parse_all
+from quatprop.text import Setting
+from quatprop.timeline import Policy
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from fractions import Fraction
+    from typing import Any
+
+    from quatprop.writers.messages.kinds import Message
+
+
+@dataclass(frozen=True, slots=True)
+class PropagationSettings:
+    """Everything that determines the attitudes of a log.
+
+    Parameters
+    ----------
+    kind
+        Kind of the log, a key of :data:`quatprop.formats.READERS`; None: told by its content, then
+        by its suffix.
+    selection
+        Which samples.
+    policy
+        How irregular timestamps are handled.
+    method
+        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`.
+    rates
+        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
+    q0
+        Attitude body -> reference at the first sample, or where to take it from.
+    conditioning
+        Bias, mounting and the part of the log to use.
+    every
+        Keep every N-th attitude; None is all.
+    rate
+        Attitudes at this rate, Hz, exact at those times; None is at the samples.
+    at
+        Attitudes at the stamps of this series, exact at those times; None is at the samples.
+    """
+
+    kind: str | None = None
+    selection: RateSelection = field(default_factory=RateSelection)
+    policy: Policy = field(default_factory=Policy)
+    method: str = "start"
+    rates: str = "body"
+    q0: InitialAttitude = field(default_factory=InitialAttitude)
+    conditioning: Conditioning = field(default_factory=Conditioning)
+    every: int | None = None
+    rate: Fraction | None = None
+    at: str | None = None
+
+    def __post_init__(self) -> None:
+        if [self.every, self.rate, self.at].count(None) < 2:  # noqa: PLR2004  # two of three
+            raise UsageError(
+                *(Setting("every"), ", ", Setting("rate"), " and ", Setting("at")),
+                " each say which attitudes to write; choose one",
+            )
+
+    @property
+    def needs_second_read(self) -> bool:
+        """Whether the log has to be read before it is propagated; stdin cannot be."""
+        return self.conditioning.looks_ahead or self.q0.source in FROM_THE_LOG
+
+    @property
+    def inputs(self) -> list[str]:
+        """Files that are read beside the log."""
+        beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
+        return [path for path in (beside, self.at) if path]
+
+
+@dataclass(frozen=True, slots=True)
+class OutputSettings:
+    """Where attitudes go, and as what.
+
+    Parameters
+    ----------
+    path
+        Path of the attitude series, or ``"-"`` for CSV on stdout.
+    into
+        The output is a copy of the log with the attitudes added as messages.
+    to
+        Format, a key of :data:`quatprop.writers.WRITERS`; None: told by the suffix.
+    layout
+        ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is what
+        the format prescribes, or scalar-first where it leaves the choice.
+    message
+        What to write the attitudes as, where they are written as messages.
+    comment
+        Write the report in a comment at the beginning of the output.
+    report
+        Where the report goes as JSON, ``"-"`` for stdout; None is nowhere.
+    """
+
+    path: str
+    into: bool = False
+    to: str | None = None
+    layout: str | None = None
+    message: Message | None = None
+    comment: bool = False
+    report: str | None = None
+
+
+def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
+    """Return settings from their names and values.
+
+    Parameters
+    ----------
+    options
+        Keys of :data:`quatprop.settings.PROPAGATE`; their values as text or as Python values, None
+        for not given.
+
+    Raises
+    ------
+    UsageError
+        There is no such setting, a value cannot be used, or settings contradict each other.
+    """
+    values = parse_all(options)
+    bias = values.get("bias")
+    return PropagationSettings(
+        kind=values.get("kind"),
+        selection=RateSelection(**{name: values.get(name) for name in SELECT_RATES}),
+        policy=Policy(
+            **{
+                name: values[key]
+                for name, key in (
+                    ("on_backwards", "on_backwards"),
+                    ("on_nonfinite", "on_nonfinite"),
+                    ("on_gap", "on_gap"),
+                    ("max_gap_ns", "max_gap"),
+                )
+                if key in values
+            }
+        ),
+        q0=_initial_attitude(values),
+        conditioning=Conditioning(
+            bias=None if isinstance(bias, StaticBias) else bias,
+            static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
+            **{name: values.get(name) for name in ("mount", "start", "end")},
+        ),
+        **{
+            name: values[name]
+            for name in ("method", "rates", "every", "rate", "at")
+            if name in values
+        },
+    )
+
+
+def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
+    q0 = values.get("q0")
+    for name, value, fits in (
+        ("heading", "level", q0 == "level"),
+        ("reference_z", "level", q0 == "level"),
+        ("q0_layout", "W,X,Y,Z", isinstance(q0, tuple)),
+    ):
+        if name in values and not fits:
+            raise UsageError(Setting(name), " goes with ", Setting("q0", value))
+    if q0 is None:
+        return InitialAttitude()
+    if isinstance(q0, tuple):
+        order = layout_named(values.get("q0_layout", "scalar-first")).order
+        return InitialAttitude(wxyz=tuple(q0[order.index(part)] for part in range(4)))
+    return InitialAttitude(
+        source=q0,
+        heading=math.radians(values.get("heading", 0.0)),
+        down=values.get("reference_z") == "down",
+    )

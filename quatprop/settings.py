@@ -1,0 +1,340 @@
+"""What a user may set about a propagation: every name, and how its value is read.
+
+The names are those of the library's keywords. The command line spells them as options
+(``on_gap`` is ``--on-gap``), a suite as keys (``on-gap``). Each has one parser here, which takes a
+value as text, as TOML has it, or as Python has it. Nothing heavy is imported, so that
+``quatprop --help`` is quick.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from fractions import Fraction
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
+
+from quatprop.errors import UsageError
+from quatprop.text import Setting, listed, quoted
+from quatprop.times import Instant, duration_ns, instant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+KINDS = (
+    *("mcap", "bag", "db3", "rosbag2", "ulog"),
+    *("parquet", "feather", "npy", "npz", "jsonl", "csv"),
+)
+"""The keys of :data:`quatprop.formats.READERS`."""
+
+LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
+RATE_UNITS = ("rad/s", "deg/s")
+TIME_UNITS = ("s", "ms", "us", "ns")
+CLOCKS = ("header", "log", "publish")
+METHODS = ("start", "end", "mean", "coning")
+FRAMES = ("body", "inertial")
+
+FROM_THE_LOG = ("level", "log")
+"""Initial attitudes that are taken from the log itself."""
+
+STATIC = "static"
+"""The bias is the mean rate at rest."""
+
+STATIC_WINDOW_NS = 1_000_000_000
+"""Rest is looked for in windows of this length, ns, unless the user says otherwise."""
+
+MAX_FREQUENCY = 1_000_000_000
+"""Hz: stamps are whole nanoseconds."""
+
+MAX_DENOMINATOR = 1001
+"""Of a frequency in Hz, so that times are exact in 64 bits; that of the television rates."""
+
+
+@dataclass(frozen=True, slots=True)
+class StaticBias:
+    """Take the mean rate at rest as the bias.
+
+    Parameters
+    ----------
+    window_ns
+        Rest is looked for in windows of this length, ns.
+    """
+
+    window_ns: int = STATIC_WINDOW_NS
+
+
+class PropagateOptions(TypedDict, total=False):
+    """Keywords of :func:`quatprop.propagate`; each is documented there."""
+
+    kind: str
+    topic: str
+    rate_field: str
+    time_field: str
+    rate_cols: str | Sequence[str | int]
+    time_col: str | int
+    rate_unit: str
+    time_unit: str
+    sample_rate: float | Fraction | str
+    clock: str
+    method: str
+    rates: str
+    q0: str | PathLike[str] | Sequence[float]
+    heading: float
+    reference_z: str
+    q0_layout: str
+    bias: str | Sequence[float]
+    mount: str | Sequence[float]
+    start: str | int | datetime
+    end: str | int | datetime
+    on_backwards: str
+    on_nonfinite: str
+    max_gap: str | int | timedelta
+    on_gap: str
+    every: int
+    rate: float | Fraction | str
+    at: str | PathLike[str]
+
+
+def parse(name: str, value: object) -> Any:
+    """Return the value of a setting in the type that the program uses.
+
+    Parameters
+    ----------
+    name
+        A key of :data:`PROPAGATE`.
+    value
+        Text, a value of TOML, or a Python value.
+
+    Raises
+    ------
+    UsageError
+        The value cannot be used; the sentence does not name the setting.
+    """
+    return PROPAGATE[name](value)
+
+
+def parse_all(options: Mapping[str, object]) -> dict[str, Any]:
+    """Return settings by name with their parsed values; None counts as not given.
+
+    Raises
+    ------
+    UsageError
+        There is no such setting, or a value cannot be used; the sentence names the setting.
+    """
+    values = {}
+    for name, value in options.items():
+        if name not in PROPAGATE:
+            raise UsageError(f"there is no setting {quoted(name)}; choose from {listed(PROPAGATE)}")
+        if value is None:
+            continue
+        try:
+            values[name] = parse(name, value)
+        except UsageError as error:
+            raise UsageError(Setting(name), ": ", error.text) from error
+    return values
+
+
+def text(value: object) -> str:
+    """Return text that is not empty."""
+    if not isinstance(value, str) or not value:
+        raise UsageError(f"{quoted(value)} is not a name")
+    return value
+
+
+def path(value: object) -> str:
+    """Return a path as text."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise UsageError(f"{quoted(value)} is not a path")
+    return str(fspath(value))
+
+
+def choice(*names: str) -> Callable[[object], str]:
+    """Return a parser that takes one of these names."""
+
+    def parse_choice(value: object) -> str:
+        if not isinstance(value, str) or value not in names:
+            raise UsageError(f"{quoted(value)} is not one of {listed(names)}")
+        return value
+
+    return parse_choice
+
+
+def columns(names: str) -> Callable[[object], tuple[str, ...]]:
+    """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``."""
+    count = names.count(",") + 1
+
+    def parse_columns(value: object) -> tuple[str, ...]:
+        parts = tuple(str(part).strip() for part in _parts(value))
+        if len(parts) != count or not all(parts):
+            raise UsageError(f"{quoted(_shown(value))} does not name {count} columns {names}")
+        if len(set(parts)) != len(parts):
+            raise UsageError(f"{quoted(_shown(value))} names a column twice")
+        return parts
+
+    return parse_columns
+
+
+def numbers(names: str) -> Callable[[object], tuple[float, ...]]:
+    """Return a parser of as many numbers as `names` has, such as ``"W,X,Y,Z"``."""
+    count = names.count(",") + 1
+
+    def parse_numbers(value: object) -> tuple[float, ...]:
+        try:
+            parts = tuple(float(str(part)) for part in _parts(value))
+        except ValueError:
+            parts = ()
+        if len(parts) != count:
+            raise UsageError(f"{quoted(_shown(value))} is not {names}, {count} numbers")
+        return parts
+
+    return parse_numbers
+
+
+def number(value: object) -> float:
+    """Return a finite number."""
+    try:
+        parsed = float(str(value))
+    except ValueError:
+        parsed = math.nan
+    if not math.isfinite(parsed) or isinstance(value, bool):
+        raise UsageError(f"{quoted(value)} is not a finite number")
+    return parsed
+
+
+def count(value: object) -> int:
+    """Return a whole number of at least one."""
+    try:
+        parsed = int(value) if isinstance(value, str) else value
+    except ValueError:
+        parsed = 0
+    if not isinstance(parsed, int) or isinstance(parsed, bool) or parsed < 1:
+        raise UsageError(f"{quoted(value)} is not a whole number above 0")
+    return parsed
+
+
+def frequency(value: object) -> Fraction:
+    """Return a frequency in Hz as the decimal or the fraction it is written as."""
+    try:
+        # By its text: 29.97 is meant, not the binary fraction nearest to it.
+        exact = Fraction(str(value))
+    except (ValueError, ZeroDivisionError):
+        exact = Fraction(0)
+    if not 0 < exact <= MAX_FREQUENCY or exact.denominator > MAX_DENOMINATOR:
+        raise UsageError(f"{quoted(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
+    return exact
+
+
+def duration(value: object) -> int:
+    """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
+    if isinstance(value, timedelta):
+        return (value // timedelta(microseconds=1)) * 1000
+    if isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if isinstance(value, str):
+        return duration_ns(value)
+    raise UsageError(f"{quoted(value)} is not a duration; write text such as '20ms', or whole ns")
+
+
+def moment(value: object) -> Instant:
+    """Return an instant: text, whole nanoseconds, or a datetime with its zone."""
+    if isinstance(value, Instant):
+        return value
+    if isinstance(value, datetime):
+        return instant(value.isoformat())
+    if isinstance(value, int) and not isinstance(value, bool):
+        return Instant(value, "clock")
+    if isinstance(value, str):
+        return instant(value)
+    raise UsageError(f"{quoted(value)} is not a time; write text, whole ns, or a datetime")
+
+
+def initial_attitude(value: object) -> tuple[float, ...] | str:
+    """Return four numbers, ``"level"``, ``"log"``, or the path of an attitude series."""
+    if isinstance(value, str) and value in FROM_THE_LOG:
+        return value
+    if not isinstance(value, PathLike) and not (isinstance(value, str) and not _is_numbers(value)):
+        return numbers("W,X,Y,Z")(value)
+    if not Path(value).exists():
+        raise UsageError(
+            f"{quoted(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
+            "is there"
+        )
+    return path(value)
+
+
+def bias(value: object) -> tuple[float, ...] | StaticBias:
+    """Return three rates, or where to take the bias from."""
+    if isinstance(value, StaticBias):
+        return value
+    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
+        window = value.partition(":")[2]
+        return StaticBias(duration_ns(window)) if window else StaticBias()
+    try:
+        return numbers("X,Y,Z")(value)
+    except UsageError as error:
+        raise UsageError(error.text, ", nor static[:DUR]") from None
+
+
+def mounting(value: object) -> str:
+    """Return three signed axes or a quaternion as text, for the conditioning to read."""
+    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+
+
+def _parts(value: object) -> list[object]:
+    """Return the parts of text with commas, of a list, or of an array."""
+    if isinstance(value, str):
+        return list(value.split(","))
+    convert = getattr(value, "tolist", None)
+    value = value if convert is None else convert()
+    return list(value) if isinstance(value, Iterable) else [value]
+
+
+def _shown(value: object) -> str:
+    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+
+
+def _is_numbers(value: str) -> bool:
+    try:
+        return bool([float(part) for part in value.split(",")])
+    except ValueError:
+        return False
+
+
+SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
+    "topic": text,
+    "rate_field": text,
+    "time_field": text,
+    "rate_cols": columns("X,Y,Z"),
+    "time_col": lambda value: text(str(value)),
+    "rate_unit": choice(*RATE_UNITS),
+    "time_unit": choice(*TIME_UNITS),
+    "sample_rate": lambda value: float(frequency(value)),
+    "clock": choice(*CLOCKS),
+}
+"""Which samples of a log: setting -> its parser."""
+
+PROPAGATE: Mapping[str, Callable[[object], Any]] = {
+    "kind": choice(*KINDS),
+    **SELECT_RATES,
+    "start": moment,
+    "end": moment,
+    "method": choice(*METHODS),
+    "rates": choice(*FRAMES),
+    "q0": initial_attitude,
+    "heading": number,
+    "reference_z": choice("up", "down"),
+    "q0_layout": choice(*LAYOUTS),
+    "bias": bias,
+    "mount": mounting,
+    "on_backwards": choice("error", "drop", "sort"),
+    "on_nonfinite": choice("error", "drop", "hold"),
+    "max_gap": duration,
+    "on_gap": choice("hold", "zero", "split", "error"),
+    "every": count,
+    "rate": frequency,
+    "at": path,
+}
+"""Everything that determines the attitudes of a log: setting -> its parser."""

@@ -1,0 +1,117 @@
+"""Settings by name: the same values from text, from TOML and from Python."""
+
+import datetime as dt
+from fractions import Fraction
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+
+from quatprop.cli.propagate import command
+from quatprop.errors import UsageError
+from quatprop.pipeline.settings import PropagationSettings, propagation_settings
+from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, StaticBias, parse, parse_all
+from quatprop.times import Instant
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("rate_cols", ["a, b,c", ("a", "b", "c"), np.array(["a", "b", "c"])], ("a", "b", "c")),
+        ("q0", ["1,0,0,0", (1, 0, 0, 0), np.array([1.0, 0, 0, 0])], (1.0, 0.0, 0.0, 0.0)),
+        ("q0", [__file__, Path(__file__)], __file__),
+        ("q0", ["level"], "level"),
+        ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], (0.1, -2.0, 0.003)),
+        ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
+        ("bias", ["static:250ms"], StaticBias(250_000_000)),
+        ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
+        ("start", ["+10s", Instant(10_000_000_000, "first")], Instant(10_000_000_000, "first")),
+        ("end", ["17", 17], Instant(17, "clock")),
+        (
+            "end",
+            ["1970-01-01T00:00:01Z", dt.datetime(1970, 1, 1, 0, 0, 1, tzinfo=dt.UTC)],
+            Instant(1_000_000_000, "clock"),
+        ),
+        ("max_gap", ["20ms", 20_000_000, dt.timedelta(milliseconds=20)], 20_000_000),
+        ("rate", ["29.97", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
+        ("rate", ["30000/1001", Fraction(30000, 1001)], Fraction(30000, 1001)),
+        ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
+        ("every", ["3", 3], 3),
+        ("heading", ["-90", -90, -90.0], -90.0),
+    ],
+)
+def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expected):
+    """One parser takes what the command line, a suite and Python have."""
+    for value in values:
+        parsed = parse(name, value)
+        assert parsed == expected
+        assert type(parsed) is type(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("topic", 3, "topic: '3' is not a name"),
+        ("rate_cols", "a,b", "rate_cols: 'a,b' does not name 3 columns X,Y,Z"),
+        ("rate_cols", "a,b,a", "rate_cols: 'a,b,a' names a column twice"),
+        ("method", "magic", "method: 'magic' is not one of 'start', 'end', 'mean', 'coning'"),
+        ("q0", (1, 0, 0), "q0: '1,0,0' is not W,X,Y,Z, 4 numbers"),
+        ("q0", "nowhere.csv", "q0: 'nowhere.csv' is neither four numbers W,X,Y,Z nor level or log"),
+        ("q0", object, "q0: "),
+        ("bias", "statically", "bias: 'statically' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
+        ("bias", "static:soon", "bias: 'soon' is not a duration"),
+        ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
+        ("start", True, "start: 'True' is not a time"),
+        ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
+        ("rate", 0, "rate: '0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
+        ("rate", "1/0", "rate: '1/0' is not a rate in Hz"),
+        ("rate", "nan", "rate: 'nan' is not a rate in Hz"),
+        ("every", 0, "every: '0' is not a whole number above 0"),
+        ("every", 1.5, "every: '1.5' is not a whole number above 0"),
+        ("every", True, "every: 'True' is not a whole number above 0"),
+        ("heading", "north", "heading: 'north' is not a finite number"),
+        ("heading", float("inf"), "heading: 'inf' is not a finite number"),
+        ("at", 7, "at: '7' is not a path"),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
+    """The sentence names the setting and the value, and says what could be used."""
+    with pytest.raises(UsageError) as caught:
+        parse_all({name: value})
+    assert str(caught.value).startswith(sentence)
+
+
+def test_an_unknown_setting_is_refused():
+    """The sentence lists those there are."""
+    with pytest.raises(UsageError, match="there is no setting 'metod'; choose from 'kind', "):
+        parse_all({"metod": "end"})
+
+
+def test_settings_that_contradict_each_other_are_refused():
+    """What belongs to another initial attitude, and two choices of rows."""
+    with pytest.raises(UsageError, match=r"^heading goes with q0='level'$"):
+        propagation_settings({"heading": 5})
+    with pytest.raises(UsageError, match=r"^every, rate and at each say which attitudes to write"):
+        propagation_settings({"every": 2, "rate": 5})
+
+
+def test_no_settings_are_the_defaults():
+    """None counts as not given."""
+    assert propagation_settings({}) == PropagationSettings()
+    assert propagation_settings(dict.fromkeys(PROPAGATE)) == PropagationSettings()
+
+
+def test_every_interface_has_the_same_names():
+    """The options of the command, the parsers and the keywords of the library are one list."""
+    output = {"log", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
+              "report", "plot", "quiet", "verbose"}  # fmt: skip
+    assert {option.name for option in command.params} - output == set(PROPAGATE)
+    assert set(get_type_hints(PropagateOptions)) == set(PROPAGATE)
+
+
+def test_the_methods_are_those_of_the_kinematics():
+    """They are spelled out where nothing heavy may be imported."""
+    from quatprop.kinematics.increments import METHODS as RULES
+
+    assert tuple(RULES) == METHODS
