@@ -27,9 +27,8 @@ from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
-from quatprop.tables import arrow, jsonl, numpy_table
+from quatprop.tables import arrow, jsonl, numpy_table, text_stream
 from quatprop.tables.csv import log as csv
-from quatprop.tables.csv import text_blocks
 
 QUATPROP = Path(sys.executable).with_name("quatprop")
 SAMPLES = 70_000
@@ -77,8 +76,8 @@ CUTS = {
     "no threads": {(prefetch, "_WORKERS"): 1},
     "small": {
         (prefetch, "_WORKERS"): 2,
-        (csv, "blocks"): partial(text_blocks.blocks, size=1 << 12),
-        (jsonl, "blocks"): partial(text_blocks.blocks, size=1 << 12),
+        (csv, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
+        (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
         (arrow, "BATCH_ROWS"): 999,
         (numpy_table, "BATCH_ROWS"): 999,
         (coalesce, "ENOUGH_MESSAGES"): 10,
@@ -89,8 +88,8 @@ CUTS = {
         (rosbag1_index, "_LOOSE_SIZE"): 5000,
     },
     "large": {
-        (csv, "blocks"): partial(text_blocks.blocks, size=1 << 26),
-        (jsonl, "blocks"): partial(text_blocks.blocks, size=1 << 26),
+        (csv, "record_blocks"): partial(text_stream.record_blocks, size=1 << 26),
+        (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 26),
         (arrow, "BATCH_ROWS"): 1 << 22,
         (numpy_table, "BATCH_ROWS"): 1 << 22,
         (coalesce, "ENOUGH_MESSAGES"): 1 << 20,

@@ -19,7 +19,7 @@ from table_rates import rate_batches
 
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.tables.csv import decimal_time, text_blocks
+from quatprop.tables import text_stream, timestamps
 from quatprop.tables.csv.log import CsvLog
 
 UNITS = {"rate_unit": "rad/s", "time_unit": "s"}
@@ -86,7 +86,7 @@ def test_any_decimal_is_its_nearest_nanosecond(times):
     """Whatever is written, the stamp is the nearest nanosecond of exact arithmetic."""
     expected = [round(Fraction(time) * 10**9) for time in times]
     assert stamps(*(f"{time:f}" for time in times)) == expected
-    assert [decimal_time.from_text(str(time), "s") for time in times] == expected
+    assert [timestamps.from_text(str(time), "s") for time in times] == expected
 
 
 @given(st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True))
@@ -102,7 +102,7 @@ def test_any_number_is_read_exactly_or_not_at_all(time):
 @given(st.floats(-9e9, 9e9))
 def test_a_float_stamp_is_its_exact_value_rounded(time):
     """A float column is not rounded twice on the way to nanoseconds."""
-    found = decimal_time.from_floats(np.array([time]), "s")
+    found = timestamps.from_floats(np.array([time]), "s")
     assert found.tolist() == [round(Fraction(time) * 10**9)]
 
 
@@ -111,10 +111,10 @@ def test_counted_rows_do_not_drift(first, rate):
     """Row k of a steady table is at k / rate, rounded once, however far into the log."""
     period = 10**9 / Fraction(repr(float(rate)))
     if (first + 3) * period >= 2**63:
-        with pytest.raises(UsageError, match="check --sample-rate"):
-            decimal_time.counted(first, 3, float(rate))
+        with pytest.raises(UsageError, match="check sample_rate"):
+            timestamps.row_stamps(first, 3, float(rate))
         return
-    found = decimal_time.counted(first, 3, float(rate))
+    found = timestamps.row_stamps(first, 3, float(rate))
     assert found.tolist() == [round(k * period) for k in range(first, first + 3)]
 
 
@@ -326,7 +326,7 @@ def test_many_losses_are_told_together():
     assert losses == [
         Loss(
             "lines 4 to 85",
-            "of these rows 10 do not fit; the first: it has 1 columns instead of 4",
+            "10 of these rows do not fit; the first: it has 1 columns instead of 4",
             10,
         )
     ]
@@ -418,9 +418,10 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
     cell = st.sampled_from(["1", "2.5", "", '"a\nb"', '"c""d"', '"\r\n"'])
     rows = data.draw(st.lists(st.lists(cell, min_size=1, max_size=4).map(",".join), min_size=1))
     text = "\n".join(rows).encode()
-    stream = text_blocks.TextStream(io.BytesIO(text))
+    stream = text_stream.TextStream(io.BytesIO(text))
     cut = [
-        bytes(block.data) for block in text_blocks.blocks(stream, data.draw(st.integers(64, 99)))
+        bytes(block.data)
+        for block in text_stream.record_blocks(stream, data.draw(st.integers(64, 99)))
     ]
     assert b"".join(cut) == text
     assert all(block.count(b'"') % 2 == 0 for block in cut)

@@ -12,7 +12,7 @@ from table_rates import rate_batches
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError, UnsupportedLogError
 from quatprop.formats import open_log
-from quatprop.tables.npy_arrays import HeaderError, read_header
+from quatprop.tables.npy_format import HeaderError, read_header
 
 T_NS = np.array([1_700_000_000_123_456_789, 1_700_000_000_123_456_790, -5], np.int64)
 RATES = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.1, -0.0, 5e-324]])

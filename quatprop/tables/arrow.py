@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import provenance_in
-from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, Leaf, Part, TypedTable
+from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, Leaf, RowGroup, TypedTable
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -80,12 +80,12 @@ class ParquetLog(_ArrowLog):
     def _metadata(self) -> Mapping[bytes, bytes]:
         return self._parquet.metadata.metadata or {}
 
-    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         names = [leaf.name for leaf in self._wanted(columns)]
         for group in range(self._parquet.num_row_groups):
             rows = self._parquet.metadata.row_group(group).num_rows
             batches = self._parquet.iter_batches(BATCH_ROWS, [group], names)
-            yield Part(f"row group {group}", rows, batches)
+            yield RowGroup(f"row group {group}", rows, batches)
 
 
 class FeatherLog(_ArrowLog):
@@ -124,17 +124,17 @@ class FeatherLog(_ArrowLog):
         self._file.seek(len(b"ARROW1\0\0"))
         return pa.ipc.open_stream(self._file)
 
-    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         try:
             file = pa.ipc.open_file(self._file)
         except pa.ArrowInvalid:
-            yield Part("end of the file", 0, self._stream())
+            yield RowGroup("end of the file", 0, self._stream())
             return
         names = {leaf.path[0] for leaf in self._wanted(columns)}
         fields = sorted(map(file.schema.get_field_index, names))
         file = pa.ipc.open_file(self._file, options=pa.ipc.IpcReadOptions(included_fields=fields))
         for number in range(file.num_record_batches):
-            yield Part(f"record batch {number}", 0, map(file.get_batch, [number]))
+            yield RowGroup(f"record batch {number}", 0, map(file.get_batch, [number]))
 
 
 def _leaves(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator[Leaf]:

@@ -10,6 +10,7 @@ from quatprop.containers.base import Log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
@@ -76,6 +77,16 @@ class TableNotes:
 class TableLog(Log):
     """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files."""
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._losses_at_opening: int | None = None
+
+    def _forget_earlier_reading(self) -> None:
+        """Remove the losses of rows that are about to be read again."""
+        if self._losses_at_opening is None:
+            self._losses_at_opening = len(self.losses)
+        self.losses.restart(self._losses_at_opening)
+
     @property
     @abstractmethod
     def notes(self) -> TableNotes:
@@ -85,7 +96,6 @@ class TableLog(Log):
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
 
-    @abstractmethod
     def provenance(self) -> dict[str, Any]:
         """Return how the content came about, as written beside it; empty where it is not.
 
@@ -94,6 +104,7 @@ class TableLog(Log):
         DamagedLogError
             What is written there is not what this package writes.
         """
+        return {}
 
     @abstractmethod
     def rows(self, columns: TimedColumns) -> Batches:

@@ -1,6 +1,6 @@
 """Tables as JSON Lines: one object a row, fields of nested objects as ``column.field``.
 
-Whole blocks are parsed at pyarrow's speed. Times are read as decimals, and never pass through
+Blocks are parsed by pyarrow. Times are read as decimals, and never pass through
 float64; a number in quotes, which is how 64-bit integers often travel, is a time too.
 """
 
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from quatprop.errors import UnreadableLogError, UnsupportedLogError
-from quatprop.tables.csv.text_blocks import LineCounter, TextStream, blocks
-from quatprop.tables.jsonl_rows import LineParser
-from quatprop.tables.typed_table import Leaf, Part, TypedTable
+from quatprop.tables.jsonl_parser import LineParser
+from quatprop.tables.text_stream import LineCounter, TextStream, note_lines, record_blocks
+from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ HEAD_BYTES = 1 << 16
 """How much of the file is looked at for the names of its columns."""
 
 _HEAD_LINES = 100
-_LOSSES_A_BLOCK = 8
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _TYPES = {bool: pa.bool_(), list: pa.list_(pa.null()), float: pa.float64()}
@@ -74,16 +73,16 @@ class JsonLinesLog(TypedTable):
         except OSError as error:
             raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
 
-    def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
-        super()._refuse_other_than_numbers(columns)
+    def _refuse_text(self, columns: TimedColumns) -> None:
+        super()._refuse_text(columns)
         for leaf in (self._leaves[k] for k in columns.numbers):
             if leaf.type != pa.float64():
                 raise UnsupportedLogError(
                     self.path, f"column {quoted(leaf.name)} holds text, not numbers"
                 )
 
-    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
-        yield Part("the rest of the file", 0, self._batches(columns))
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
+        yield RowGroup("the rest of the file", 0, self._batches(columns))
 
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
         text = self._open()
@@ -91,63 +90,53 @@ class JsonLinesLog(TypedTable):
         parser = LineParser(
             self.path,
             [self._leaves[k] for k in columns.numbers],
-            [(self._leaves[k], unit) for k, unit in zip(columns.time, (columns.time_unit, "ns"),
-                                                        strict=False)],
-        )  # fmt: skip
+            [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
+        )
         try:
-            for block in blocks(text):
+            for block in record_blocks(text):
                 yield from parser.parse(block.data)
-                if parser.lost:
-                    self._note(lines.at(block.offset), parser)
+                if parser.rejected:
+                    line = lines.at(block.offset)
+                    rejected = [(line + number, reason) for number, reason in parser.rejected]
+                    note_lines(self.losses, rejected)
+                    parser.rejected.clear()
             if text.damage:
                 self.losses.note("end of the file", text.damage)
         finally:
             lines.close()
             text.close()
 
-    def _note(self, line: int, parser: LineParser) -> None:
-        """Tell which lines of a block were lost, and forget them."""
-        lost = [(line + place, reason) for place, reason in parser.lost]
-        parser.lost.clear()
-        if len(lost) <= _LOSSES_A_BLOCK:
-            for number, reason in lost:
-                self.losses.note(f"line {number}", reason, 1)
-        else:
-            place = f"lines {lost[0][0]} to {lost[-1][0]}"
-            reason = f"of these rows {len(lost)} do not fit; the first: {lost[0][1]}"
-            self.losses.note(place, reason, len(lost))
-
 
 def _leaves(lines: list[bytes]) -> list[Leaf]:
     """Return the columns that objects have, in the order in which they come up."""
-    found: dict[tuple[str, ...], pa.DataType] = {}
+    types: dict[tuple[str, ...], pa.DataType | None] = {}
     for line in lines:
         try:
-            # Only names and kinds are wanted: numbers may have any length.
+            # Only names and types are wanted: numbers may have any length.
             row = json.loads(line, parse_int=_any_number, parse_float=_any_number)
             if isinstance(row, dict):
-                _note_fields(row, (), found)
+                _add_fields(row, (), types)
         except (ValueError, RecursionError):
             continue
     # A name that is a value here and an object there is taken for the object.
-    inner = {path[:depth] for path in found for depth in range(1, len(path))}
-    return [Leaf(path, kind or pa.float64()) for path, kind in found.items() if path not in inner]
+    inner = {path[:depth] for path in types for depth in range(1, len(path))}
+    return [Leaf(path, kind or pa.float64()) for path, kind in types.items() if path not in inner]
 
 
 def _any_number(_text: str) -> float:
     return 0.0
 
 
-def _note_fields(
-    row: dict[str, Any], above: tuple[str, ...], found: dict[tuple[str, ...], pa.DataType]
+def _add_fields(
+    row: dict[str, Any], above: tuple[str, ...], types: dict[tuple[str, ...], pa.DataType | None]
 ) -> None:
     for name, value in row.items():
         path = (*above, name)
         if isinstance(value, dict):
-            _note_fields(value, path, found)
+            _add_fields(value, path, types)
         else:
             # What is null in one row may be a number in the next.
-            found[path] = found.get(path) or _type(value)
+            types[path] = types.get(path) or _type(value)
 
 
 def _type(value: object) -> pa.DataType | None:

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, BinaryIO
 
 from quatprop.errors import DamagedLogError
-from quatprop.tables.npy_arrays import HeaderError, columns_of, read_header
+from quatprop.tables.npy_format import HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable
 
 if TYPE_CHECKING:
@@ -43,10 +43,10 @@ class NpyLog(NumpyTable):
         for column in columns:
             # Columns without names have numbers, as those of text have.
             name = column.name if header.dtype.names else (column.name or "[0]")[1:-1]
-            self._hold(name, "", column)
+            self._add_column(name, "", column)
         beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
         if beyond > 0:
             self.losses.note("end of the file", f"{beyond} bytes follow its array")
 
-    def _opened(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
+    def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
         return self.path.open("rb")

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, provenance_in
-from quatprop.tables.npy_arrays import Column, HeaderError, columns_of, read_header
+from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
 from quatprop.tables.typed_table import DamageError
 from quatprop.text import plain, quoted
@@ -62,37 +62,37 @@ class NpzLog(NumpyTable):
         member = key + _SUFFIX
         if member not in self._archive.namelist():
             return {}
-        words = b""
+        text = b""
         try:
-            with archive_damage(), self._opened(member) as stream:
+            with archive_damage(), self._open_array(member) as stream:
                 dtype = read_header(stream).dtype
                 if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
                     data = stream.read(dtype.itemsize)
-                    words = str(np.frombuffer(data, dtype)[0]).encode()
+                    text = str(np.frombuffer(data, dtype)[0]).encode()
         except (DamageError, ValueError, IndexError):
             pass
-        return provenance_in({METADATA_KEY: words}, self.path)
+        return provenance_in({METADATA_KEY: text}, self.path)
 
     def close(self) -> None:
         """Close the file."""
         self._archive.close()
 
-    def _opened(self, member: str) -> BinaryIO:
+    def _open_array(self, member: str) -> BinaryIO:
         return cast("BinaryIO", self._archive.open(member))
 
     def _describe(self) -> None:
-        """Find the columns; arrays that are no columns are passed over."""
+        """Find the columns; arrays that are no columns are ignored."""
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
         if len(members) > _MOST_ARRAYS:
             raise UnsupportedLogError(
                 self.path, f"it has {len(members)} arrays; save those of one recording"
             )
-        arrays: dict[str, list[Column]] = {}
+        arrays: dict[str, list[ArrayColumn]] = {}
         refused = ""
         for member in members:
             name = quoted(member.removesuffix(_SUFFIX))
             try:
-                with archive_damage(), self._opened(member) as stream:
+                with archive_damage(), self._open_array(member) as stream:
                     arrays[member] = columns_of(read_header(stream))
             except HeaderError as error:
                 refused = refused or f"its array {name}: {error}"
@@ -105,9 +105,9 @@ class NpzLog(NumpyTable):
             name = member.removesuffix(_SUFFIX)
             for column in columns:
                 if not column.name or column.name.startswith("["):
-                    self._hold(name + column.name, member, column)
+                    self._add_column(name + column.name, member, column)
                 else:
-                    self._hold(column.name if len(arrays) == 1 else f"{name}.{column.name}",
+                    self._add_column(column.name if len(arrays) == 1 else f"{name}.{column.name}",
                                member, column)  # fmt: skip
         if not self._leaves:
             raise UnsupportedLogError(

@@ -1,4 +1,4 @@
-"""What files and archives of NumPy arrays have in common: rows of columns, block by block."""
+"""What files and archives of NumPy arrays share: rows of columns, block by block."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import pyarrow as pa
 
 from quatprop.arrow_arrays import to_arrow
 from quatprop.errors import UnsupportedLogError
-from quatprop.tables.npy_arrays import Column, read_header
-from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, Part, TypedTable
+from quatprop.tables.npy_format import ArrayColumn, read_header
+from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, RowGroup, TypedTable
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
@@ -32,35 +32,35 @@ _ARCHIVE_ERRORS = (
 """What the library raises for archives that are damaged, encrypted, or packed in other ways."""
 
 
-class _Held(NamedTuple):
-    """A column and the member of an archive that holds it, ``""`` in a file by itself."""
+class _ArrayMember(NamedTuple):
+    """A column and the name of its array in an archive, ``""`` in a file by itself."""
 
-    member: str
-    column: Column
+    name: str
+    column: ArrayColumn
 
 
 class NumpyTable(TypedTable):
-    """What a file of one array and an archive of several have in common."""
+    """A file of one array or an archive of several."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._held: list[_Held] = []
+        self._members: list[_ArrayMember] = []
 
-    def _hold(self, name: str, member: str, column: Column) -> None:
+    def _add_column(self, name: str, member: str, column: ArrayColumn) -> None:
         self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
-        self._held.append(_Held(member, column))
+        self._members.append(_ArrayMember(member, column))
 
-    def _opened(self, member: str) -> BinaryIO:
+    def _open_array(self, member: str) -> BinaryIO:
         """Open an array at its beginning."""
         raise NotImplementedError
 
-    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         wanted = [
-            (leaf.name, self._held[k])
+            (leaf.name, self._members[k])
             for k, leaf in enumerate(self._leaves)
             if k in {*columns.time, *columns.numbers}
         ]
-        counts = {held.column.rows for _, held in wanted}
+        counts = {member.column.rows for _, member in wanted}
         if len(counts) > 1:
             names = listed(name for name, _ in wanted)
             raise UnsupportedLogError(
@@ -69,24 +69,26 @@ class NumpyTable(TypedTable):
                 "table; choose others",
             )
         rows = counts.pop()
-        yield Part("the end of its array", rows, self._batches(wanted, rows))
+        yield RowGroup("the end of its array", rows, self._batches(wanted, rows))
 
-    def _batches(self, wanted: list[tuple[str, _Held]], rows: int) -> Iterator[pa.RecordBatch]:
-        def place(one: tuple[str, _Held]) -> tuple[str, int]:
-            return one[1].member, one[1].column.start
+    def _batches(
+        self, wanted: list[tuple[str, _ArrayMember]], rows: int
+    ) -> Iterator[pa.RecordBatch]:
+        def place(named: tuple[str, _ArrayMember]) -> tuple[str, int]:
+            return named[1].name, named[1].column.start
 
         with ExitStack() as stack, archive_damage():
             streams = []
-            for (member, start), found in groupby(sorted(wanted, key=place), place):
-                stream = stack.enter_context(self._opened(member))
+            for (array, start), group in groupby(sorted(wanted, key=place), place):
+                stream = stack.enter_context(self._open_array(array))
                 read_header(stream)
                 _skip(stream, start)
-                streams.append((stream, [(name, held.column) for name, held in found]))
-            step = max(held.column.step for _, held in wanted)
+                streams.append((stream, [(name, member.column) for name, member in group]))
+            step = max(member.column.step for _, member in wanted)
             at_once = max(1, min(BATCH_ROWS, _BLOCK_BYTES // step))
             for done in range(0, rows, at_once):
                 count = min(at_once, rows - done)
-                blocks = [_Block(stream, columns, count) for stream, columns in streams]
+                blocks = [_ArrayBlock(stream, columns, count) for stream, columns in streams]
                 # Where one array ends early, the rows that all of them have are still good.
                 whole = min(block.rows for block in blocks)
                 if whole:
@@ -119,7 +121,7 @@ def _arrow(column: np.ndarray[Any, Any]) -> pa.Array:
 
 @contextmanager
 def archive_damage() -> Iterator[None]:
-    """Tell of an archive's damage in one kind of error."""
+    """Raise DamageError for everything that a damaged archive raises."""
     try:
         yield
     except _ARCHIVE_ERRORS as error:
@@ -131,7 +133,7 @@ def _skip(stream: BinaryIO, count: int) -> None:
         count -= len(data)
 
 
-class _Block:
+class _ArrayBlock:
     """The next rows of an array, as many of them as can be read.
 
     Parameters
@@ -151,7 +153,9 @@ class _Block:
         Why they are fewer, where the archive says so.
     """
 
-    def __init__(self, stream: BinaryIO, columns: list[tuple[str, Column]], count: int) -> None:
+    def __init__(
+        self, stream: BinaryIO, columns: list[tuple[str, ArrayColumn]], count: int
+    ) -> None:
         self._columns = columns
         self._data = bytearray()
         self.damage = ""

@@ -1,4 +1,4 @@
-"""Tables whose columns have types: rows of any such file become stamps and numbers here.
+"""Tables whose columns have types: their record batches become stamps and numbers here.
 
 A format says which columns there are and gives record batches of the wanted ones; the time, its
 unit, what is no number and what is damaged are dealt with once.
@@ -6,7 +6,7 @@ unit, what is no number and what is damaged are dealt with once.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError
+from quatprop.tables import timestamps
 from quatprop.tables.base import TableLog, TableNotes
-from quatprop.tables.csv import decimal_time
-from quatprop.text import listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.base import Batches, TimedColumns
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Leaf(NamedTuple):
         return ".".join(self.path)
 
 
-class Part(NamedTuple):
+class RowGroup(NamedTuple):
     """Rows that are read together, and lost together where they are damaged.
 
     Parameters
@@ -71,7 +71,7 @@ class Part(NamedTuple):
     rows
         How many there should be; 0 where nothing says it.
     batches
-        The rows; a number instead of a batch is so many rows that were lost, and told.
+        The rows; a number stands for that many rejected rows, which are noted already.
     """
 
     place: str
@@ -80,7 +80,7 @@ class Part(NamedTuple):
 
 
 class TypedTable(TableLog):
-    """Typed, named columns in parts; see :class:`quatprop.tables.base.TableLog`.
+    """Typed, named columns in row groups; see :class:`quatprop.tables.base.TableLog`.
 
     Parameters
     ----------
@@ -93,7 +93,6 @@ class TypedTable(TableLog):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._leaves: list[Leaf] = []
-        self._known_losses: int | None = None
 
     def columns(self) -> list[str]:
         """Return the column names in order, fields of structs as ``column.field``."""
@@ -110,61 +109,50 @@ class TypedTable(TableLog):
             }
         )
 
-    def provenance(self) -> dict[str, Any]:
-        """Return how the content came about, as written beside it; empty where it is not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
-        return {}
-
-    def rows(self, columns: TimedColumns) -> Iterator[tuple[Int64, Float64]]:
-        """Yield the chosen columns as stamps in ns and numbers as stored, batch after batch.
-
-        Raises
-        ------
-        UnsupportedLogError
-            A column does not hold numbers, or a stamp does not fit in int64 ns.
-        """
-        self._refuse_other_than_numbers(columns)
-        if self._known_losses is None:
-            self._known_losses = len(self.losses)
-        self.losses.restart(self._known_losses)
+    def rows(self, columns: TimedColumns) -> Batches:
+        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        self._refuse_text(columns)
+        self._forget_earlier_reading()
         first = 0
-        for part in self._parts(columns):
-            read = 0
-            batches = iter(part.batches)
-            while True:
-                try:
-                    batch = next(batches, None)
-                    if isinstance(batch, pa.RecordBatch):
-                        # Arrow believes what a file says about its rows: they may not be there.
-                        batch.validate()
-                except DAMAGE as error:
-                    rows = max(part.rows - read, 0) or None
-                    self.losses.note(part.place, f"it is damaged: {plain(error)}", rows)
-                    break
-                if batch is None:
-                    break
+        for group in self._row_groups(columns):
+            count = 0
+            for batch in self._whole_batches(group):
                 if isinstance(batch, int):
-                    read += batch
+                    count += batch
                     continue
-                t_ns, numbers = self._rows(batch, columns, first + read)
+                t_ns, numbers = self._values(batch, columns, first + count)
                 if len(t_ns):
                     yield t_ns, numbers
-                read += batch.num_rows
-            first += max(part.rows, read)
+                count += batch.num_rows
+            first += max(group.rows, count)
 
-    def _parts(self, columns: TimedColumns) -> Iterator[Part]:
+    def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
+        """Yield the batches of a row group up to where it is damaged."""
+        count = 0
+        batches = iter(group.batches)
+        while True:
+            try:
+                batch = next(batches, None)
+                if isinstance(batch, pa.RecordBatch):
+                    # Arrow believes what a file says about its rows: they may not be there.
+                    batch.validate()
+            except DAMAGE as error:
+                rows = max(group.rows - count, 0) or None
+                self.losses.note(group.place, f"it is damaged: {plain(error)}", rows)
+                return
+            if batch is None:
+                return
+            count += batch if isinstance(batch, int) else batch.num_rows
+            yield batch
+
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         raise NotImplementedError
 
     def _wanted(self, columns: TimedColumns) -> list[Leaf]:
         """Return the columns to read, each once."""
         return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
 
-    def _refuse_other_than_numbers(self, columns: TimedColumns) -> None:
+    def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
         names = self.columns()
         for k in (*columns.numbers, *columns.time):
@@ -180,7 +168,7 @@ class TypedTable(TableLog):
                     self.path, f"column {quoted(leaf.name)} holds {leaf.type}, not numbers"
                 )
 
-    def _rows(
+    def _values(
         self, batch: pa.RecordBatch, columns: TimedColumns, first: int
     ) -> tuple[Int64, Float64]:
         numbers = np.empty((batch.num_rows, len(columns.numbers)))
@@ -188,31 +176,31 @@ class TypedTable(TableLog):
             values = _column(batch, self._leaves[k])
             numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
         if not columns.time:
-            t_ns = decimal_time.counted(first, batch.num_rows, columns.sample_rate or 1.0)
+            t_ns = timestamps.row_stamps(first, batch.num_rows, columns.sample_rate or 1.0)
             return t_ns, numbers
         timed = np.ones(batch.num_rows, np.bool_)
         for k in columns.time:
             timed &= _has_value(_column(batch, self._leaves[k]))
         if not timed.all():
-            lost = int(np.count_nonzero(~timed))
+            untimed = int(np.count_nonzero(~timed))
             place = f"rows {first + 1} to {first + batch.num_rows}"
-            self.losses.note(place, "rows without a time", lost)
+            self.losses.note(place, "rows without a time", untimed)
             batch, numbers = batch.filter(to_arrow(timed)), numbers[timed]
         return self._stamps(batch, columns), numbers
 
     def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
-        units = (columns.time_unit, "ns")
         try:
-            return decimal_time.total(
+            return timestamps.sum_parts(
                 _nanoseconds(_column(batch, self._leaves[k]), unit)
-                for k, unit in zip(columns.time, units, strict=False)
+                for k, unit in zip(columns.time, columns.units, strict=True)
             )
-        except decimal_time.StampRangeError:
+        except timestamps.TimestampRangeError:
             names = listed(self._leaves[k].name for k in columns.time)
             raise UnsupportedLogError(
                 self.path,
                 f"times of column {names} do not fit in int64 ns when they are "
-                f"{columns.time_unit}; check --time-unit",
+                f"{columns.time_unit}; check ",
+                Setting("time_unit"),
             ) from None
 
 
@@ -239,11 +227,11 @@ def _has_value(column: pa.Array) -> NDArray[np.bool_]:
 def _nanoseconds(column: pa.Array, unit: str) -> Int64:
     """Return a time column without nulls as int64 nanoseconds, shape ``(N,)``."""
     if pa.types.is_decimal128(column.type):
-        return decimal_time.from_decimals(column, unit)
+        return timestamps.from_decimals(column, unit)
     if pa.types.is_floating(column.type):
-        return decimal_time.from_floats(to_numpy(column.cast(pa.float64())), unit)
+        return timestamps.from_floats(to_numpy(column.cast(pa.float64())), unit)
     try:
         integers = column.cast(pa.int64())
     except pa.ArrowInvalid as error:
-        raise decimal_time.StampRangeError from error
-    return decimal_time.from_integers(to_numpy(integers), unit)
+        raise timestamps.TimestampRangeError from error
+    return timestamps.from_integers(to_numpy(integers), unit)

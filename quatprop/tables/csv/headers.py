@@ -1,4 +1,4 @@
-"""What the beginning of a text table says: separator, header, and where the rows begin."""
+"""The beginning of a text table: separator, header, units, and where the rows begin."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HEAD_BYTES = 1 << 18
-"""How much of a table is looked at."""
+"""How much of a table is examined for its layout."""
 
 COMMENTS = ("#", "%", "//")
 """What marks a line that is not a row; a header may carry such a mark too."""
@@ -41,7 +41,7 @@ _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class CsvLayout:
     """How a text table is laid out.
 
     Parameters
@@ -57,7 +57,7 @@ class Layout:
     line
         Number of the line of the first row, from 1.
     notes
-        What the lines before the header say.
+        What the lines before the header declare.
     header
         The header line without its end; empty where there is none.
     dates
@@ -80,7 +80,7 @@ class Layout:
         return re.sub(rb"(?m)^%b(?=\r?$)" % re.escape(self.header), b"", data)
 
 
-def sniff(head: bytes, path: Path) -> Layout:
+def detect_layout(head: bytes, path: Path) -> CsvLayout:
     """Return how the table that begins with `head` is laid out.
 
     Parameters
@@ -102,8 +102,8 @@ def sniff(head: bytes, path: Path) -> Layout:
     raw = head.splitlines(keepends=True)[:_LINES]
     texts = [_text(line) for line in raw]
     delimiter = _delimiter(texts)
-    # How a file of ours came about is JSON in a comment, full of numbers and commas.
-    rows = [[] if text.startswith(_OURS) else cells(text, delimiter) for text in texts]
+    # The provenance of our own files is JSON in a comment, full of numbers and commas.
+    rows = [[] if text.startswith(_OURS) else split_cells(text, delimiter) for text in texts]
     first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
     data = [row for row in rows[first:] if _is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
@@ -113,7 +113,7 @@ def sniff(head: bytes, path: Path) -> Layout:
     body = first if header is None else header + 1
     dates = _dates(data[0]) if data else {}
     notes = _notes(texts[: first if header is None else header], names, path)
-    return Layout(
+    return CsvLayout(
         names=names,
         delimiter=delimiter,
         decimal=_decimal(data) if delimiter != "," else ".",
@@ -125,7 +125,7 @@ def sniff(head: bytes, path: Path) -> Layout:
     )
 
 
-def cells(text: str, delimiter: str) -> list[str]:
+def split_cells(text: str, delimiter: str) -> list[str]:
     """Return the cells of one line."""
     text = text.strip("\ufeff\r\n")
     if delimiter == " ":
@@ -154,9 +154,9 @@ def _delimiter(texts: list[str]) -> str:
     """Return the separator with which most lines are rows of numbers; the first one of equals."""
 
     def fit(mark: str) -> tuple[int, bool, bool]:
-        rows = [cells(text, mark) for text in texts]
+        rows = [split_cells(text, mark) for text in texts]
         widths = set(map(len, rows))
-        # The last tells for a table that is too narrow for rates: its columns are listed then.
+        # The last is for a table that is too narrow for rates: the error lists its columns.
         return sum(map(_is_data, rows)), max(widths) >= _RATES, len(widths) == 1 < min(widths)
 
     return max(_DELIMITERS, key=fit)
@@ -175,10 +175,10 @@ def _refuse_mixture(data: list[list[str]], width: int, path: Path) -> None:
     """Refuse rows most of which do not fit the first one."""
     widths = Counter(map(len, data))
     if data and widths[width] * 2 < len(data):
-        found = ", ".join(map(str, sorted(widths)))
+        counts = ", ".join(map(str, sorted(widths)))
         raise UnsupportedLogError(
             path,
-            f"its rows have {found} columns, so it holds several kinds of records; "
+            f"its rows have {counts} columns, so it holds several kinds of records; "
             "write each kind to a file of its own",
         )
 
@@ -189,12 +189,16 @@ def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
         row = before[k]
         if len(row) < _RATES or any(_NUMBER.fullmatch(cell) for cell in row):
             continue
-        if not data or len(row) == len(data[0]) or len(_shown(row)) == len(_shown(data[0])):
+        if (
+            not data
+            or len(row) == len(data[0])
+            or len(_without_trailing_cell(row)) == len(_without_trailing_cell(data[0]))
+        ):
             return k
     return None
 
 
-def _shown(row: list[str]) -> list[str]:
+def _without_trailing_cell(row: list[str]) -> list[str]:
     """Leave out the empty cell that a delimiter at the end of the line makes."""
     return row[:-1] if row and not row[-1].strip() else row
 
@@ -233,7 +237,7 @@ def _grouped(groups: list[str], names: list[str]) -> list[str]:
 
 
 def _notes(before: list[str], names: list[str], path: Path) -> TableNotes:
-    """Return what comments and ``key,value`` lines say."""
+    """Return what comments and ``key,value`` lines declare."""
     title = before[0].strip("\ufeff \r\n") if before else ""
     rate = next(filter(None, map(_SAMPLE_RATE.search, before)), None)
     sample_rate = float(rate[1]) * (1000 if rate[2] else 1) if rate else None

@@ -1,9 +1,15 @@
-"""Rows of text to columns of numbers: whole blocks at pyarrow's speed, damaged places by hand."""
+"""Rows of text to columns of numbers: whole blocks by pyarrow, damaged places row by row.
+
+The second parser is written by hand because pyarrow refuses a block as a whole, and does not say
+which of its rows do not fit.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -11,7 +17,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from quatprop.arrow_arrays import to_numpy
-from quatprop.tables.csv import decimal_time
+from quatprop.tables import timestamps
 from quatprop.tables.csv.headers import COMMENTS
 from quatprop.text import plain, quoted
 
@@ -19,14 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.tables.base import TimedColumns
-    from quatprop.tables.csv.headers import Layout
+    from quatprop.tables.csv.headers import CsvLayout
 
-# It would take Ctrl-C to itself while it parses, to no use where blocks are small, and a process
-# that is told to end in that moment aborts.
-pa.enable_signal_handlers(False)
-
-MISFITS = (pa.ArrowInvalid, decimal_time.StampRangeError)
-"""What :class:`BlockParser` raises for a block in which something does not fit."""
+MISFITS = (pa.ArrowInvalid, timestamps.TimestampRangeError)
+"""What :class:`BlockParser` raises for a block in which a row does not fit."""
 
 _TASK_BYTES = 1 << 19  # what one thread of pyarrow parses at a time
 
@@ -46,8 +48,8 @@ _NOT_A_NUMBER = {
 }
 
 
-class Rows(NamedTuple):
-    """Rows that could be read.
+class ParsedRows(NamedTuple):
+    """Rows of a block or a piece.
 
     Parameters
     ----------
@@ -56,28 +58,26 @@ class Rows(NamedTuple):
     numbers
         Numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty.
     total
-        Rows kept and lost.
+        How many rows there were, kept and rejected.
     kept
         Which of them were kept, shape ``(N,)``, int64; None where all were.
-    lost
-        Line number and reason of each row that was lost.
+    rejected
+        Line number and reason of each row that was rejected.
     """
 
     t_ns: NDArray[np.int64] | None
     numbers: NDArray[np.float64]
     total: int
     kept: NDArray[np.int64] | None = None
-    lost: tuple[tuple[int, str], ...] = ()
+    rejected: tuple[tuple[int, str], ...] = ()
 
 
-class _Wanted:
-    """The columns to read of a table, in the order time, numbers."""
+class _ColumnParser:
+    """What both parsers know: the layout and the columns to read."""
 
-    def __init__(self, layout: Layout, columns: TimedColumns) -> None:
+    def __init__(self, layout: CsvLayout, columns: TimedColumns) -> None:
         self.layout = layout
-        self.units = (columns.time_unit, "ns")[: len(columns.time)]
-        self.time = columns.time
-        self.numbers = columns.numbers
+        self.columns = columns
 
     def _date_type(self, k: int) -> pa.DataType | None:
         if k not in self.layout.dates:
@@ -85,7 +85,7 @@ class _Wanted:
         return pa.timestamp("ns", self.layout.dates[k])
 
 
-class BlockParser(_Wanted):
+class BlockParser(_ColumnParser):
     """Reads whole blocks, all rows at once.
 
     Parameters
@@ -96,12 +96,14 @@ class BlockParser(_Wanted):
         Which columns to read.
     """
 
-    def __init__(self, layout: Layout, columns: TimedColumns) -> None:
+    def __init__(self, layout: CsvLayout, columns: TimedColumns) -> None:
         super().__init__(layout, columns)
         self._names = [str(k) for k in range(len(layout.names))]
         self._spare = 0
 
-    def parse(self, data: bytes | memoryview, *, quoted: bool, task: int = _TASK_BYTES) -> Rows:
+    def parse(
+        self, data: bytes | memoryview, *, quoted: bool, task: int = _TASK_BYTES
+    ) -> ParsedRows:
         """Return all rows of a block.
 
         Parameters
@@ -117,27 +119,28 @@ class BlockParser(_Wanted):
         ------
         ArrowInvalid
             A row does not have the right number of columns, or a cell is not a number.
-        StampRangeError
+        TimestampRangeError
             A stamp does not fit in int64 ns.
         """
         if self.layout.delimiter == " ":
-            data = squeezed(data)
+            data = squeeze_blanks(data)
         try:
             return self._parse(data, self._spare, quoted, task)
         except MISFITS:
-            if self._spare or not self.time:
+            if self._spare or not self.columns.time:
                 raise
-        rows = self._parse(data, decimal_time.SPARE_PLACES, quoted, task)
-        self._spare = decimal_time.SPARE_PLACES  # stamps finer than ns, here and likely further on
+        rows = self._parse(data, timestamps.SPARE_PLACES, quoted, task)
+        self._spare = timestamps.SPARE_PLACES  # stamps finer than ns, here and likely further on
         return rows
 
-    def _parse(self, data: bytes | memoryview, spare: int, quoted: bool, task: int) -> Rows:
-        if self.time:
-            decimal_time.refuse_tiny(data)
-        types = {str(k): pa.float64() for k in self.numbers}
-        for k, unit in zip(self.time, self.units, strict=True):
-            types[str(k)] = self._date_type(k) or decimal_time.decimal_type(unit, spare)
-        table = arrow_csv.read_csv(
+    def _parse(self, data: bytes | memoryview, spare: int, quoted: bool, task: int) -> ParsedRows:
+        if self.columns.time:
+            timestamps.refuse_tiny_numbers(data)
+        types = {str(k): pa.float64() for k in self.columns.numbers}
+        for k, unit in zip(self.columns.time, self.columns.units, strict=True):
+            types[str(k)] = self._date_type(k) or timestamps.decimal_type(unit, spare)
+        read = partial(
+            arrow_csv.read_csv,
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_csv.ReadOptions(
                 column_names=self._names,
@@ -153,22 +156,26 @@ class BlockParser(_Wanted):
                 decimal_point=self.layout.decimal,
             ),
         )
-        numbers = np.empty((table.num_rows, len(self.numbers)))
-        for place, k in enumerate(self.numbers):
+        # In the main thread pyarrow would take over the handling of Ctrl-C and SIGTERM meanwhile,
+        # and a process that is told to end at that moment aborts.
+        with ThreadPoolExecutor(1) as thread:
+            table = thread.submit(read).result()
+        numbers = np.empty((table.num_rows, len(self.columns.numbers)))
+        for place, k in enumerate(self.columns.numbers):
             numbers[:, place] = to_numpy(table.column(str(k)))
-        return Rows(self._stamps(table), numbers, table.num_rows)
+        return ParsedRows(self._stamps(table), numbers, table.num_rows)
 
     def _stamps(self, table: pa.Table) -> NDArray[np.int64] | None:
-        if not self.time:
+        if not self.columns.time:
             return None
-        columns = [table.column(str(k)) for k in self.time]
+        columns = [table.column(str(k)) for k in self.columns.time]
         if any(column.null_count for column in columns):
             raise pa.ArrowInvalid("a row without a time")
-        return decimal_time.total(map(_nanoseconds, columns, self.units))
+        return timestamps.sum_parts(map(_nanoseconds, columns, self.columns.units))
 
 
-class RowParser(_Wanted):
-    """Reads the rows of a damaged place one by one, and says which do not fit.
+class RowParser(_ColumnParser):
+    """Reads rows one by one, and says which do not fit.
 
     Parameters
     ----------
@@ -178,7 +185,7 @@ class RowParser(_Wanted):
         Which columns to read.
     """
 
-    def parse(self, data: bytes, line: int) -> Rows:
+    def parse(self, data: bytes, line: int) -> ParsedRows:
         """Return the rows that fit.
 
         Parameters
@@ -191,7 +198,7 @@ class RowParser(_Wanted):
         stamps: list[int] = []
         numbers: list[list[float]] = []
         kept: list[int] = []
-        lost: list[tuple[int, str]] = []
+        rejected: list[tuple[int, str]] = []
         count = 0
         for place, cells in self._records(data, line):
             if self._is_no_row(cells):
@@ -199,23 +206,23 @@ class RowParser(_Wanted):
             try:
                 stamp, row = self._row(cells)
             except ValueError as error:
-                lost.append((place, str(error)))
+                rejected.append((place, str(error)))
             else:
                 stamps.append(stamp)
                 numbers.append(row)
                 kept.append(count)
             count += 1
-        return Rows(
-            np.array(stamps, np.int64) if self.time else None,
-            np.array(numbers, np.float64).reshape(-1, len(self.numbers)),
+        return ParsedRows(
+            np.array(stamps, np.int64) if self.columns.time else None,
+            np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers)),
             count,
             np.array(kept, np.int64),
-            tuple(lost),
+            tuple(rejected),
         )
 
     def _records(self, data: bytes, line: int) -> list[tuple[int, list[str]]]:
         if self.layout.delimiter == " ":
-            data = squeezed(data)
+            data = squeeze_blanks(data)
         text = io.StringIO(data.decode(errors="replace"), newline="")
         reader = csv.reader(text, delimiter=self.layout.delimiter)
         records = []
@@ -229,7 +236,7 @@ class RowParser(_Wanted):
                 return records
 
     def _is_no_row(self, cells: list[str]) -> bool:
-        """Tell blank lines, comments and repeated headers."""
+        """Whether it is a blank line, a comment or a repeated header."""
         shown = [cell.strip() for cell in cells]
         return (
             not any(shown)
@@ -241,8 +248,8 @@ class RowParser(_Wanted):
         names = self.layout.names
         if len(cells) != len(names):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
-        row = [self._number(cells[k], names[k]) for k in self.numbers]
-        parts = zip(self.time, self.units, strict=True)
+        row = [self._number(cells[k], names[k]) for k in self.columns.numbers]
+        parts = zip(self.columns.time, self.columns.units, strict=True)
         stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
         if abs(stamp) > _LARGEST:
             raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")
@@ -262,8 +269,8 @@ class RowParser(_Wanted):
         try:
             if date_type is not None:
                 return int(pa.scalar(cell.strip()).cast(date_type).value)
-            return decimal_time.from_text(self._pointed(cell), unit)
-        except decimal_time.StampRangeError:
+            return timestamps.from_text(self._pointed(cell), unit)
+        except timestamps.TimestampRangeError:
             raise ValueError(
                 f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns"
             ) from None
@@ -277,10 +284,10 @@ class RowParser(_Wanted):
 def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:
     if pa.types.is_timestamp(column.type):
         return to_numpy(column.cast(pa.int64()))
-    return decimal_time.from_decimals(column, unit)
+    return timestamps.from_decimals(column, unit)
 
 
-def squeezed(data: bytes | memoryview) -> bytes:
+def squeeze_blanks(data: bytes | memoryview) -> bytes:
     """Return rows whose cells are separated by runs of blanks with one space for each run."""
     text = b"\n" + bytes(data).replace(b"\r", b"").replace(b"\t", b" ")
     while b"  " in text:

@@ -236,8 +236,8 @@ def _layout(stored: Sequence[int], wxyz: tuple[int, ...]) -> str:
 
 def _absence(matcher: ColumnMatcher, wxyz: tuple[int, ...]) -> list[int]:
     """Return the column that marks a ROS orientation as absent, if there is one."""
-    prefix, found, _ = matcher.columns[wxyz[0]].key.rpartition("orientation.w")
-    return matcher.matching(re.escape(prefix) + ORIENTATION_ABSENT)[:1] if found else []
+    prefix, name, _ = matcher.columns[wxyz[0]].key.rpartition("orientation.w")
+    return matcher.matching(re.escape(prefix) + ORIENTATION_ABSENT)[:1] if name else []
 
 
 def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch | None:

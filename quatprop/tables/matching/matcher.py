@@ -76,16 +76,16 @@ class ColumnMatcher:
 
     def sets(self, pattern: str) -> list[Positions]:
         """Return each complete set of columns whose names differ in the component alone."""
-        found: dict[str, dict[int, int]] = {}
+        by_name: dict[str, dict[int, int]] = {}
         for position, column in enumerate(self.columns):
             match = re.fullmatch(pattern, column.key) if pattern else None
             if match:
                 rest = f"{column.key[: match.start('part')]}*{column.key[match.end('part') :]}"
-                found.setdefault(rest, {})[self._components[match["part"]]] = position
+                by_name.setdefault(rest, {})[self._components[match["part"]]] = position
         return [
-            tuple(found_set[component] for component in range(self._count))
-            for found_set in found.values()
-            if len(found_set) == self._count
+            tuple(positions[component] for component in range(self._count))
+            for positions in by_name.values()
+            if len(positions) == self._count
         ]
 
     def dialect(self, quantity: str) -> Dialect:

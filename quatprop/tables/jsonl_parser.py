@@ -1,4 +1,4 @@
-"""Lines of JSON to columns: whole blocks at once, and around a damaged line by halves."""
+"""Lines of JSON to columns: whole blocks at once, and by halves around a line that does not fit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import json as arrow_json
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.tables.csv import decimal_time
+from quatprop.tables import timestamps
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
 _MISFITS = (
     *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
-    decimal_time.StampRangeError,
+    timestamps.TimestampRangeError,
 )
-_MANY_LOST = 1000
+_MANY_REJECTED = 1000
 
 
 class LineParser:
@@ -43,35 +43,33 @@ class LineParser:
 
     Attributes
     ----------
-    lost
-        Number of each line that was lost, from 0 at the beginning of a block, and why.
+    rejected
+        Number of each line that was rejected, from 0 at the beginning of a block, and why.
     """
 
     def __init__(
         self, path: Path, numbers: Sequence[Leaf], time: Sequence[tuple[Leaf, str]]
     ) -> None:
-        self.lost: list[tuple[int, str]] = []
+        self.rejected: list[tuple[int, str]] = []
         self._path = path
         self._numbers = numbers
         self._time = time
         self._spare = 0
-        self._seen = 0
-        self._lost = 0
-        self._use()
+        self._count = 0
+        self._rejected = 0
+        self._set_types()
 
-    def _use(self) -> None:
+    def _set_types(self) -> None:
         fields = dict(self._numbers)
         for leaf, unit in self._time:
             is_date = pa.types.is_timestamp(leaf.type)
-            fields[leaf.path] = (
-                leaf.type if is_date else decimal_time.decimal_type(unit, self._spare)
-            )
+            fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, self._spare)
         self._options = arrow_json.ParseOptions(
             explicit_schema=_nested(fields), unexpected_field_behavior="ignore"
         )
 
     def parse(self, data: bytes | memoryview) -> Iterator[pa.RecordBatch | int]:
-        """Yield the rows of a block; for rows that are lost, how many.
+        """Yield the rows of a block; for rejected rows, how many.
 
         Raises
         ------
@@ -82,7 +80,7 @@ class LineParser:
             yield from self._whole(data)
         except _MISFITS:
             yield from self._by_halves(bytes(data).split(b"\n"), 0)
-        if 2 * self._lost > self._seen:
+        if 2 * self._rejected > self._count:
             self._refuse()
 
     def _whole(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
@@ -92,22 +90,22 @@ class LineParser:
         except _MISFITS:
             if self._spare or not self._time:
                 raise
-        self._spare = decimal_time.SPARE_PLACES
-        self._use()
+        self._spare = timestamps.SPARE_PLACES
+        self._set_types()
         try:
             return self._batches(data)
         except _MISFITS:
             self._spare = 0
-            self._use()
+            self._set_types()
             raise
 
     def _batches(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
         try:
-            decimal_time.refuse_tiny(data)
-        except decimal_time.StampRangeError:
+            timestamps.refuse_tiny_numbers(data)
+        except timestamps.TimestampRangeError:
             # It may be in another column, where it does no harm.
             for stamp in self._stamps(data):
-                decimal_time.refuse_tiny(stamp.encode())
+                timestamps.refuse_tiny_numbers(stamp.encode())
         table = arrow_json.read_json(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_json.ReadOptions(
@@ -115,7 +113,7 @@ class LineParser:
             ),
             parse_options=self._options,
         )
-        self._seen += table.num_rows
+        self._count += table.num_rows
         batches: list[pa.RecordBatch] = table.combine_chunks().to_batches()
         return batches
 
@@ -144,20 +142,23 @@ class LineParser:
                 yield from self._by_halves(lines[:middle], first)
                 yield from self._by_halves(lines[middle:], first + middle)
                 return
-            self.lost.append((first, _reason(error)))
-            self._seen += 1
-            self._lost += 1
+            self.rejected.append((first, _reason(error)))
+            self._count += 1
+            self._rejected += 1
             # Line by line is slow: what is no such table must not take forever.
-            if self._lost > _MANY_LOST and 2 * self._lost > self._seen:
+            if self._rejected > _MANY_REJECTED and 2 * self._rejected > self._count:
                 self._refuse()
             yield 1
 
     def _refuse(self) -> None:
-        reason = f" (such as line {self.lost[0][0] + 1}: {self.lost[0][1]})" if self.lost else ""
+        example = ""
+        if self.rejected:
+            number, reason = self.rejected[0]
+            example = f" (such as line {number + 1}: {reason})"
         raise UnsupportedLogError(
             self._path,
-            f"{self._lost} of its first {self._seen} rows do not fit{reason}; check the columns "
-            "and units",
+            f"{self._rejected} of its first {self._count} rows do not fit{example}; "
+            "check the columns and units",
         )
 
 
@@ -180,7 +181,7 @@ def _fields(tree: dict[str, Any]) -> list[pa.Field]:
 
 
 def _reason(error: Exception) -> str:
-    if isinstance(error, decimal_time.StampRangeError):
+    if isinstance(error, timestamps.TimestampRangeError):
         return "its time is a number below 1e-39"
     if isinstance(error, UnicodeDecodeError):
         return "it is not UTF-8"

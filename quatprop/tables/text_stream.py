@@ -1,4 +1,4 @@
-"""Text in blocks of whole records, in flat memory."""
+"""Text in record_blocks of whole records, in flat memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from quatprop.containers.base import Losses
+
 BLOCK_BYTES = 1 << 22
 """Bytes of a block; a longer record makes a longer one."""
 
 _LONGEST_RECORD = 1 << 26
-_PACKED_STEP = 1 << 14
+_LOSSES_A_BLOCK = 8
+_COMPRESSED_STEP = 1 << 14
 
 
-class Block(NamedTuple):
+class TextBlock(NamedTuple):
     """Whole records of a text.
 
     Parameters
@@ -39,12 +42,12 @@ class Block(NamedTuple):
 
 
 class TextStream:
-    """A text that can be read once, unpacked on the way.
+    """A text that can be read once, decompressed on the way.
 
     Parameters
     ----------
     file
-        An open binary file; packed with gzip, zstd, bz2 or lz4, or not.
+        An open binary file, plain or compressed with gzip, zstd, bz2 or lz4.
 
     Attributes
     ----------
@@ -54,13 +57,13 @@ class TextStream:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
-        packing = file_compression(self._file.peek(4)[:4])
-        if packing:
+        compression = file_compression(self._file.peek(4)[:4])
+        if compression:
             self._file = pa.CompressedInputStream(
-                self._file, "gzip" if packing == "gz" else packing
+                self._file, "gzip" if compression == "gz" else compression
             )
-        # What comes before the damage of a packed stream is only given out in small steps.
-        self._step = _PACKED_STEP if packing else _LONGEST_RECORD
+        # Arrow returns what precedes damage in a compressed stream only in small steps.
+        self._step = _COMPRESSED_STEP if compression else _LONGEST_RECORD
         self._rest = b""
         self.damage = ""
 
@@ -95,8 +98,8 @@ class TextStream:
         self._file.close()
 
 
-def blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[Block]:
-    """Yield a text as blocks that end where a record ends.
+def record_blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:
+    """Yield a text as record_blocks that end where a record ends.
 
     Parameters
     ----------
@@ -106,7 +109,7 @@ def blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[Block]:
         Bytes of a block.
     """
     buffer = bytearray(size)
-    offset, filled = 0, 0
+    offset = filled = 0
     while True:
         filled += text.fill(memoryview(buffer)[filled:])
         ended = filled < len(buffer)
@@ -116,7 +119,7 @@ def blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[Block]:
             continue
         cut = cut or filled
         if cut:
-            yield Block(offset, memoryview(buffer)[:cut], buffer.find(b'"', 0, cut) >= 0)
+            yield TextBlock(offset, memoryview(buffer)[:cut], buffer.find(b'"', 0, cut) >= 0)
         if ended:
             return
         buffer[: filled - cut] = buffer[cut:filled]
@@ -138,8 +141,8 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
     return cut or last
 
 
-def pieces(data: bytes, size: int) -> Iterator[bytes]:
-    """Cut whole records into pieces of whole records, of about `size` bytes each or a record."""
+def record_pieces(data: bytes, size: int) -> Iterator[bytes]:
+    """Cut whole records into pieces of about `size` bytes, each of whole records."""
     begin = 0
     while begin < len(data):
         piece = data[begin : begin + size]
@@ -155,29 +158,29 @@ def pieces(data: bytes, size: int) -> Iterator[bytes]:
 
 
 class LineCounter:
-    """Tells the line numbers of places in a text.
+    """Counts the lines of a text.
 
-    Clean logs are never asked about, so a text that can be read a second time is searched for
-    line breaks only when it is.
+    Line numbers are needed only where a log is damaged, so a text that can be read a second time
+    is searched for line breaks only then.
 
     Parameters
     ----------
     line
         Number of the line of the first row, from 1.
-    again
+    reopen
         Opens the rows from their beginning, if they can be read a second time.
     """
 
-    def __init__(self, line: int, again: Callable[[], TextStream] | None) -> None:
+    def __init__(self, line: int, reopen: Callable[[], TextStream] | None) -> None:
         self._line = line
-        self._again = again
+        self._reopen = reopen
         self._text: TextStream | None = None
         self._offset = 0
 
     def at(self, offset: int) -> int:
         """Return the number of the line that begins at `offset`; offsets must rise."""
-        if self._again is not None and self._text is None:
-            self._text = self._again()
+        if self._reopen is not None and self._text is None:
+            self._text = self._reopen()
         while self._text is not None and self._offset < offset:
             data = self._text.read(min(1 << 20, offset - self._offset))
             if not data:
@@ -186,12 +189,31 @@ class LineCounter:
             self._line += data.count(b"\n")
         return self._line
 
-    def passed(self, block: Block) -> None:
-        """Say that a block was read, for a text that cannot be read again."""
-        if self._again is None:
+    def advance(self, block: TextBlock) -> None:
+        """Count the lines of a block that was read, for a text that cannot be read again."""
+        if self._reopen is None:
             self._line += bytes(block.data).count(b"\n")
 
     def close(self) -> None:
-        """Close what was opened."""
+        """Close what was reopened."""
         if self._text is not None:
             self._text.close()
+
+
+def note_lines(losses: Losses, rejected: list[tuple[int, str]]) -> None:
+    """Note rejected lines of a block, together where they are many.
+
+    Parameters
+    ----------
+    losses
+        Where to note them.
+    rejected
+        Number and reason of each line.
+    """
+    if len(rejected) <= _LOSSES_A_BLOCK:
+        for line, reason in rejected:
+            losses.note(f"line {line}", reason, 1)
+        return
+    first, last = rejected[0], rejected[-1]
+    reason = f"{len(rejected)} of these rows do not fit; the first: {first[1]}"
+    losses.note(f"lines {first[0]} to {last[0]}", reason, len(rejected))

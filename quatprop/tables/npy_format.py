@@ -1,7 +1,7 @@
 """NumPy's array format: what a header says, and which columns the array has.
 
-Headers are read here, not by NumPy, because a file may say anything: nothing is unpickled, sizes
-are not believed, and what is no array of numbers is told in a sentence.
+Headers are read here and not by ``numpy.lib.format``, which has no public function for version 3,
+believes any size, and has no sentence for what is not an array of numbers. Nothing is unpickled.
 
 References
 ----------
@@ -34,7 +34,7 @@ class HeaderError(ValueError):
     """A header that cannot be used; the message says why."""
 
 
-class Header(NamedTuple):
+class ArrayHeader(NamedTuple):
     """What stands before the numbers of an array.
 
     Parameters
@@ -52,7 +52,7 @@ class Header(NamedTuple):
     is_fortran: bool
 
 
-class Column(NamedTuple):
+class ArrayColumn(NamedTuple):
     """A column of numbers within an array.
 
     Parameters
@@ -79,7 +79,7 @@ class Column(NamedTuple):
     rows: int
 
 
-def read_header(stream: BinaryIO) -> Header:
+def read_header(stream: BinaryIO) -> ArrayHeader:
     """Read the header of an array; the stream is left at its first number.
 
     Raises
@@ -94,8 +94,8 @@ def read_header(stream: BinaryIO) -> Header:
     if version not in _PREAMBLES:
         shown = ".".join(map(str, version))
         raise HeaderError(f"it is of version {shown} and 1.0 to 3.0 are read; save it again")
-    form, encoding = _PREAMBLES[version]
-    size = stream.read(struct.calcsize(form))
+    length_format, encoding = _PREAMBLES[version]
+    size = stream.read(struct.calcsize(length_format))
     length = int.from_bytes(size, "little")
     if length > _LONGEST_HEADER:
         raise HeaderError(f"its header claims {length} bytes, which no table needs")
@@ -111,7 +111,7 @@ def read_header(stream: BinaryIO) -> Header:
         raise HeaderError("its header is damaged; save it again") from error
 
 
-def _header(facts: dict[str, Any]) -> Header:
+def _header(facts: dict[str, Any]) -> ArrayHeader:
     descr, shape = facts["descr"], facts["shape"]
     if not isinstance(shape, tuple) or any(type(size) is not int or size < 0 for size in shape):
         raise HeaderError("its header gives no shape; save it again")
@@ -123,10 +123,10 @@ def _header(facts: dict[str, Any]) -> Header:
         )
     if not 0 < dtype.itemsize <= _WIDEST_ROW:
         raise HeaderError(f"its elements have {dtype.itemsize} bytes, which no table needs")
-    return Header(dtype, shape, bool(facts["fortran_order"]))
+    return ArrayHeader(dtype, shape, bool(facts["fortran_order"]))
 
 
-def columns_of(header: Header) -> list[Column]:
+def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
     """Return the columns of an array, at least one.
 
     An array of records has one for each field, those of nested fields as ``field.part``, those of
@@ -150,12 +150,14 @@ def columns_of(header: Header) -> list[Column]:
             f"its array of shape {shape} is no table; save one row a sample, in two dimensions or "
             "as records"
         )
-    found = list(islice(fields, _MOST_COLUMNS + 1))
-    if not 0 < len(found) <= _MOST_COLUMNS or step > _WIDEST_ROW:
+    placed = list(islice(fields, _MOST_COLUMNS + 1))
+    if not 0 < len(placed) <= _MOST_COLUMNS or step > _WIDEST_ROW:
         raise HeaderError(f"its rows have {step} bytes, which no table needs")
-    if len(shape) == 2 and is_fortran:  # noqa: PLR2004  # rows and columns
-        return [Column(name, one, place * rows, step, 0, rows) for name, one, place in found]
-    return [Column(name, one, 0, step, place, rows) for name, one, place in found]
+    by_column = len(shape) == 2 and is_fortran  # noqa: PLR2004  # rows and columns
+    return [
+        ArrayColumn(name, kind, *((place * rows, step, 0) if by_column else (0, step, place)), rows)
+        for name, kind, place in placed
+    ]
 
 
 def _fields(

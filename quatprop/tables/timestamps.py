@@ -1,8 +1,8 @@
-"""Time stamps of tables as int64 nanoseconds, exactly: never through float64.
+"""Timestamps of tables as int64 nanoseconds, exactly: never through float64.
 
-A decimal number of seconds with 9 places *is* a count of nanoseconds once the point is left out.
-So a column is read as decimal128 at the scale at which the unscaled integer counts nanoseconds,
-and the integers are taken out of its buffer.
+A decimal number of seconds with 9 places is a count of nanoseconds once its point is left out. So
+a column is read as decimal128 at the scale at which the unscaled integer counts nanoseconds, and
+the integers are taken out of its buffer.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.errors import UsageError
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -35,7 +36,7 @@ _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 _ROOM = 2**62
 
 
-class StampRangeError(ValueError):
+class TimestampRangeError(ValueError):
     """A stamp that int64 nanoseconds cannot hold."""
 
 
@@ -49,7 +50,7 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
     return pa.decimal128(_DIGITS - scale, scale)
 
 
-def refuse_tiny(data: bytes | memoryview) -> None:
+def refuse_tiny_numbers(data: bytes | memoryview) -> None:
     """Refuse text that pyarrow must not read as decimals: numbers smaller than 1e-39.
 
     It divides them by powers of ten out of a table that ends before, whatever lies there: from a
@@ -62,7 +63,7 @@ def refuse_tiny(data: bytes | memoryview) -> None:
 
     Raises
     ------
-    StampRangeError
+    TimestampRangeError
         There is such a number, in any column.
     """
     whole = bytes(data) + b"   "
@@ -75,7 +76,7 @@ def refuse_tiny(data: bytes | memoryview) -> None:
         marks = marks[text[marks + 1] == ord("-")] + 1
         first, second, third = (text[marks + k] - np.uint8(ord("0")) for k in (1, 2, 3))
         if np.any((first <= 9) & (second <= 9) & ((third <= 9) | (first >= 4))):  # noqa: PLR2004  # digits
-            raise StampRangeError
+            raise TimestampRangeError
 
 
 def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
@@ -95,7 +96,7 @@ def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
 
     Raises
     ------
-    StampRangeError
+    TimestampRangeError
         A stamp does not fit.
     """
     chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
@@ -115,16 +116,16 @@ def _rounded(chunk: pa.Array, places: int) -> pa.Array:
             wide = pc.round(wide, ndigits=places, round_mode="half_to_even")
         return wide.cast(pa.decimal128(_DIGITS, places))
     except pa.ArrowInvalid as error:
-        raise StampRangeError from error
+        raise TimestampRangeError from error
 
 
 def _unscaled(chunk: pa.Array) -> Int64:
-    words = np.frombuffer(chunk.buffers()[1], np.int64).reshape(-1, 2)
-    words = words[chunk.offset : chunk.offset + len(chunk)]
-    low, high = words[:, 0], words[:, 1]
+    halves = np.frombuffer(chunk.buffers()[1], np.int64).reshape(-1, 2)
+    low, high = halves[chunk.offset : chunk.offset + len(chunk)].T
     if np.any(high != low >> 63):
-        raise StampRangeError
-    return low
+        raise TimestampRangeError
+    stamps: Int64 = low
+    return stamps
 
 
 def from_text(text: str, unit: str) -> int:
@@ -133,7 +134,7 @@ def from_text(text: str, unit: str) -> int:
     Raises
     ------
     ValueError
-        The text is not a finite number, or (StampRangeError) out of range.
+        The text is not a finite number, or (TimestampRangeError) out of range.
 
     Examples
     --------
@@ -144,13 +145,13 @@ def from_text(text: str, unit: str) -> int:
         scaled = Decimal(text.strip()).scaleb(PLACES[unit], _EXACT)
         whole = scaled.to_integral_value(context=_EXACT)
     except Overflow as error:
-        raise StampRangeError(text) from error
+        raise TimestampRangeError(text) from error
     except InvalidOperation as error:
         raise ValueError(text) from error
     if not whole.is_finite():
         raise ValueError(text)
     if not _LIMITS.min <= whole <= _LIMITS.max:
-        raise StampRangeError(text)
+        raise TimestampRangeError(text)
     return int(whole)
 
 
@@ -159,7 +160,7 @@ def from_integers(values: Int64, unit: str) -> Int64:
     factor = 10 ** PLACES[unit]
     largest = _LIMITS.max // factor
     if len(values) and (values.max() > largest or values.min() < -largest):
-        raise StampRangeError
+        raise TimestampRangeError
     stamps: Int64 = values * factor
     return stamps
 
@@ -172,7 +173,7 @@ def from_floats(values: NDArray[np.float64], unit: str) -> Int64:
     factor = 10 ** PLACES[unit]
     whole = np.floor(values)
     if np.any(np.abs(values) >= _LIMITS.max // factor):
-        raise StampRangeError
+        raise TimestampRangeError
     fraction = (values - whole) * factor
     nanos = np.rint(fraction)
     # A product that lands on a half may have been rounded onto it.
@@ -182,18 +183,18 @@ def from_floats(values: NDArray[np.float64], unit: str) -> Int64:
     return stamps
 
 
-def total(parts: Iterable[Int64]) -> Int64:
+def sum_parts(parts: Iterable[Int64]) -> Int64:
     """Return the sum of the parts of a stamp, each in nanoseconds, shape ``(N,)``, int64."""
     first, *others = parts
     for other in others:
-        together = first + other
-        if np.any((first ^ together) & (other ^ together) < 0):
-            raise StampRangeError
-        first = together
+        total = first + other
+        if np.any((first ^ total) & (other ^ total) < 0):
+            raise TimestampRangeError
+        first = total
     return first
 
 
-def counted(first: int, count: int, sample_rate: float) -> Int64:
+def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
     """Return the stamps of rows that come at a steady rate, without drift.
 
     Parameters
@@ -217,14 +218,15 @@ def counted(first: int, count: int, sample_rate: float) -> Int64:
 
     Examples
     --------
-    >>> counted(2, 2, 3.0)
+    >>> row_stamps(2, 2, 3.0)
     array([ 666666667, 1000000000])
     """
     period = Fraction(10**9) / Fraction(repr(sample_rate))
     if (first + count) * period > _LIMITS.max:
         raise UsageError(
             f"at a sample rate of {sample_rate} Hz the times of {first + count} rows "
-            "do not fit in int64 ns; check --sample-rate"
+            "do not fit in int64 ns; check ",
+            Setting("sample_rate"),
         )
     begin, step = divmod(first * period.numerator, period.denominator)
     whole, part = divmod(period.numerator, period.denominator)

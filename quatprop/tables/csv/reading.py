@@ -1,0 +1,111 @@
+"""Blocks of text to stamps and numbers: as a whole, and piece by piece around damage."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import UnsupportedLogError
+from quatprop.tables.csv.rows import MISFITS, BlockParser, RowParser
+from quatprop.tables.text_stream import note_lines, record_pieces
+from quatprop.tables.timestamps import row_stamps
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import Losses
+    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.csv.headers import CsvLayout
+    from quatprop.tables.csv.rows import ParsedRows
+    from quatprop.tables.text_stream import LineCounter, TextBlock
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+_PIECE_BYTES = 1 << 16
+_ENOUGH_ROWS = 100_000
+"""Rows after which a table is refused, of which most do not fit."""
+
+
+class BlockReader:
+    """One reading of a table, which counts rows from block to block.
+
+    Parameters
+    ----------
+    layout
+        How the table is laid out.
+    columns
+        Which columns to read.
+    lines
+        Where line numbers come from.
+    losses
+        Where rejected rows are noted.
+    """
+
+    def __init__(
+        self, layout: CsvLayout, columns: TimedColumns, lines: LineCounter, losses: Losses
+    ) -> None:
+        self._layout = layout
+        self._columns = columns
+        self._block_parser = BlockParser(layout, columns)
+        self._row_parser = RowParser(layout, columns)
+        self._lines = lines
+        self._losses = losses
+        self._first_rejected: tuple[int, str] | None = None
+        self._count = 0
+        self._rejected = 0
+
+    def read(self, block: TextBlock) -> tuple[Int64, Float64]:
+        """Return stamps, shape ``(N,)``, ns, and numbers, ``(N, k)``, of the rows that fit."""
+        try:
+            parts = [self._block_parser.parse(block.data, quoted=block.quoted)]
+        except MISFITS:
+            parts = list(self._piecewise(block))
+        stamps = [self._stamps(rows) for rows in parts]
+        self._lines.advance(block)
+        if len(parts) == 1:
+            return stamps[0], parts[0].numbers
+        return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
+
+    def refuse_if_mostly_rejected(self, path: Path) -> None:
+        """Refuse a table of which more rows were rejected than read."""
+        if self._first_rejected and 2 * self._rejected > self._count:
+            line, reason = self._first_rejected
+            raise UnsupportedLogError(
+                path,
+                f"{self._rejected} of its first {self._count} rows do not fit (line {line}: "
+                f"{reason}); check the columns and units, or whether it is one table",
+            )
+
+    def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
+        """Read a block in which something does not fit, piece by piece."""
+        line = self._lines.at(block.offset)
+        rejected: list[tuple[int, str]] = []
+        count = 0
+        for piece in record_pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
+            try:
+                rows = self._block_parser.parse(piece, quoted=b'"' in piece, task=len(piece))
+            except MISFITS:
+                rows = self._row_parser.parse(piece, line)
+                rejected += rows.rejected
+            yield rows
+            line += piece.count(b"\n")
+            count += rows.total
+            if count > _ENOUGH_ROWS and 2 * len(rejected) > self._count + count:
+                break  # it will be refused: nobody waits for the rest
+        if rejected:
+            self._first_rejected = self._first_rejected or rejected[0]
+            self._rejected += len(rejected)
+            note_lines(self._losses, rejected)
+
+    def _stamps(self, rows: ParsedRows) -> Int64:
+        t_ns = rows.t_ns
+        if t_ns is None:
+            t_ns = row_stamps(self._count, rows.total, self._columns.sample_rate or 1.0)
+            t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
+        self._count += rows.total
+        return t_ns
