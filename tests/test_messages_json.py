@@ -21,8 +21,12 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.messages.json import JsonDecoder
-from quatprop.messages.orientations import orientation_fields
-from quatprop.messages.rates import rate_fields, time_field_at
+from quatprop.messages.signal_fields import (
+    orientation_fields,
+    rate_fields,
+    signal_fields,
+    time_field_at,
+)
 from quatprop.messages.values import ValueDecoder
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
@@ -260,10 +264,10 @@ def test_channels_without_a_type_carry_rates_where_the_options_say_so(tmp_path):
 @pytest.mark.parametrize("name", ["sensor_msgs/Imu", "sensor_msgs/msg/Imu", "ros.sensor_msgs.Imu"])
 def test_an_Imu_goes_by_many_names(name):
     """Package and name count."""
-    (field,) = rate_fields(channel_of(imu(), name), "log")
-    assert field.unit == "rad/s"
-    assert field.absent == "angular_velocity_covariance[0]"
-    assert field.orientation == "orientation"
+    (fields,) = signal_fields(channel_of(imu(), name), "log", "rate")
+    assert fields.rate.unit == "rad/s"
+    assert fields.rate.absent == "angular_velocity_covariance[0]"
+    assert fields.orientation.name == "orientation"
 
 
 def test_a_first_message_that_is_no_object_is_refused(tmp_path):

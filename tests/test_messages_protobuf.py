@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.formats import open_log
-from quatprop.messages.rates import rate_fields
+from quatprop.messages.signal_fields import rate_fields
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose_rates

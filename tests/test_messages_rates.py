@@ -1,5 +1,7 @@
 """Which field of a message is a rate, and what its stamp is in ns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -8,9 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 from quatprop.containers.base import Channel, MessageBlock
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.binary import BinaryDecoder
-from quatprop.messages.known_types import KnownTypes
-from quatprop.messages.rate_types import RATES
-from quatprop.messages.rates import rate_field_at, rate_fields, time_field_at
+from quatprop.messages.message_types import MESSAGE_TYPES, RateField, SignalFields
+from quatprop.messages.signal_fields import rate_field_at, rate_fields, signal_fields, time_field_at
 from quatprop.messages.stamps import Stamp
 
 HEADER = Stamp(("header.stamp.sec", "header.stamp.nanosec"), "s")
@@ -25,38 +26,47 @@ def channel_of(text, name="pkg/msg/T", encoding="cdr"):
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_an_Imu_is_a_rate_with_its_stamp_and_its_mark_of_absence(encoding):
     """The standard type is known without a definition."""
-    (field,) = rate_fields(Channel("/imu", "sensor_msgs/msg/Imu", encoding), "log")
-    assert field.rate == ("angular_velocity",)
+    (fields,) = signal_fields(Channel("/imu", "sensor_msgs/msg/Imu", encoding), "log", "rate")
+    field = fields.rate
+    assert field.fields == ("angular_velocity",)
     assert field.unit == "rad/s"
     assert field.stamp == HEADER
     assert field.absent == "angular_velocity_covariance[0]"
-    assert field.orientation == "orientation"
-    assert field.orientation_absent == "orientation_covariance[0]"
-    assert field.acceleration == "linear_acceleration"
     assert field.measured
+    assert fields.orientation.name == "orientation"
+    assert fields.orientation.absent == "orientation_covariance[0]"
+    assert fields.acceleration == ("linear_acceleration", "linear_acceleration_covariance[0]")
 
 
 def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
     """The paths are those of the definitions, as far as these are at hand."""
-    known = [name for name in RATES if name in get_typestore(Stores.LATEST).fielddefs]
-    assert len(known) == 4
+    known = [name for name in MESSAGE_TYPES if name in get_typestore(Stores.LATEST).fielddefs]
+    assert len(known) == 8
     for name in known:
-        (field,) = rate_fields(Channel("/t", name, "cdr"), "log")
-        row = RATES[name]
-        assert field == row
-        given = [field.absent, field.orientation, field.orientation_absent, field.acceleration]
-        paths = [*field.rate, *field.stamp.fields, *(path for path in given if path)]
-        rates = BinaryDecoder(Channel("/t", name, "cdr"), paths, "log").columns(
+        channel, row = Channel("/t", name, "cdr"), MESSAGE_TYPES[name]
+        kind = "rate" if row.rate else "orientation"
+        (fields,) = signal_fields(channel, "log", kind)
+        paths = []
+        if row.rate:
+            assert replace(fields.rate, stamp=None) == row.rate
+            paths += [*fields.rate.fields, fields.rate.absent, *fields.rate.stamp.fields]
+        if row.orientation:
+            assert replace(fields.orientation, stamp=None, fields=()) == row.orientation
+            paths += [*fields.orientation.fields, fields.orientation.absent]
+            paths += fields.orientation.stamp.fields
+        assert fields.acceleration == row.acceleration
+        paths = [path for path in (*paths, *(row.acceleration or ())) if path]
+        columns = BinaryDecoder(channel, paths, "log").columns(
             MessageBlock(np.zeros(0, np.uint8), *[np.zeros(0, np.int64)] * 4)
         )
-        assert rates[0].shape == (0, 3)
+        assert columns[0].shape == ((0, 3) if row.rate else (0,))
 
 
 def test_a_gyroscope_of_PX4_has_its_rate_in_three_numbers_and_its_stamp_in_us():
     """Three neighbouring numbers are as good as a vector."""
     text = "uint64 timestamp\nuint64 timestamp_sample\nuint32 id\nfloat32 x\nfloat32 y\nfloat32 z\n"
     (field,) = rate_fields(channel_of(text, "px4_msgs/msg/SensorGyro"), "log")
-    assert field.rate == ("x", "y", "z")
+    assert field.fields == ("x", "y", "z")
     assert field.stamp == Stamp(("timestamp_sample",), "us")
     assert field.name == "x,y,z"
 
@@ -64,7 +74,7 @@ def test_a_gyroscope_of_PX4_has_its_rate_in_three_numbers_and_its_stamp_in_us():
 def test_an_Imu_inside_another_message_is_found_with_its_own_header():
     """The prefix goes before every path."""
     (field,) = rate_fields(channel_of("std_msgs/Header header\nsensor_msgs/Imu imu\n"), "log")
-    assert field.rate == ("imu.angular_velocity",)
+    assert field.fields == ("imu.angular_velocity",)
     assert field.absent == "imu.angular_velocity_covariance[0]"
     assert field.stamp == Stamp(("imu.header.stamp.sec", "imu.header.stamp.nanosec"), "s")
 
@@ -75,10 +85,10 @@ def test_an_Imu_without_a_header_takes_the_one_around_it():
         "std_msgs/Header header\nsensor_msgs/Imu imu\n" + "=" * 80 + "\nMSG: sensor_msgs/Imu\n"
         "geometry_msgs/Vector3 angular_velocity\n"
     )
-    (field,) = rate_fields(channel_of(text), "log")
-    assert field.stamp == HEADER
-    assert field.absent is None
-    assert field.orientation is None
+    (fields,) = signal_fields(channel_of(text), "log", "rate")
+    assert fields.rate.stamp == HEADER
+    assert fields.rate.absent is None
+    assert fields.orientation is None
 
 
 def test_several_Imus_in_a_message_are_several_rates():
@@ -94,10 +104,11 @@ def test_several_Imus_in_a_message_are_several_rates():
 
 def test_velocities_of_an_odometry_are_not_called_measured():
     """An estimate or a command is no gyroscope."""
-    (field,) = rate_fields(Channel("/odom", "nav_msgs/msg/Odometry", "cdr"), "log")
-    assert field.rate == ("twist.twist.angular",)
-    assert field.orientation == "pose.pose.orientation"
-    assert not field.measured
+    channel = Channel("/odom", "nav_msgs/msg/Odometry", "cdr")
+    (fields,) = signal_fields(channel, "log", "rate")
+    assert fields.rate.fields == ("twist.twist.angular",)
+    assert fields.orientation.name == "pose.pose.orientation"
+    assert not fields.rate.measured
 
 
 @pytest.mark.parametrize(
@@ -135,7 +146,7 @@ def test_any_three_numbers_can_be_named_and_take_the_nearest_stamp():
     )
     for name, rate in (("gyro", ("gyro",)), ("c, a,b", ("c", "a", "b"))):
         field = rate_field_at(channel, name, "log")
-        assert field.rate == rate
+        assert field.fields == rate
         assert field.unit is None
         assert field.stamp == HEADER
 
@@ -145,7 +156,7 @@ def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
     channel = Channel("/gyro", "geometry_msgs/msg/Vector3Stamped", "cdr")
     assert rate_fields(channel, "log") == []
     field = rate_field_at(channel, "vector", "log")
-    assert field.rate == ("vector",)
+    assert field.fields == ("vector",)
     assert field.unit is None
     assert field.stamp == HEADER
 
@@ -153,11 +164,11 @@ def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
 def test_an_odometry_of_foxglove_in_ROS_2_is_known():
     """Its stamp is no header."""
     text = "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n"
-    (field,) = rate_fields(channel_of(text, "foxglove_msgs/msg/Odometry"), "log")
-    assert field.rate == ("angular_velocity",)
-    assert field.stamp == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
-    assert field.orientation is None
-    assert not field.measured
+    (fields,) = signal_fields(channel_of(text, "foxglove_msgs/msg/Odometry"), "log", "rate")
+    assert fields.rate.fields == ("angular_velocity",)
+    assert fields.rate.stamp == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
+    assert fields.orientation is None
+    assert not fields.rate.measured
 
 
 def test_a_named_field_that_is_elsewhere_is_no_error():
@@ -246,12 +257,12 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
             channel = _channel(reader, connection)
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
             for field in rate_fields(channel, name) if raw else ():
-                decoder = BinaryDecoder(channel, [*field.rate, *field.stamp.fields], name)
+                decoder = BinaryDecoder(channel, [*field.fields, *field.stamp.fields], name)
                 rate, *stamp = decoder.columns(_block(raw))
                 t_ns = field.stamp.ns(stamp, name)
                 for position, message in enumerate(raw):
                     decoded = reader.deserialize(message, connection.msgtype)
-                    vector = _attribute(decoded, field.rate[0])
+                    vector = _attribute(decoded, field.fields[0])
                     time = _attribute(decoded, field.stamp.fields[0].removesuffix(".sec"))
                     assert rate[position].tolist() == [vector.x, vector.y, vector.z]
                     assert t_ns[position] == time.sec * 10**9 + time.nanosec
@@ -279,16 +290,16 @@ def _attribute(value, path):
     return value
 
 
-def test_what_is_inside_a_known_type_is_its_own_affair():
+def test_what_is_inside_a_known_type_is_its_own_affair(monkeypatch):
     """Of known types within one another the outermost counts, and those beside it."""
     line = "=" * 80
     text = (
         f"pkg/msg/Outer first\npkg/msg/Inner second\n{line}\nMSG: pkg/msg/Outer\n"
-        f"pkg/msg/Inner within\n{line}\nMSG: pkg/msg/Inner\nfloat64 x\n"
+        f"float64[3] w\npkg/msg/Inner within\n{line}\nMSG: pkg/msg/Inner\nfloat64[3] w\n"
     )
-    known = KnownTypes({"pkg/msg/Outer": "outer", "pkg/msg/Inner": "inner"})
-    root = known.root(channel_of(text, "pkg/msg/Both"), "log")
-    found = list(known.inside(root, lambda _row, _struct, _prefix: True))
-    assert [(prefix.rstrip("."), row) for prefix, row in found] == [
-        ("first", "outer"), ("second", "inner"),
-    ]  # fmt: skip
+    row = SignalFields(rate=RateField(("w",)))
+    rows = {"pkg/msg/Outer": row, "pkg/msg/Inner": row}
+    monkeypatch.setattr("quatprop.messages.message_types.MESSAGE_TYPES", rows)
+    monkeypatch.setattr("quatprop.messages.signal_fields.MESSAGE_TYPES", rows)
+    found = rate_fields(channel_of(text, "pkg/msg/Both"), "log")
+    assert [field.name for field in found] == ["first.w", "second.w"]

@@ -1,4 +1,4 @@
-"""Message bytes to columns: definitions, plans, decoding, and which field is a rate.
+"""From the bytes of messages to columns: definitions, decoding plans, and which field is what.
 
-This room knows no containers: it takes the blocks that readers give, and gives numpy columns.
+Nothing here depends on containers: it takes the blocks that they give, and gives NumPy columns.
 """

@@ -14,7 +14,7 @@ from quatprop.conditioning.static_detection import AT_REST
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.messages.rates import rate_field_at
+from quatprop.messages.signal_fields import fields_beside
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
 from quatprop.tables.base import is_table
@@ -206,11 +206,12 @@ def _forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Ro
     for channel in channels_of(log, source.name):
         if channel.type_name != source.type_name:
             continue
-        field = rate_field_at(channel, source.field, log.path)
-        if field is None or field.acceleration is None:
+        beside = fields_beside(channel, source.field, log.path)
+        if beside.rate is None or beside.acceleration is None:
             continue
-        clock = choose_clock(log, channel, field.stamp, selection)
-        reading = FieldReader(log, channel, [field.acceleration], clock, field.acceleration_absent)
+        name, absent = beside.acceleration
+        clock = choose_clock(log, channel, beside.rate.stamp, selection)
+        reading = FieldReader(log, channel, [name], clock, absent)
         rows: Rows = timed_values(log, channel, reading)
         return rows
     raise _no_accelerations(log)

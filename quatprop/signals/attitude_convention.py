@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.containers.base import Channel
-    from quatprop.messages.orientations import FoundOrientation
+    from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
 
 BY_NAME = "by name"
@@ -73,7 +73,7 @@ def _agreed(
 def message_layout(
     path: Path | str,
     channel: Channel,
-    field: FoundOrientation,
+    field: OrientationField,
     given: str | None,
     recorded: str | None,
 ) -> str:

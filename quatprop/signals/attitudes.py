@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import UsageError
-from quatprop.messages.orientations import orientation_field_at, orientation_fields
+from quatprop.messages.signal_fields import orientation_field_at, orientation_fields
 from quatprop.messages.stamps import Stamp
 from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
@@ -25,7 +25,7 @@ from quatprop.text import Setting, plain, quoted
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
-    from quatprop.messages.orientations import FoundOrientation
+    from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.message_values import BlockReader
     from quatprop.signals.signal import Rows
@@ -85,7 +85,7 @@ def _candidates(
 
 
 def _of_field(
-    log: MessageLog, channel: Channel, field: FoundOrientation, selection: AttitudeSelection
+    log: MessageLog, channel: Channel, field: OrientationField, selection: AttitudeSelection
 ) -> AttitudeSignal:
     if selection.frame is not None:
         raise UsageError(

@@ -10,8 +10,10 @@ import numpy as np
 from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
+from quatprop.messages.signal_fields import fields_beside
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
+from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import is_table
@@ -142,20 +144,13 @@ def first_orientation(
 
 
 def _beside(log: MessageLog, source: RateSignal) -> str | None:
-    """Return the orientation in the same part of the message as the rate, if it is named so."""
-    from quatprop.messages.rates import rate_fields
-    from quatprop.signals.message_values import channels_of
-
-    return next(
-        (
-            field.orientation
-            for channel in channels_of(log, source.name)
-            if channel.type_name == source.type_name
-            for field in rate_fields(channel, log.path)
-            if field.name == source.field
-        ),
-        None,
-    )
+    """Return the orientation in the same part of the message as the rate, if it has one."""
+    for channel in channels_of(log, source.name):
+        if channel.type_name == source.type_name:
+            beside = fields_beside(channel, source.field, log.path).orientation
+            if beside is not None:
+                return beside.name
+    return None
 
 
 def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:

@@ -17,7 +17,7 @@ from quatprop.containers.coalesce import joined
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
-from quatprop.messages.rates import time_field_at
+from quatprop.messages.signal_fields import time_field_at
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

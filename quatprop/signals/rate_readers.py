@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
-    from quatprop.messages.rate_types import Burst, RateField
+    from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
     from quatprop.signals.message_values import BlockReader, Clock
 
@@ -46,7 +46,7 @@ def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Cloc
         return _BurstReader(log, channel, field, field.burst, clock)
     if field.span is not None:
         return _IncrementReader(log, channel, field, field.span, clock)
-    return FieldReader(log, channel, field.rate, clock, field.absent)
+    return FieldReader(log, channel, field.fields, clock, field.absent)
 
 
 class _IncrementReader(GroupDecoder):
@@ -55,7 +55,7 @@ class _IncrementReader(GroupDecoder):
     def __init__(
         self, log: MessageLog, channel: Channel, field: RateField, span: Stamp, clock: Clock
     ) -> None:
-        super().__init__(log, channel, clock, field.rate, span.fields)
+        super().__init__(log, channel, clock, field.fields, span.fields)
         self._span = span
 
     def columns(self, block: MessageBlock) -> Columns:
@@ -74,7 +74,7 @@ class _BurstReader(GroupDecoder):
     def __init__(
         self, log: MessageLog, channel: Channel, field: RateField, burst: Burst, clock: Clock
     ) -> None:
-        super().__init__(log, channel, clock, field.rate, burst.fields)
+        super().__init__(log, channel, clock, field.fields, burst.fields)
         self._burst = burst
 
     def columns(self, block: MessageBlock) -> Columns:

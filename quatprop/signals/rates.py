@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from quatprop.errors import UndeclaredError
-from quatprop.messages.rates import rate_field_at, rate_fields
+from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.signals.message_values import choose_clock, stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.containers.base import Channel, MessageLog
-    from quatprop.messages.rate_types import RateField
+    from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import BlockReader
     from quatprop.tables.base import TableLog
