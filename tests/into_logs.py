@@ -6,7 +6,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.writers.messages.ros_types import ros2_types
+from quatprop.writers.messages.topics import ros2_types
 
 START = 1_700_000_000_000_000_000
 BOOT = 5_000_000_000

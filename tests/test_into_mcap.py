@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 
 from quatprop.cli import cli
 from quatprop.into.log_times import LogTimes
-from quatprop.writers.mcap.contents import Contents
+from quatprop.writers.mcap.contents import McapContents
 
 FORMS = {
     "zstd": {},
@@ -155,7 +155,7 @@ def test_topics_without_messages_are_kept(tmp_path):
         end = stream.read().index(b"\x0f\x04" + bytes(7)) + 13
         stream.seek(0)
         copy.write(stream.read(end))
-        contents = Contents(summary.schemas, summary.channels, summary.chunk_indexes)
+        contents = McapContents(summary.schemas, summary.channels, summary.chunk_indexes)
         contents.counts.update(summary.statistics.channel_message_counts)
         copy.write(contents.summary(end) + MAGIC)
     out.replace(log)
@@ -168,7 +168,7 @@ def test_a_topic_that_is_there_is_refused(tmp_path):
     result = run("propagate", log, "--into", tmp_path / "out.mcap", "--out-topic", "/camera")
     assert result.exit_code == 2
     assert result.stderr.endswith(
-        "log.mcap: topic '/camera' is there already; choose another with --out-topic NAME\n"
+        "log.mcap: topic '/camera' exists already; choose another with --out-topic NAME\n"
     )
     assert list(tmp_path.iterdir()) == [log]
 
@@ -303,7 +303,7 @@ def test_an_empty_suffix_or_any_other_is_mcap_all_the_same(tmp_path):
     examine(tmp_path / "out")
     result = run("propagate", log, "--into", tmp_path / "out.bag")
     assert result.exit_code == 2
-    assert "is mcap, whatever it is called; name it .mcap" in result.stderr
+    assert "is mcap, whatever its name; name it .mcap" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_a_table_has_nothing_to_add_to(tmp_path):
     table.write_text("t_ns,wx,wy,wz\n0,0,0,1\n1000000,0,0,1\n")
     result = run("propagate", table, "--into", tmp_path / "out.mcap")
     assert result.exit_code == 2
-    assert "this one is 'csv'; write them to a file of their own with -o" in result.stderr
+    assert "this one is 'csv'; write them to a file of their own with --output" in result.stderr
 
 
 def test_a_packed_log_is_copied_unpacked(tmp_path):
@@ -384,17 +384,17 @@ def test_log_times_pass_over_stamps_that_step_back():
     """The clock that has not caught up again yet counts for nothing."""
     pairs = [([10, 20, 15], [100, 200, 300]), ([20, 30], [400, 500]), ([40], [600])]
     times = LogTimes((np.array(stamps), np.array(logged)) for stamps, logged in pairs)
-    assert times.of(np.array([5, 10, 20])).tolist() == [95, 100, 200]
-    assert times.of(np.array([25, 30])).tolist() == [205, 500]
-    assert times.of(np.array([], np.int64)).tolist() == []
-    assert times.of(np.array([40, 50])).tolist() == [600, 610]
+    assert times.at(np.array([5, 10, 20])).tolist() == [95, 100, 200]
+    assert times.at(np.array([25, 30])).tolist() == [205, 500]
+    assert times.at(np.array([], np.int64)).tolist() == []
+    assert times.at(np.array([40, 50])).tolist() == [600, 610]
 
 
 def test_log_times_never_step_back():
     """An attitude is not logged before the one ahead of it."""
     times = LogTimes(iter([(np.array([10, 20, 30]), np.array([100, 90, 95]))]))
-    assert times.of(np.array([10])).tolist() == [100]
-    assert times.of(np.array([20, 30])).tolist() == [100, 100]
+    assert times.at(np.array([10])).tolist() == [100]
+    assert times.at(np.array([20, 30])).tolist() == [100, 100]
 
 
 def test_log_times_hold_no_more_than_is_needed():
@@ -411,7 +411,7 @@ def test_log_times_hold_no_more_than_is_needed():
     tracemalloc.start()
     try:
         for k in range(batches):
-            times.of(np.arange(size) + k * size)
+            times.at(np.arange(size) + k * size)
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -117,7 +117,7 @@ def test_a_topic_that_is_there_is_refused(tmp_path):
     result = run("propagate", log, "--into", tmp_path / "out.bag", "--out-topic", "/shutter")
     assert result.exit_code == 2
     assert result.stderr.endswith(
-        "log.bag: topic '/shutter' is there already; choose another with --out-topic NAME\n"
+        "log.bag: topic '/shutter' exists already; choose another with --out-topic NAME\n"
     )
     assert list(tmp_path.iterdir()) == [log]
 

@@ -15,13 +15,14 @@ from ruamel.yaml import YAML
 
 from quatprop.cli import cli
 from quatprop.formats import open_log
-from quatprop.into.rosbag2 import Added
-from quatprop.into.rosbag2_metadata import extended
-from quatprop.writers.messages.kinds import Message
+from quatprop.into.rosbag2_metadata import Added, extended
+from quatprop.writers.messages.topics import ros_topic
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
 SUFFIXES = {StoragePlugin.SQLITE3: ".db3", StoragePlugin.MCAP: ".mcap"}
+
+TOPIC = ros_topic("/attitude", "geometry_msgs/msg/QuaternionStamped", ros1=False)
 
 
 def run(*arguments):
@@ -140,7 +141,7 @@ def test_what_is_there_is_not_touched(tmp_path, storage):
     assert "exists already; remove it or choose another name" in result.stderr
     result = run("propagate", log, "--into", tmp_path / "new", "--out-topic", "/shutter")
     assert result.exit_code == 2
-    assert "topic '/shutter' is there already; choose another with --out-topic" in result.stderr
+    assert "topic '/shutter' exists already; choose another with --out-topic" in result.stderr
     result = run("propagate", log, "--into", log / "inside")
     assert result.exit_code == 2
     assert "which is an input; choose another output" in result.stderr
@@ -157,7 +158,7 @@ def test_packed_files_are_refused_with_the_way_out(tmp_path):
     database.unlink()
     result = run("propagate", log, "--into", tmp_path / "out")
     assert result.exit_code == 2
-    assert "are packed one by one, and nothing can be added to them" in result.stderr
+    assert "are compressed one by one, and nothing can be added to them" in result.stderr
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -188,7 +189,7 @@ rosbag2_bagfile_information:
   compression_format: ""
   compression_mode: ""
 """
-    new = extended(text, Message(), [Added(3, 990, 1200), Added()], {"quatprop /attitude": "{}"})
+    new = extended(text, TOPIC, [Added(3, 990, 1200), Added()], {"quatprop /attitude": "{}"})
     bag = YAML(typ="safe").load(new)["rosbag2_bagfile_information"]
     assert bag["message_count"] == 5
     assert bag["starting_time"] == {"nanoseconds_since_epoch": 990}

@@ -72,7 +72,7 @@ def refused(log, target, error, **options):
 def test_a_topic_that_is_there(log, tmp_path):
     """It is refused with all files closed."""
     words = refused(log, tmp_path / "copy", UsageError, message=Message(topic="/imu"))
-    assert "topic '/imu' is there already" in words
+    assert "topic '/imu' exists already" in words
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 

@@ -115,16 +115,6 @@ def test_the_kinds_of_the_command_line_are_those_of_the_table():
     assert tuple(READERS) == KINDS
 
 
-def test_the_output_kinds_of_the_command_line_are_those_of_the_table():
-    """--to lists exactly the kinds that have a writer."""
-    from quatprop.cli.output_options import KINDS, MESSAGES
-    from quatprop.writers import WRITERS
-    from quatprop.writers.messages import kinds as messages
-
-    assert tuple(WRITERS) == KINDS
-    assert tuple(messages.MESSAGES) == MESSAGES
-
-
 def test_every_dependency_is_pinned_for_development():
     """Tests and sample logs run on the versions of .ci/constraints.txt."""
     root = PACKAGE.parent

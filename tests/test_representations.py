@@ -17,7 +17,7 @@ from quatprop.signals.interpolation import stamps_in
 from quatprop.writers import WRITERS, open_table
 
 HALF = np.sqrt(0.5)
-TABLES = [kind for kind, known in WRITERS.items() if known.table]
+TABLES = [kind for kind, known in WRITERS.items() if known.columns]
 OPTIONS = {
     "rotvec": ["--as", "rotvec"],
     "euler-zyx": ["--as", "euler-zyx"],
@@ -149,13 +149,13 @@ def test_what_is_written_is_read_and_turned_into_any_other(tmp_path, kind, form,
     source = written(tmp_path, "qw,qx,qy,qz", wxyz.tolist())
     first = tmp_path / f"first.{kind}"
     run(source, first, *OPTIONS[form], "--direction", direction)
-    said = [] if WRITERS[kind].room else ["--from-direction", direction]
+    said = [] if WRITERS[kind].keeps_provenance else ["--from-direction", direction]
     for other, options in OPTIONS.items():
         second, back = tmp_path / f"{other}.parquet", tmp_path / "back.npz"
         run(first, second, *options, *said)
         run(second, back)
         assert geodesic_angle(read(back), wxyz).max() < 1e-14
-    if WRITERS[kind].room:
+    if WRITERS[kind].keeps_provenance:
         said = ["--from-direction", {"body-to-ref": "ref-to-body"}.get(direction, "body-to-ref")]
         assert "but the metadata of the file says" in run(first, back, *said, code=2).stderr
 

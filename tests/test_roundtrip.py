@@ -17,7 +17,7 @@ from quatprop.writers import WRITERS, open_writer
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
 """Endings of the kinds whose name is not their suffix; a file of EuRoC is a CSV."""
 
-ROS = {kind for kind, known in WRITERS.items() if known.messages}
+ROS = {kind for kind, known in WRITERS.items() if known.encodings}
 PLACES = [
     (kind, layout)
     for kind, known in WRITERS.items()

@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.imu import GRAVITY, cdr_messages, ros1_messages
-from quatprop.simulate.logs import LOGS, open_log_writer
+from quatprop.simulate.imu import GRAVITY, ImuEncoder
+from quatprop.simulate.logs import open_log_writer
 from quatprop.simulate.motion import Shape, motion_named
 from quatprop.simulate.run import simulate, truth_beside
+from quatprop.writers import GENERAL_KINDS, WRITERS
 
 SHAPE = Shape(angle=Fraction(25))
 
@@ -45,12 +46,10 @@ def test_messages_are_what_the_library_would_encode(encoding):
         linear_acceleration=vector(x=0.0, y=GRAVITY * 2 * (s * s), z=up),
         linear_acceleration_covariance=np.zeros(9),
     )
-    if encoding == "cdr":
-        (message,) = cdr_messages(measured, truth, 0.5)
-        assert message.tobytes() == bytes(store.serialize_cdr(expected, "sensor_msgs/msg/Imu"))
-    else:
-        (message,) = ros1_messages(measured, truth, 0.5, 41)
-        assert message.tobytes() == bytes(store.serialize_ros1(expected, "sensor_msgs/msg/Imu"))
+    encoder = ImuEncoder(0.5, ros1=encoding == "ros1")
+    *_, message = [encoder.encode(measured, truth, "a")[0] for _ in range(42)]
+    serialize = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
+    assert message.tobytes() == bytes(serialize(expected, "sensor_msgs/msg/Imu"))
 
 
 def test_accelerations_are_the_reaction_to_gravity():
@@ -58,7 +57,7 @@ def test_accelerations_are_the_reaction_to_gravity():
     tilt = Rotation.from_euler("xyz", [20, -40, 70], degrees=True)
     wxyz = np.roll(tilt.as_quat(), 1)
     ((measured, truth),) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
-    (message,) = cdr_messages(measured, truth, 0.0)
+    (message,) = ImuEncoder(0.0, ros1=False).encode(measured, truth, "a")
     imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(
         message.tobytes(), "sensor_msgs/msg/Imu"
     )
@@ -70,14 +69,14 @@ def test_accelerations_are_the_reaction_to_gravity():
 
 # Logs
 
-KINDS_AND_COMPRESSIONS = [(kind, c) for kind, known in LOGS.items() for c in known.compressions]
+KINDS_AND_COMPRESSIONS = [(kind, c) for kind in GENERAL_KINDS for c in WRITERS[kind].compressions]
 
 
 def log_of(tmp_path, kind, compression=None, name="log"):
     """Write a log of 300 samples, twice the same, and return path, stamps and rates."""
     told = Gyroscope(Fraction(100), 300, noise=1e-3, seed=2)
     ((measured, truth),) = record(motion_named("tumbling", SHAPE), told)
-    path = tmp_path / (name + LOGS[kind].suffixes[0] if LOGS[kind].suffixes else name)
+    path = tmp_path / (name + (WRITERS[kind].suffixes or ("",))[0])
     with open_log_writer(path, kind, compression=compression) as writer:
         writer.write(measured, truth)
         writer.commit({})
@@ -124,7 +123,7 @@ def test_rosbags_reads_simulated_bags(tmp_path, kind, compression):
     assert len(set(delays.tolist())) > 100
 
 
-@pytest.mark.parametrize("compression", LOGS["mcap"].compressions)
+@pytest.mark.parametrize("compression", WRITERS["mcap"].compressions)
 def test_mcap_reads_simulated_logs(tmp_path, compression):
     """The reference reader finds profile, schema and every message in order."""
     path, measured = log_of(tmp_path, "mcap", compression)
@@ -138,7 +137,7 @@ def test_mcap_reads_simulated_logs(tmp_path, compression):
     assert [message.sequence for _, _, message in found] == list(range(len(measured)))
 
 
-@pytest.mark.parametrize("kind", LOGS)
+@pytest.mark.parametrize("kind", GENERAL_KINDS)
 def test_a_failed_log_leaves_nothing(tmp_path, kind):
     """An exception midway leaves no file, no folder, and no stray."""
     told = Gyroscope(Fraction(100), 300)
@@ -164,13 +163,18 @@ def test_a_compression_the_kind_has_not_is_refused(tmp_path):
 
 
 def test_a_suffix_that_means_no_log_is_refused(tmp_path):
-    """The error lists what would do."""
-    words = (
-        r": the suffix does not tell the log's format; use one of \.csv, \.parquet, \.pq, \.mcap, "
-        r"\.bag, none for a ROS 2 bag folder, or say --to csv\|parquet\|mcap\|bag\|rosbag2\|"
+    """The error lists the suffixes that would do."""
+    sentence = (
+        r": the suffix does not tell the output format; use one of \.csv, \.tsv, .*\.bag, none"
     )
-    with pytest.raises(OutputError, match=words):
+    with pytest.raises(OutputError, match=sentence):
         open_log_writer(tmp_path / "a.db3")
+
+
+def test_a_kind_that_holds_attitudes_only_is_refused(tmp_path):
+    """A trajectory has no rates."""
+    with pytest.raises(OutputError, match=r"kind 'tum' holds attitudes only; choose 'csv', 'tsv',"):
+        open_log_writer(tmp_path / "a.tum")
 
 
 def test_a_bag_folder_that_exists_is_refused(tmp_path):

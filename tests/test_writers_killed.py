@@ -11,7 +11,7 @@ import pytest
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.atomic import Output, Replacement
+from quatprop.writers.atomic import OutputFile, OutputPath
 
 SERIES = AttitudeSeries(np.arange(40_000), np.tile([1.0, 0.0, 0.0, 0.0], (40_000, 1)))
 WRITE_FOREVER = """
@@ -69,7 +69,7 @@ def abandoned(make, target):
     """Start to write in a process that ends without a word, and return what it leaves."""
     code = (
         "import os, sys\n"
-        "from quatprop.writers.atomic import Output, Replacement\n"
+        "from quatprop.writers.atomic import OutputFile, OutputPath\n"
         f"made = {make}\n"
         "getattr(made, 'path', None) and made.path.mkdir()\n"
         "os._exit(0)\n"
@@ -79,19 +79,21 @@ def abandoned(make, target):
     return stray
 
 
-@pytest.mark.parametrize("make", ["Output(sys.argv[1])", "Replacement(sys.argv[1], folder=True)"])
+@pytest.mark.parametrize(
+    "make", ["OutputFile(sys.argv[1])", "OutputPath(sys.argv[1], folder=True)"]
+)
 def test_what_was_abandoned_goes_when_the_same_target_is_written(tmp_path, make):
     """Another target leaves it alone; the same one removes it, file or folder."""
     stray = abandoned(make, tmp_path / "a")
-    Output(tmp_path / "b").discard()
+    OutputFile(tmp_path / "b").discard()
     assert strays(tmp_path) == [stray]
-    Replacement(tmp_path / "a", folder=True).discard()
+    OutputPath(tmp_path / "a", folder=True).discard()
     assert strays(tmp_path) == []
 
 
 def test_two_runs_on_one_target_do_not_disturb_each_other(tmp_path):
     """What is under way is locked: the last to commit wins, and both are whole."""
-    first, second = Output(tmp_path / "a"), Output(tmp_path / "a")
+    first, second = OutputFile(tmp_path / "a"), OutputFile(tmp_path / "a")
     assert len(strays(tmp_path)) == 2
     first.stream.write(b"first")
     second.stream.write(b"second")
@@ -105,7 +107,7 @@ def test_two_runs_on_one_target_do_not_disturb_each_other(tmp_path):
 def test_without_locks_files_are_written_all_the_same(tmp_path, monkeypatch):
     """On a system or a disk without locks, only the tidying is missing."""
     monkeypatch.setitem(sys.modules, "fcntl", None)
-    output = Output(tmp_path / "a")
+    output = OutputFile(tmp_path / "a")
     output.stream.write(b"whole")
     output.commit()
     assert os.listdir(tmp_path) == ["a"]  # noqa: PTH208  # names are all it takes

@@ -15,12 +15,12 @@ from ruamel.yaml import YAML
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, open_writer
+from quatprop.writers.messages.encoders import RosEncoder
 from quatprop.writers.messages.kinds import MESSAGES, Message
-from quatprop.writers.messages.ros_messages import Encoder
-from quatprop.writers.messages.ros_types import ros1_types
+from quatprop.writers.messages.topics import ros1_types
 
 ROS = [name for name, known in MESSAGES.items() if known.is_ros]
-KINDS = [kind for kind, known in WRITERS.items() if known.messages]
+KINDS = [kind for kind, known in WRITERS.items() if known.encodings]
 START = 1_700_000_000_000_000_000
 TOLD = {"convention": {"layout": "scalar-last"}, "n": "ø"}
 MCAP_KINDS = {"mcap": "a.mcap", "rosbag2-mcap": "a/a.mcap"}
@@ -91,7 +91,7 @@ def test_messages_are_what_the_library_would_encode(name, frame, child, ros1):
     series = AttitudeSeries(
         np.array([START + 123_456_789, 5]), np.array([[0.5, -0.5, 0.1, 1e-320], [1.0, 2, 3, 4]])
     )
-    encoder = Encoder(message, ros1=ros1)
+    encoder = RosEncoder(message, ros1=ros1)
     encoder.encode(series, "a")
     rows = encoder.encode(series, "a")
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
@@ -132,14 +132,14 @@ def test_a_message_goes_by_any_of_its_names(name):
 @pytest.mark.parametrize("kind", KINDS)
 def test_scalar_first_is_refused(tmp_path, kind):
     """ROS defines the order of a quaternion's fields."""
-    words = rf"^{kind} is scalar-last by its own definition, not scalar-first; leave --layout out$"
+    words = rf"^{kind} is scalar-last by its own definition, not scalar-first; leave layout out$"
     with pytest.raises(UsageError, match=words):
         open_writer(tmp_path / "a", kind, layout="wxyz")
 
 
 def test_a_table_has_no_messages(tmp_path):
     """Asking for a message where there is none is refused."""
-    with pytest.raises(UsageError, match=r"^csv holds no messages; leave --message out$"):
+    with pytest.raises(UsageError, match=r"^csv holds no messages; leave message out$"):
         open_writer(tmp_path / "a.csv", message=Message())
 
 

@@ -17,7 +17,7 @@ from quatprop.writers import WRITERS, layout_of, open_table, open_writer
 from quatprop.writers.tables.tum import seconds
 
 TOLD = {"convention": {"layout": "scalar-first"}, "n": "ø", "q0_wxyz": [1.0, 0.0, 0.0, 0.0]}
-TABLES = [kind for kind, known in WRITERS.items() if known.table]
+TABLES = [kind for kind, known in WRITERS.items() if known.columns]
 COMMENTED = [kind for kind, known in WRITERS.items() if known.comments]
 SHORT = AttitudeSeries(
     np.array([1_700_000_000_000_000_001, -5]),
@@ -80,7 +80,7 @@ def test_a_comment_holds_the_provenance(tmp_path, kind):
 
 def test_a_format_without_comments_refuses_one(tmp_path):
     """JSON Lines has no comments."""
-    with pytest.raises(UsageError, match=r"^jsonl has no comments; leave --header-comment out$"):
+    with pytest.raises(UsageError, match=r"^jsonl has no comments; leave header_comment out$"):
         write(tmp_path / "a.jsonl", comment=True)
 
 
@@ -116,7 +116,7 @@ def test_a_format_with_a_layout_of_its_own_refuses_the_other(tmp_path, kind, oth
     assert layout_of(kind, prescribed).name == prescribed
     words = (
         rf"^{kind} is {prescribed} by its own definition, not scalar-(first|last); "
-        r"leave --layout out$"
+        r"leave layout out$"
     )
     with pytest.raises(UsageError, match=words):
         open_writer(tmp_path / "a", kind, layout=other)
@@ -230,7 +230,7 @@ def test_a_file_without_rows_is_still_one(tmp_path, kind):
         assert t_ns.shape == (0,)
     assert (
         len(path.read_bytes().splitlines()) == (0 if kind == "jsonl" else 1)
-        or not WRITERS[kind].text
+        or not WRITERS[kind].is_text
     )
 
 

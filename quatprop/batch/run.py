@@ -19,7 +19,7 @@ from quatprop.parallel import KILLED, in_order, map_processes
 from quatprop.pipeline.job import run
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
-from quatprop.writers.atomic import Output
+from quatprop.writers.atomic import OutputFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -165,7 +165,7 @@ class BatchManifest:
     def write(self) -> None:
         """Keep what is known beside the outputs."""
         if self._known:
-            output = Output(self._place)
+            output = OutputFile(self._place)
             output.stream.write(json.dumps(self._known, indent=1).encode())
             output.commit()
 

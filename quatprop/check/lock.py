@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import LogError, SuiteError, UnreadableLogError
 from quatprop.provenance import as_json, fingerprint
 from quatprop.text import Setting, Text
-from quatprop.writers.atomic import replacing
+from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -130,7 +130,7 @@ def write_lock(path: Path, pins: Mapping[str, Pin]) -> None:
     text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
     if path.exists() and path.read_bytes() == text:
         return
-    with replacing(path) as stream:
+    with open_atomic(path) as stream:
         stream.write(text)
 
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 from quatprop.errors import OutputError
 from quatprop.text import plain
-from quatprop.writers.atomic import replacing
+from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -117,7 +117,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
         elif text := "\n".join(filter(None, [result.summary, *map(plain, result.notes)])):
             ET.SubElement(case, "system-out").text = text
     ET.indent(root)
-    with replacing(target) as stream:
+    with open_atomic(target) as stream:
         ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
         stream.write(b"\n")
 

@@ -29,7 +29,7 @@ from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
 from quatprop.signals.attitude_input import load_attitudes
 from quatprop.text import plain
-from quatprop.writers.overlap import refuse_overlap
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

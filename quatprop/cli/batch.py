@@ -10,8 +10,8 @@ import click
 
 from quatprop.cli import propagate
 from quatprop.cli.options import quiet_option
-from quatprop.cli.output_options import KINDS
 from quatprop.provenance import as_json as to_json
+from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -39,7 +39,7 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 )
 @click.option(
     "--to",
-    type=click.Choice(KINDS),
+    type=click.Choice(tuple(WRITERS)),
     default="parquet",
     show_default=True,
     help="Format of the outputs.",
@@ -112,8 +112,7 @@ command.params += SHARED
 def _jobs(logs: Sequence[str], folder: Path, chosen: dict[str, Any]) -> list[Job]:
     """Return one job for each log, with outputs that replace nothing that is read."""
     from quatprop.batch.run import outputs
-    from quatprop.writers import WRITERS
-    from quatprop.writers.overlap import refuse_overlap
+    from quatprop.writers.targets import refuse_overlap
 
     if "-" in logs:
         raise click.UsageError("stdin is one log; give it to quatprop propagate")

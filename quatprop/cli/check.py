@@ -102,8 +102,7 @@ def command(suite: str, **options: Any) -> None:
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | BrokenCase], junit: str | None) -> None:
     """Refuse to replace an input of a case, or another output."""
     from quatprop.check.case import Case
-    from quatprop.writers.atomic import checked_place
-    from quatprop.writers.overlap import refuse_overlap
+    from quatprop.writers.targets import checked_place, refuse_overlap
 
     valid = [case for case in cases if isinstance(case, Case)]
     inputs = [path for case in valid for path in case.inputs.values()]

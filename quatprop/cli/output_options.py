@@ -7,34 +7,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.settings import LAYOUTS
+from quatprop.writers import WRITERS
+from quatprop.writers.messages.kinds import MESSAGES, Message
 
 if TYPE_CHECKING:
     from quatprop.pipeline.settings import OutputSettings
-    from quatprop.writers.messages.kinds import Message
 
-KINDS = (
-    "csv",
-    "tsv",
-    "jsonl",
-    "parquet",
-    "feather",
-    "npy",
-    "npz",
-    "tum",
-    "euroc",
-    "mcap",
-    "bag",
-    "rosbag2",
-    "rosbag2-mcap",
-)
-"""The keys of :data:`quatprop.writers.WRITERS`; spelled out so that help imports no writer."""
-
-MESSAGES = ("QuaternionStamped", "PoseStamped", "TFMessage", "FrameTransform", "PoseInFrame")
-"""The keys of :data:`quatprop.writers.messages.kinds.MESSAGES`."""
 
 output_kind_option = click.option(
     "--to",
-    type=click.Choice(KINDS),
+    type=click.Choice(tuple(WRITERS)),
     help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 layout_option = click.option(
@@ -59,7 +41,7 @@ into_option = click.option(
 MESSAGE_OPTIONS = (
     click.option(
         "--message",
-        type=click.Choice(MESSAGES),
+        type=click.Choice(tuple(MESSAGES)),
         help="What mcap and bags hold: the attitude, a pose, or a transform. FrameTransform and "
         "PoseInFrame are Foxglove's own, for mcap only.  [default: QuaternionStamped]",
     ),
@@ -80,15 +62,13 @@ OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OP
 
 def message(chosen: dict[str, Any]) -> Message | None:
     """Take what attitudes are written as out of a command's options; None if nothing was said."""
-    from quatprop.writers.messages.kinds import Message
-
     kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
     if kind is None and topic is None and frames is None:
         return None
     reference, comma, body = (frames or "reference,body").partition(",")
     if not comma:
         raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
-    return Message(kind or MESSAGES[0], topic, reference, body)
+    return Message(kind or Message().type, topic, reference, body)
 
 
 def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:

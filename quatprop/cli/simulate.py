@@ -9,6 +9,7 @@ import click
 
 from quatprop.cli.types import DURATION, numbers
 from quatprop.settings import MAX_FREQUENCY
+from quatprop.writers import GENERAL_KINDS
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -21,9 +22,6 @@ SHAPED_BY = {
     "walk": ("random-walk",),
 }
 """Which motions an option shapes."""
-
-KINDS = ("csv", "parquet", "mcap", "bag", "rosbag2", "rosbag2-mcap")
-"""The keys of :data:`quatprop.simulate.logs.LOGS`."""
 
 DEFAULT_DURATION_NS = 20_000_000_000
 
@@ -57,7 +55,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 @click.option(
     "--to",
     "kind",
-    type=click.Choice(KINDS),
+    type=click.Choice(GENERAL_KINDS),
     help="Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 @click.option(

@@ -15,15 +15,15 @@ from quatprop.conversion.destination import forgotten, opened, remarks_on
 from quatprop.conversion.history import extended
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
-from quatprop.into import written_kind
+from quatprop.into import copy_kind
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import Fingerprint
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import listed, quoted
-from quatprop.writers import has_room
-from quatprop.writers.overlap import refuse_overlap
+from quatprop.writers import keeps_provenance
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,12 +119,12 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
     refuse_overlap([job.log], [job.output, job.report])
     with open_log(job.log, job.kind) as log:
         if job.into:
-            job = replace(job, to=written_kind(log, job.output, job.to))
+            job = replace(job, to=copy_kind(log, job.output, job.to))
         source = choose_attitudes(log, job.selection)
         check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(job.applied_sign)
         # Where nothing keeps it, reading the source once more is not worth its time.
-        kept = job.report is not None or has_room(job.output, job.to, comment=job.comment)
+        kept = job.report is not None or keeps_provenance(job.output, job.to, comment=job.comment)
         with (
             ReportFile(job.report) as report_file,
             opened(job, log) as (writer, put),

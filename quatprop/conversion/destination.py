@@ -15,7 +15,7 @@ from quatprop.into import open_into
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import listed, quoted
-from quatprop.writers import WRITERS, has_room, kind_of, layout_of, open_table, open_writer
+from quatprop.writers import WRITERS, keeps_provenance, kind_of, layout_of, open_table, open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from quatprop.conventions.representations import Representation
     from quatprop.conversion import Conversion
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import AttitudeWriter, Table, Uncommitted
+    from quatprop.writers.base import AttitudeWriter, TableWriter, Transaction
 
     Put = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
     """Takes stamps and quaternions wxyz; returns how many rows are not unique as written."""
 
 
 @contextmanager
-def opened(job: Conversion, log: MessageLog | TableLog) -> Iterator[tuple[Uncommitted, Put]]:
+def opened(job: Conversion, log: MessageLog | TableLog) -> Iterator[tuple[Transaction, Put]]:
     """Give what is to be committed, and a function that takes stamps and quaternions wxyz."""
     kind = kind_of(job.output, job.to)
     if job.representation in REPRESENTATIONS:
@@ -44,8 +44,8 @@ def opened(job: Conversion, log: MessageLog | TableLog) -> Iterator[tuple[Uncomm
         with _attitudes(job, log, layout_of(kind, job.layout).name) as writer:
             yield writer, partial(_put_attitudes, writer)
     else:
-        if not WRITERS[kind].table:
-            tables = listed(name for name, known in WRITERS.items() if known.table)
+        if not WRITERS[kind].columns:
+            tables = listed(name for name, known in WRITERS.items() if known.columns)
             raise OutputError(
                 job.output,
                 f"kind {quoted(kind)} holds Hamilton quaternions body to reference by its own "
@@ -80,7 +80,7 @@ def _put_attitudes(
 
 
 def _put_otherwise(
-    table: Table, form: Representation, t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
+    table: TableWriter, form: Representation, t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
 ) -> int:
     values = form.values(wxyz)
     table.write(t_ns, [np.ascontiguousarray(column) for column in values.T])
@@ -88,7 +88,7 @@ def _put_otherwise(
 
 
 def _put_in_order(
-    table: Table, order: tuple[int, ...], t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
+    table: TableWriter, order: tuple[int, ...], t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
 ) -> int:
     table.write(t_ns, [wxyz[:, place] for place in order])
     return 0
@@ -108,7 +108,7 @@ def remarks_on(singular: int) -> list[str]:
 
 def forgotten(job: Conversion) -> list[str]:
     """Return what a file that has no room to say what its numbers mean leaves to its readers."""
-    if job.meaning == HAMILTON or has_room(job.output, job.to, comment=job.comment):
+    if job.meaning == HAMILTON or keeps_provenance(job.output, job.to, comment=job.comment):
         return []
     said = (
         f"the file cannot say that it is {job.meaning.convention} {job.meaning.direction}: whoever "

@@ -1,21 +1,21 @@
-"""A copy of a log with its attitude added: everything else is kept as it is.
+"""Copies of a log to which its attitudes are added; everything else is kept as it is.
 
-This is where readers and writers of containers meet: what is there is copied as bytes, attitudes
-are put between it in order of time, and what tells where things are is written anew.
+Here the readers and writers of containers meet: the log's content is copied as bytes, attitudes
+are inserted in order of time, and indexes are written anew.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.into.log_times import LogTimes
-from quatprop.text import listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import WRITERS, kind_of, layout_of
-from quatprop.writers.atomic import is_stdout
+from quatprop.writers.base import AttitudeMessages
 from quatprop.writers.messages.kinds import Message
+from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -30,38 +30,38 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Stamps = Callable[[MessageLog | TableLog], Iterator[tuple[Int64, Int64]]]
 
-_COPIERS: Mapping[str, tuple[str, str]] = {
-    "mcap": ("mcap", "quatprop.into.mcap:McapInto"),
-    "bag": ("bag", "quatprop.into.rosbag1:Rosbag1Into"),
-    "db3": ("rosbag2", "quatprop.into.rosbag2:Rosbag2Into"),
-    "rosbag2": ("rosbag2", "quatprop.into.rosbag2:Rosbag2Into"),
-}
-"""By the kind of a log: the key of :data:`WRITERS` that it is, and what copies it."""
 
-
-@dataclass(frozen=True, slots=True)
-class Addition:
-    """What is added to a copy of a log.
+class Copier(NamedTuple):
+    """One row of :data:`COPIERS`.
 
     Parameters
     ----------
-    message
-        What the attitudes are written as, and where they are published.
-    times
-        When each of them is logged.
+    kind
+        The key of :data:`quatprop.writers.WRITERS` of the copy.
+    opener
+        ``module:class`` of the writer, called with the log, the target and the message to add.
     """
 
-    message: Message
-    times: LogTimes
+    kind: str
+    opener: str
 
 
-def written_kind(log: Log, target: str, to: str | None = None) -> str:
-    """Return the key of :data:`quatprop.writers.WRITERS` that a copy of a log is.
+COPIERS: Mapping[str, Copier] = {
+    "mcap": Copier("mcap", "mcap:McapCopyWriter"),
+    "bag": Copier("bag", "rosbag1:BagCopyWriter"),
+    "db3": Copier("rosbag2", "rosbag2:Rosbag2CopyWriter"),
+    "rosbag2": Copier("rosbag2", "rosbag2:Rosbag2CopyWriter"),
+}
+"""Every kind of log that attitudes can be added to."""
+
+
+def copy_kind(log: Log, target: str, to: str | None = None) -> str:
+    """Return the key of :data:`quatprop.writers.WRITERS` that a copy of a log has.
 
     Parameters
     ----------
     log
-        What is copied.
+        The log.
     target
         Where the copy goes.
     to
@@ -70,31 +70,35 @@ def written_kind(log: Log, target: str, to: str | None = None) -> str:
     Raises
     ------
     UsageError
-        The log is no container of messages, or something else is asked for.
+        The log is no container of messages, or another kind is asked for.
     OutputError
         The target is stdout.
     """
-    if log.kind not in _COPIERS:
+    if log.kind not in COPIERS:
         raise UsageError(
-            f"{plain(log.path)}: attitudes can be added to logs of kind {listed(_COPIERS)}, and "
-            f"this one is {quoted(log.kind)}; write them to a file of their own with -o"
+            f"{plain(log.path)}: attitudes can be added to logs of kind {listed(COPIERS)}, and "
+            f"this one is {quoted(log.kind)}; write them to a file of their own with ",
+            Setting("output"),
         )
-    kind, _ = _COPIERS[log.kind]
+    kind = COPIERS[log.kind].kind
     if is_stdout(target):
         raise OutputError(target, "standard output takes text only; name a file for the copy")
     if to is not None:
-        raise UsageError("--into copies the log in its own format; leave --to out")
-    suffixes = [suffix for known in WRITERS.values() for suffix in known.suffixes if suffix]
-    packed = target.lower().endswith((".gz", ".zst", ".zstd", ".lz4", ".bz2"))
-    if packed or (target.lower().endswith(tuple(suffixes)) and kind_of(target) != kind):
         raise UsageError(
-            f"{plain(target)}: a copy of {plain(log.path)} is {kind}, whatever it is called; "
+            Setting("into"), " copies the log in its own format; leave ", Setting("to"), " out"
+        )
+    suffixes = tuple(suffix for known in WRITERS.values() for suffix in known.suffixes if suffix)
+    name = target.lower()
+    compressed = name.endswith((".gz", ".zst", ".zstd", ".lz4", ".bz2"))
+    if compressed or (name.endswith(suffixes) and kind_of(target) != kind):
+        raise UsageError(
+            f"{plain(target)}: a copy of {plain(log.path)} is {kind}, whatever its name; "
             f"name it {WRITERS[kind].suffixes[0] or 'without a suffix'}"
         )
     return kind
 
 
-def open_into(  # noqa: PLR0913  # as open_writer, and what is copied
+def open_into(  # noqa: PLR0913  # as open_writer, and the log
     log: MessageLog | TableLog,
     target: str,
     stamps: Stamps,
@@ -108,12 +112,12 @@ def open_into(  # noqa: PLR0913  # as open_writer, and what is copied
     Parameters
     ----------
     log
-        What is copied; it stays open until the copy is committed.
+        The log; it stays open until the copy is committed.
     target
         Where the copy goes.
     stamps
-        Reads the stamps of the messages that the attitudes come from, and when they were logged:
-        an attitude is logged when its message was.
+        Given the log, yields the stamps of the messages that the attitudes come from, and when
+        they were logged: an attitude is logged when its message was.
     layout, comment, message
         As for :func:`quatprop.writers.open_writer`.
 
@@ -125,16 +129,23 @@ def open_into(  # noqa: PLR0913  # as open_writer, and what is copied
     Raises
     ------
     UsageError
-        The log cannot be added to, its topic is there already, or an option does not go with
+        The log cannot be added to, its topic exists already, or a setting does not apply to
         copies.
     OutputError
         As for :func:`quatprop.writers.open_writer`.
     """
-    kind = written_kind(log, target)
+    kind = copy_kind(log, target)
     layout_of(kind, layout)
     if comment:
-        raise UsageError(f"{kind} has no comments; leave --header-comment out")
-    module, _, name = _COPIERS[log.kind][1].partition(":")
-    addition = Addition(message or Message(), LogTimes(stamps(log)))
-    writer: AttitudeWriter = getattr(import_module(module), name)(log, target, addition)
-    return writer
+        raise UsageError(f"{kind} has no comments; leave ", Setting("header_comment"), " out")
+    message = message or Message()
+    channels = cast("MessageLog", log).channels()
+    if message.topic_name in {channel.topic for channel in channels}:
+        raise UsageError(
+            f"{plain(log.path)}: topic {quoted(message.topic_name)} exists already; choose another "
+            "with ",
+            Setting("out_topic", "NAME"),
+        )
+    module, _, name = COPIERS[log.kind].opener.partition(":")
+    container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
+    return AttitudeMessages(container, container.encoder, target, LogTimes(stamps(log)).at)

@@ -1,8 +1,7 @@
-"""When an attitude is logged that is added to a log: when the message was that it comes from.
+"""Log times of attitudes that are added to a log: those of the messages they come from.
 
-Stamps and log times need not be of one clock: some recorders count from when they were switched
-on. A log whose messages spread over fifty years shows nothing, so what is added stands where its
-source does.
+Stamps and log times need not be of one clock: some devices count from when they were switched on.
+Players and plots sort by log time, so attitudes logged at their stamps could be fifty years away.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ if TYPE_CHECKING:
 
 
 class LogTimes:
-    """Finds log times by stamps, both in order, without holding more than is needed.
+    """Finds log times by stamps, both in order, and keeps no more than it needs.
 
     Parameters
     ----------
     pairs
         Stamps and log times, shapes ``(N,)``, int64 ns, batch after batch in order of log times.
-        Stamps that step back are passed over.
+        Stamps that step back are ignored.
 
     Examples
     --------
     >>> times = LogTimes(iter([(np.array([10, 20]), np.array([1005, 1017]))]))
-    >>> times.of(np.array([10, 14, 20, 30]))
+    >>> times.at(np.array([10, 14, 20, 30]))
     array([1005, 1009, 1017, 1027])
     """
 
@@ -42,7 +41,7 @@ class LogTimes:
         self._latest = np.iinfo(np.int64).min
         self._ended = False
 
-    def of(self, t_ns: Int64) -> Int64:
+    def at(self, t_ns: Int64) -> Int64:
         """Return when attitudes are logged, shape ``(N,)``, int64 ns.
 
         An attitude between messages is logged as long after the one before it as its stamp is
@@ -59,22 +58,22 @@ class LogTimes:
             self._fetch()
         if not len(self._stamps):
             return t_ns
-        at = np.maximum(np.searchsorted(self._stamps, t_ns, "right") - 1, 0)
-        found: Int64 = self._logged[at] + (t_ns - self._stamps[at])
-        found = np.maximum(np.maximum.accumulate(found), self._latest)
-        self._latest = found[-1]
-        self._stamps, self._logged = self._stamps[at[-1] :], self._logged[at[-1] :]
-        return found
+        before = np.maximum(np.searchsorted(self._stamps, t_ns, "right") - 1, 0)
+        log_ns: Int64 = self._logged[before] + (t_ns - self._stamps[before])
+        log_ns = np.maximum(np.maximum.accumulate(log_ns), self._latest)
+        self._latest = log_ns[-1]
+        self._stamps, self._logged = self._stamps[before[-1] :], self._logged[before[-1] :]
+        return log_ns
 
     def _fetch(self) -> None:
-        """Take another batch, without stamps that are not after those before them."""
+        """Read another batch, without stamps that are not later than all before them."""
         batch = next(self._pairs, None)
         if batch is None:
             self._ended = True
             return
         stamps, logged = batch
         last = self._stamps[-1:] if len(self._stamps) else stamps[:1] - 1
-        reached = np.maximum.accumulate(np.concatenate([last, stamps]))[:-1]
-        rising = stamps > reached
-        self._stamps = np.concatenate([self._stamps, stamps[rising]])
-        self._logged = np.concatenate([self._logged, logged[rising]])
+        latest = np.maximum.accumulate(np.concatenate([last, stamps]))[:-1]
+        is_later = stamps > latest
+        self._stamps = np.concatenate([self._stamps, stamps[is_later]])
+        self._logged = np.concatenate([self._logged, logged[is_later]])

@@ -1,4 +1,4 @@
-"""MCAP files with attitudes added."""
+"""Copies of MCAP files to which attitudes are added."""
 
 from __future__ import annotations
 
@@ -7,28 +7,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.into.mcap_copy import McapCopy
-from quatprop.into.topics import refuse_taken
-from quatprop.writers.atomic import Output, reported
-from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.mcap.attitudes import METADATA
+from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
 from quatprop.writers.mcap.file import McapFile
-from quatprop.writers.mcap.messages import declared
+from quatprop.writers.mcap.writer import finish_with_provenance
+from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Any, BinaryIO
+    from typing import BinaryIO
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.into import Addition
-    from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
 
 _CHUNK_BYTES = 1 << 17
-"""Small chunks: each stands between those of its own time."""
+"""Small chunks, so that each is among those of its own time."""
 
 
 class McapPart:
@@ -37,117 +34,96 @@ class McapPart:
     Parameters
     ----------
     log
-        What is copied; it stays open until the part is finished.
+        The file to copy; it stays open until the part is finished.
     place
         Where the copy goes: a path where nothing is, or a stream.
     message
-        What is published where.
-
-    Raises
-    ------
-    UsageError
-        The topic is there already.
+        The message to add.
 
     Attributes
     ----------
     encoder
-        Encodes the messages as the file has them.
+        Encodes attitudes as the messages of this file.
     """
 
     def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
-        with ExitStack() as begun:
+        with ExitStack() as resources:
             self._copy = McapCopy(log)
-            contents, topic = self._copy.contents, message.place
-            taken = [channel.topic for channel in contents.channels.values()]
-            refuse_taken(topic, taken, log.path)
-            told = declared(message, ros1=self._copy.header.profile == "ros1")
-            self.encoder = told.encoder
+            ros = "ros1" if self._copy.header.profile == "ros1" else "cdr"
+            self.encoder = attitude_encoder(message, (ros, "protobuf"))
             if isinstance(place, Path):
-                place = begun.enter_context(place.open("xb"))
+                place = resources.enter_context(place.open("xb"))
+            contents = self._copy.contents
             self._file = McapFile(
                 place,
                 self._copy.header,
                 "zstd",
                 contents=contents,
-                before=self._before,
+                before=lambda first_ns: self._copy.up_to(first_ns, self._file),
                 chunk_bytes=_CHUNK_BYTES,
             )
-            begun.callback(self._file.abort)
-            # Some recorders tell of topics without messages at the end only: all go first.
-            self._file.put(encoded([*contents.schemas.values(), *contents.channels.values()]))
-            schema = self._file.add_schema(told.schema_name, told.schema_encoding, told.schema)
-            self._channel = self._file.add_channel(topic, told.encoding, schema)
-            self._begun = begun.pop_all()
+            resources.callback(self._file.abort)
+            # Some recorders declare topics without messages in the summary only.
+            self._file.append(encoded([*contents.schemas.values(), *contents.channels.values()]))
+            self._channel = self._file.add_channel(self.encoder.topic)
+            self._resources = resources.pop_all()
 
     def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Append messages, and what the file holds up to their time."""
+        """Append messages, after everything of the file that was logged before them."""
         self._channel.write(log_ns, messages)
 
-    def rest(self) -> McapFile:
+    def copy_rest(self) -> McapFile:
         """Copy everything that is left, and return the file for what comes at its end."""
         self._file.flush()
         self._copy.rest(self._file)
         return self._file
 
     def finish(self, metadata: str | None = None) -> None:
-        """Finish the file, with what metadata.yaml says."""
-        file = self.rest()
+        """Finish the file, with the content of metadata.yaml."""
+        file = self.copy_rest()
         if metadata is not None:
             file.add_metadata("rosbag2", {"serialized_metadata": metadata})
         file.finish()
         self.close()
 
     def close(self) -> None:
-        """Let go of both files; harmless after the end."""
-        self._begun.close()
-
-    def _before(self, first_ns: int) -> None:
-        self._copy.up_to(first_ns, self._file)
+        """Close the copy; may be called twice."""
+        self._resources.close()
 
 
-class McapInto(AttitudeWriter):
+class McapCopyWriter(MessageWriter):
     """Copy an MCAP file and add attitudes to it.
 
     Parameters
     ----------
     log
-        What is copied.
+        The log to copy.
     target
         Where the copy goes.
-    addition
-        What is added.
-
-    Raises
-    ------
-    UsageError
-        The topic is there already.
+    message
+        The message to write the attitudes as.
     """
 
-    def __init__(self, log: McapLog, target: Path | str, addition: Addition) -> None:
-        self._topic = addition.message.place
-        self._times = addition.times
-        self._output = Output(target)
+    def __init__(self, log: McapLog, target: Path | str, message: Message) -> None:
+        self._output = OutputFile(target)
         try:
-            with reported(target):
-                self._part = McapPart(log, self._output.stream, addition.message)
+            with output_errors(target):
+                self._part = McapPart(log, self._output.stream, message)
         except BaseException:
             self._output.discard()
             raise
+        self.encoder = self._part.encoder
 
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch, and what the log holds up to its time."""
-        messages = self._part.encoder.encode(series, self._output.target)
-        log_ns = self._times.of(series.t_ns)
-        with reported(self._output.target):
+    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Append messages, after everything of the log that was logged before them."""
+        with output_errors(self._output.target):
             self._part.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Copy the rest, finish the file with its provenance, and put it in its place."""
-        told = {"provenance": words_of(provenance), "topic": self._topic}
-        with reported(self._output.target):
-            file = self._part.rest()
-            file.add_metadata(METADATA, told)
-            file.finish()
+        with output_errors(self._output.target):
+            file = self._part.copy_rest()
+            finish_with_provenance(file, self.encoder.topic.name, provenance)
         self._output.commit()
 
     def abort(self) -> None:

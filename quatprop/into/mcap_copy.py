@@ -1,7 +1,7 @@
-"""The records of an MCAP file, copied as they are in order of the file.
+"""Copies the records of an MCAP file, as they are and in order of the file.
 
-Chunks are not unpacked, unless they lack their message index: that is made then. Nothing is copied
-of what tells where things are, since they are elsewhere in the copy.
+Chunks are decompressed only where their message index is missing and has to be made. Index
+records are not copied, since everything is at another place in the copy.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from quatprop.containers.mcap.messages import at_offsets, walk
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
 from quatprop.containers.mcap.summary import MAGIC, MALFORMED, Content, Survey, read_footer
 from quatprop.errors import DamagedLogError, UnreadableLogError
-from quatprop.writers.mcap.contents import Contents
+from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,7 +37,7 @@ _LEFT_OUT = frozenset(
     {
         Opcode.HEADER,
         Opcode.FOOTER,
-        Opcode.MESSAGE,  # whole ones are in regions
+        Opcode.MESSAGE,  # complete ones are in regions
         Opcode.CHUNK,
         Opcode.MESSAGE_INDEX,
         Opcode.CHUNK_INDEX,
@@ -51,7 +51,7 @@ _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class McapCopy:
-    """Copies a file, bit by bit as the time comes.
+    """Copies a file step by step, up to a given time.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class McapCopy:
     header
         Its first record.
     contents
-        Its schemas and channels, and all that was copied so far.
+        Its schemas and channels, and everything copied so far.
 
     Raises
     ------
@@ -72,21 +72,21 @@ class McapCopy:
     """
 
     def __init__(self, log: McapLog) -> None:
-        self._path, self._source, found = log.path, log.source, log.contents
+        self._path, self._source, overview = log.path, log.source, log.contents
         self._budget = UnpackBudget(self._source.size)
         try:
             footer = read_footer(self._source)
             self.header = _header(self._source)
         except OSError as error:
             raise UnreadableLogError(log.path, f"{error.strerror}; check the path") from error
-        self.contents = Contents(dict(found.schemas), dict(found.channels))
-        self._regions = {region.start: region for region in found.regions}
+        self.contents = McapContents(dict(overview.schemas), dict(overview.channels))
+        self._regions = {region.start: region for region in overview.regions}
         self._starts = sorted(self._regions)
-        self._at = len(MAGIC)
+        self._position = len(MAGIC)
         self._end: int = self._source.size if footer is None else footer.data_end
 
     def up_to(self, first_ns: int, file: McapFile) -> None:
-        """Copy what comes before messages that were logged after `first_ns`."""
+        """Copy the records before the first region that begins after `first_ns`."""
         self._copy(file, first_ns)
 
     def rest(self, file: McapFile) -> None:
@@ -94,20 +94,20 @@ class McapCopy:
         self._copy(file, None)
 
     def _copy(self, file: McapFile, until: int | None) -> None:
-        while self._at < self._end:
-            region = self._regions.get(self._at)
+        while self._position < self._end:
+            region = self._regions.get(self._position)
             if region is None:
-                self._at = self._record(file)
+                self._position = self._copy_record(file)
                 continue
             if until is not None and region.first_ns > until:
                 return
             if region.is_chunk:
-                self._chunk(region, file)
+                self._copy_chunk(region, file)
             else:
-                self._messages(region, file)
-            self._at = region.end
+                self._copy_messages(region, file)
+            self._position = region.end
 
-    def _messages(self, region: Region, file: McapFile) -> None:
+    def _copy_messages(self, region: Region, file: McapFile) -> None:
         """Copy messages that are outside chunks."""
         data = self._read(region.start, region.length)
         messages = at_offsets(data, walk(data).offsets)
@@ -115,11 +115,11 @@ class McapCopy:
             span = int(messages.log_ns.min()), int(messages.log_ns.max())
             self.contents.loose.append(span)
             self.contents.counts.update(messages.counts())
-        file.put(data)
+        file.append(data)
 
-    def _chunk(self, region: Region, file: McapFile) -> None:
+    def _copy_chunk(self, region: Region, file: McapFile) -> None:
         """Copy a chunk and its message index, or make that."""
-        begin = file.place
+        begin = file.size
         head = self._read(region.start, RECORD.size + CHUNK_HEAD.size)
         first, last, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
         left = region.length - len(head) - name_length - 8
@@ -129,17 +129,17 @@ class McapCopy:
             or RECORD.unpack_from(head) != (Opcode.CHUNK, region.length - RECORD.size)
             or left < 0
         ):
-            return  # what reads its messages tells of it
+            return  # the reader of its messages reports it
         name = self._read(region.start + len(head), name_length + 8)
-        self._through(region.start, region.length, file)
-        index_at = file.place
+        self._copy_bytes(region.start, region.length, file)
+        index_at = file.size
         index = self._read(region.start + region.length, region.index_length)
         offsets = _index_offsets(index, index_at)
         if offsets and offsets.keys() == (region.holds or {}).keys():
-            file.put(index)
+            file.append(index)
             self.contents.counts.update({id_: region.count(id_) or 0 for id_ in offsets})
         else:
-            offsets = self._index(region, file)
+            offsets = self._write_index(region, file)
         self.contents.chunks.append(
             ChunkIndex(
                 message_start_time=first,
@@ -147,44 +147,44 @@ class McapCopy:
                 chunk_start_offset=begin,
                 chunk_length=region.length,
                 message_index_offsets=offsets,
-                message_index_length=file.place - index_at,
+                message_index_length=file.size - index_at,
                 compression=name[:name_length].decode(errors="replace"),
                 compressed_size=int.from_bytes(name[name_length:], "little"),
                 uncompressed_size=size,
             )
         )
 
-    def _index(self, region: Region, file: McapFile) -> dict[int, int]:
+    def _write_index(self, region: Region, file: McapFile) -> dict[int, int]:
         """Write the message index that a chunk lacks; return where that of each channel is."""
         try:
             data, *_ = load(self._source, region, self._budget)
         except RegionError:
-            return {}  # kept as it is; what reads its messages tells of it
+            return {}  # copied as it is; the reader of its messages reports it
         messages = at_offsets(data, walk(data).offsets)
         offsets = {}
         for id_, entries in _entries(messages).items() if messages else ():
-            offsets[id_] = file.place
+            offsets[id_] = file.size
             content = entries.tobytes()
             head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(content), id_, len(content))
-            file.put(head + content)
+            file.append(head + content)
             self.contents.counts[id_] += len(entries)
         return offsets
 
-    def _record(self, file: McapFile) -> int:
-        """Copy the record that is next, if it is one to be copied; return where it ends."""
-        at = self._at
+    def _copy_record(self, file: McapFile) -> int:
+        """Copy the next record, if it is one to be copied; return where it ends."""
+        at = self._position
         head = self._read(at, min(RECORD.size, self._end - at)).ljust(RECORD.size, b"\0")
         opcode, length = RECORD.unpack(head)
         end: int = at + RECORD.size + length
         if opcode in {0, Opcode.DATA_END} or end > self._end:
             after = bisect_right(self._starts, at)
             return self._starts[after] if after < len(self._starts) else self._end
-        if opcode not in _LEFT_OUT and self._noted(opcode, at, length, file.place):
-            self._through(at, end - at, file)
+        if opcode not in _LEFT_OUT and self._note(opcode, at, length, file.size):
+            self._copy_bytes(at, end - at, file)
         return end
 
-    def _noted(self, opcode: int, at: int, length: int, place: int) -> bool:
-        """Note what the summary must tell of a record; return whether it is sound."""
+    def _note(self, opcode: int, at: int, length: int, place: int) -> bool:
+        """Add a record to the contents; return whether it is valid."""
         if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}:
             return True
         size = min(length, _NAMES) if opcode == Opcode.ATTACHMENT else length
@@ -204,10 +204,10 @@ class McapCopy:
             return False
         return True
 
-    def _through(self, start: int, length: int, file: McapFile) -> None:
+    def _copy_bytes(self, start: int, length: int, file: McapFile) -> None:
         """Copy bytes as they are."""
         for begin in range(start, start + length, _PIECE):
-            file.put(self._read(begin, min(_PIECE, start + length - begin)))
+            file.append(self._read(begin, min(_PIECE, start + length - begin)))
 
     def _read(self, start: int, length: int) -> bytes:
         try:
@@ -215,14 +215,12 @@ class McapCopy:
         except OSError as error:
             raise UnreadableLogError(self._path, f"{error.strerror}; check the disk") from error
         if len(data) < length:
-            raise DamagedLogError(
-                self._path, "it has become shorter while it was read; copy it first"
-            )
+            raise DamagedLogError(self._path, "it became shorter while it was read; copy it first")
         return data
 
 
 def _header(source: FileSource) -> Header:
-    """Return the header of a file, or one that says nothing."""
+    """Return the header of a file, or an empty one."""
     opcode, length = RECORD.unpack(source.read(len(MAGIC), RECORD.size).ljust(RECORD.size, b"\0"))
     if opcode == Opcode.HEADER:
         try:
@@ -235,7 +233,7 @@ def _header(source: FileSource) -> Header:
 
 
 def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
-    """Return where the message index of each channel is; nothing where they are damaged."""
+    """Return where the message index of each channel is; empty where they are damaged."""
     offsets: dict[int, int] = {}
     at = 0
     while at + INDEX_HEAD.size <= len(index):
@@ -248,7 +246,7 @@ def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
 
 
 def _attachment(content: Content, place: int, length: int) -> AttachmentIndex:
-    """Return what the summary tells of an attachment, from the beginning of its record."""
+    """Return the index record of an attachment, from the beginning of its content."""
     log_ns, made_ns = content.read8(), content.read8()
     name, media_type = content.read_prefixed_string(), content.read_prefixed_string()
     return AttachmentIndex(place, length, log_ns, made_ns, content.read8(), name, media_type)

@@ -1,4 +1,4 @@
-"""ROS 1 bags with attitudes added."""
+"""Copies of ROS 1 bags to which attitudes are added."""
 
 from __future__ import annotations
 
@@ -6,86 +6,73 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from quatprop.into.rosbag1_copy import BagCopy
-from quatprop.into.topics import refuse_taken
-from quatprop.writers.atomic import Output, refuse_streams, reported
-from quatprop.writers.base import AttitudeWriter, words_of
-from quatprop.writers.messages.ros_messages import Encoder
-from quatprop.writers.messages.ros_types import ros1_types
+from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.base import MessageWriter
+from quatprop.writers.messages.encoders import attitude_encoder
 from quatprop.writers.rosbag1.file import BagFile
+from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-    from typing import Any
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from quatprop.containers.rosbag1.log import Rosbag1Log
-    from quatprop.into import Addition
-    from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages.kinds import Message
 
 _CHUNK_BYTES = 1 << 17
-"""Small chunks: each stands between those of its own time."""
+"""Small chunks, so that each is among those of its own time."""
 
 
-class Rosbag1Into(AttitudeWriter):
+class BagCopyWriter(MessageWriter):
     """Copy a ROS 1 bag and add attitudes to it.
 
     Parameters
     ----------
     log
-        What is copied.
+        The log to copy.
     target
         Where the copy goes.
-    addition
-        What is added.
+    message
+        The message to write the attitudes as.
 
     Raises
     ------
     UsageError
-        The topic is there already, or the message is none of ROS.
+        It is no ROS message.
     """
 
-    def __init__(self, log: Rosbag1Log, target: Path | str, addition: Addition) -> None:
-        message = addition.message
-        self._times = addition.times
-        self._encoder = Encoder(message, ros1=True)
+    def __init__(self, log: Rosbag1Log, target: Path | str, message: Message) -> None:
+        self.encoder = attitude_encoder(message, ("ros1",))
         refuse_streams(target, "a ROS 1 bag")
-        name = message.definition.name
-        definition, md5sum = ros1_types().generate_msgdef(name)
-        with ExitStack() as begun:
-            self._copy = BagCopy(log)
-            refuse_taken(message.place, self._copy.topics(), log.path)
-            self._output = Output(target)
-            begun.callback(self._output.discard)
-            with reported(target):
+        self._copy = BagCopy(log)
+        self._output = OutputFile(target)
+        with ExitStack() as resources:
+            resources.callback(self._output.discard)
+            with output_errors(target):
                 self._bag = BagFile(
                     self._output.stream,
+                    self.encoder.topic,
                     "none",
-                    topic=message.place,
-                    kind=name.replace("/msg/", "/"),
-                    definition=definition,
-                    md5sum=md5sum,
-                    connection=self._copy.free,
-                    before=self._before,
+                    connection=self._copy.free_id,
+                    before=lambda first_ns: self._copy.up_to(first_ns, self._bag),
                     chunk_bytes=_CHUNK_BYTES,
                 )
-            begun.pop_all()
+            resources.pop_all()
 
-    def _before(self, first_ns: int) -> None:
-        self._copy.up_to(first_ns, self._bag)
-
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch, and what the bag holds up to its time."""
-        messages = self._encoder.encode(series, self._output.target)
-        log_ns = self._times.of(series.t_ns)
-        with reported(self._output.target):
+    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Append messages, after everything of the log that was logged before them."""
+        with output_errors(self._output.target):
             self._bag.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Copy the rest, finish the bag with its provenance, and put it in its place."""
-        with reported(self._output.target):
+        with output_errors(self._output.target):
             self._bag.flush()
             self._copy.up_to(None, self._bag)
-            self._bag.finish(words_of(provenance), self._copy.connections)
+            self._bag.finish(provenance, self._copy.connections)
         self._output.commit()
 
     def abort(self) -> None:

@@ -1,7 +1,7 @@
-"""The chunks of a ROS 1 bag, copied as they are in order of the file.
+"""Copies the chunks of a ROS 1 bag, as they are and in order of the file.
 
-Chunks are not unpacked, unless their index data are missing or they are damaged. Those that are
-cut off are written again with the messages that are whole.
+Chunks are decompressed only where their index is missing or they are damaged. Those that are cut
+off are written anew with their complete messages.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PIECE = 1 << 20
 
 
 class BagCopy:
-    """Copies a bag, bit by bit as the time comes.
+    """Copies a bag step by step, up to a given time.
 
     Parameters
     ----------
@@ -50,10 +50,9 @@ class BagCopy:
     Attributes
     ----------
     connections
-        What is known of each connection, by number.
-    free
+        The fields of each connection, by number.
+    free_id
         A number that no connection has.
-
     """
 
     def __init__(self, log: Rosbag1Log) -> None:
@@ -65,16 +64,11 @@ class BagCopy:
             id_: {name.decode(): value for name, value in fields.items() if name not in _OF_HEAD}
             for id_, fields in index.connections.items()
         }
-        used = {id_ for chunk in self._chunks for id_ in chunk.counts} | self.connections.keys()
-        self.free = max(used, default=-1) + 1
-
-    def topics(self) -> Iterator[str]:
-        """Yield the topic of each connection."""
-        for known in self.connections.values():
-            yield known.get("topic", b"").decode(errors="replace")
+        ids = {id_ for chunk in self._chunks for id_ in chunk.counts} | self.connections.keys()
+        self.free_id = max(ids, default=-1) + 1
 
     def up_to(self, first_ns: int | None, bag: BagFile) -> None:
-        """Copy what comes before messages that arrived after `first_ns`; with None everything."""
+        """Copy the chunks before the first that begins after `first_ns`; with None all."""
         while self._next < len(self._chunks):
             chunk = self._chunks[self._next]
             if first_ns is not None and chunk.start_ns > first_ns:
@@ -88,21 +82,21 @@ class BagCopy:
             if record is not None and record.op == OP_CHUNK and record.end <= self._file.size:
                 indexes = self._index_of(chunk, record)
                 if indexes is not None:
-                    bag.put_chunk(self._pieces(record), indexes)
+                    bag.append_chunk(self._pieces(record), indexes)
                     return
             loaded = content(self._file, chunk)
         except (CompressionError, MalformedRecordError):
-            return  # what reads its messages tells of it
+            return  # the reader of its messages reports it
         indexes, end = _walked(loaded.data)
         if record is not None and not loaded.damage and end == len(loaded.data):
-            bag.put_chunk(self._pieces(record), indexes)
+            bag.append_chunk(self._pieces(record), indexes)
         elif indexes:
             data = loaded.data[:end].tobytes()
             whole = records.record(records.CHUNK, records.chunk_head("none", end), data)
-            bag.put_chunk([whole], indexes)
+            bag.append_chunk([whole], indexes)
 
     def _index_of(self, chunk: Chunk, record: Record) -> Indexes | None:
-        """Return the index data of a chunk where they have all that the bag says it has."""
+        """Return the index of a chunk where it is as complete as the bag's index says."""
         if not record.end <= chunk.end <= self._file.size:
             return None
         indexes = index_offsets(self._file.at(record.end, chunk.end - record.end))
@@ -115,17 +109,17 @@ class BagCopy:
             data = self._file.at(begin, size)
             if len(data) < size:
                 raise DamagedLogError(
-                    self._path, "it has become shorter while it was read; copy it first"
+                    self._path, "it became shorter while it was read; copy it first"
                 )
             yield data
 
 
 _OF_HEAD = (b"op", b"conn")
-"""Fields of a connection's record that are not about the connection."""
+"""Fields of a connection record that are about the record, not the connection."""
 
 
 def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
-    """Return the messages of each connection of a chunk, and where its whole records end."""
+    """Return the index of each connection of a chunk, and where its last complete record ends."""
     rows: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
     end = 0
     try:
@@ -136,5 +130,5 @@ def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
                 rows[record.number(b"conn")].append(place)
             end = record.end
     except MalformedRecordError:
-        pass  # what is whole counts
+        pass  # the complete records are used
     return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}, end

@@ -1,4 +1,4 @@
-"""SQLite storage of ROS 2 bags with messages added."""
+"""Copies of the SQLite storage of ROS 2 bags to which messages are added."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 from quatprop.containers.rosbag2.db3 import not_yet_inside, read_only
-from quatprop.writers.messages.ros_types import ros2_types
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.writers.messages.kinds import Message
+    from quatprop.writers.messages.topics import Topic
 
 _STEP = 1 << 12
 """Pages that are copied at a time."""
@@ -25,12 +24,12 @@ _STEP = 1 << 12
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 where there is none."""
     with closing(_original(path)) as database:
-        ((found,),) = database.execute("SELECT MIN(timestamp) FROM messages")
-    return found or 0
+        ((earliest,),) = database.execute("SELECT MIN(timestamp) FROM messages")
+    return earliest or 0
 
 
 def _original(path: Path) -> sqlite3.Connection:
-    """Open a database that is copied, with what has not yet been moved into it."""
+    """Open a database to be copied, with its write-ahead log."""
     return sqlite3.connect(read_only(path, not_yet_inside(path)), uri=True)
 
 
@@ -40,44 +39,40 @@ class SqlitePart:
     Parameters
     ----------
     source
-        What is copied, with what its log has not yet brought into it.
+        The database to copy, with its write-ahead log.
     place
         Where the copy goes; nothing is there.
-    message
-        What is published where.
+    topic
+        The topic to add.
     """
 
-    def __init__(self, source: Path, place: Path, message: Message) -> None:
-        with ExitStack() as begun:
-            self._database = begun.enter_context(closing(sqlite3.connect(place)))
+    def __init__(self, source: Path, place: Path, topic: Topic) -> None:
+        with ExitStack() as resources:
+            self._database = resources.enter_context(closing(sqlite3.connect(place)))
             with closing(_original(source)) as original:
                 original.backup(self._database, pages=_STEP)
-            self._topic = self._declared(message)
-            begun.pop_all()
+            self._topic_id = self._declare(topic)
+            resources.pop_all()
 
-    def _declared(self, message: Message) -> int:
+    def _declare(self, topic: Topic) -> int:
         """Declare the topic and its type; return the id of the topic."""
-        name = message.definition.name
-        types = ros2_types()
-        definition, _ = types.generate_msgdef(name, ros_version=2)
-        described = {"type_description_hash": types.hash_rihs01(name)}
         self._insert(
             "message_definitions",
             {
-                "topic_type": name,
-                "encoding": "ros2msg",
-                "encoded_message_definition": definition,
-                **described,
+                "topic_type": topic.type_name,
+                "encoding": topic.schema_encoding,
+                "encoded_message_definition": topic.schema.decode(),
+                "type_description_hash": topic.digest,
             },
         )
         return self._insert(
             "topics",
             {
-                "name": message.place,
-                "type": name,
-                "serialization_format": "cdr",
+                "name": topic.name,
+                "type": topic.type_name,
+                "serialization_format": topic.encoding,
                 "offered_qos_profiles": self._no_profiles(),
-                **described,
+                "type_description_hash": topic.digest,
             },
         )
 
@@ -86,31 +81,31 @@ class SqlitePart:
         rows = messages.view(f"V{messages.itemsize}").tolist()
         self._database.executemany(
             "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-            zip([self._topic] * len(rows), log_ns.tolist(), rows, strict=True),
+            zip([self._topic_id] * len(rows), log_ns.tolist(), rows, strict=True),
         )
 
     def finish(self, metadata: str | None = None) -> None:
-        """Finish the database, with what metadata.yaml says, where it repeats that."""
+        """Finish the database, with the content of metadata.yaml where it repeats that."""
         if metadata is not None:
             self._insert("metadata", {"metadata_version": 9, "metadata": metadata})
         self._database.commit()
         self._database.close()
 
     def close(self) -> None:
-        """Let go of the database; harmless after the end."""
+        """Close the database; may be called twice."""
         self._database.close()
 
     def _no_profiles(self) -> str:
-        """Return what stands for no profiles: a list since version 9, nothing before."""
-        found = self._database.execute("SELECT * FROM topics LIMIT 1").fetchall()
-        return "[]" if any("[]" in row for row in found) else ""
+        """Return the text for no profiles: a list since version 9, empty before."""
+        rows = self._database.execute("SELECT * FROM topics LIMIT 1").fetchall()
+        return "[]" if any("[]" in row for row in rows) else ""
 
     def _insert(self, table: str, values: Mapping[str, str | int]) -> int:
-        """Insert what a table of this version has columns for; return the id of the row."""
+        """Insert the values that this version of a table has columns for; return the row's id."""
         columns = {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
-        told = {name: value for name, value in values.items() if name in columns}
-        if not told:
+        values = {name: value for name, value in values.items() if name in columns}
+        if not values:
             return 0
-        marks = ", ".join("?" * len(told))
-        into = f"INSERT INTO {table} ({', '.join(told)}) VALUES ({marks})"  # noqa: S608  # our names
-        return self._database.execute(into, list(told.values())).lastrowid or 0
+        marks = ", ".join("?" * len(values))
+        insert = f"INSERT INTO {table} ({', '.join(values)}) VALUES ({marks})"  # noqa: S608  # our names
+        return self._database.execute(insert, list(values.values())).lastrowid or 0

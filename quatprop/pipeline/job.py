@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
-from quatprop.into import open_into, written_kind
+from quatprop.into import copy_kind, open_into
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile
@@ -16,8 +16,8 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import Fingerprint
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
-from quatprop.writers import has_room, kind_of, layout_of, open_writer
-from quatprop.writers.overlap import refuse_overlap
+from quatprop.writers import keeps_provenance, kind_of, layout_of, open_writer
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -94,11 +94,13 @@ def run(
         output = replace(output, layout=layout)
     with open_log(job.log, settings.kind) as log:
         if output.into:
-            kind = written_kind(log, output.path, output.to)
+            kind = copy_kind(log, output.path, output.to)
             output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)
         source = choose_rates(log, settings.selection)
         # Where no file keeps it, reading the source once more is not worth its time.
-        kept = output.report is not None or has_room(output.path, output.to, comment=output.comment)
+        kept = output.report is not None or keeps_provenance(
+            output.path, output.to, comment=output.comment
+        )
         stream = AttitudeStream(
             job.log, source, settings, log, observer=observer, sensitivity=summary or kept
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.provenance import as_json
-from quatprop.writers.atomic import Output, reported
+from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -203,12 +203,12 @@ class ReportFile:
     """
 
     def __init__(self, target: str | None) -> None:
-        self._output = None if target is None else Output(target)
+        self._output = None if target is None else OutputFile(target)
 
     def commit(self, report: Mapping[str, Any]) -> None:
         """Write the report and put it in its place."""
         if self._output is not None:
-            with reported(self._output.target):
+            with output_errors(self._output.target):
                 self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
             self._output.commit()
 

@@ -9,8 +9,8 @@ from quatprop import __version__
 from quatprop.errors import OutputError
 from quatprop.plot.draw import drawn, require_matplotlib
 from quatprop.plot.page import html
-from quatprop.writers.atomic import Output, is_stdout, is_stream, reported
-from quatprop.writers.overlap import refuse_overlap
+from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -49,12 +49,12 @@ class PictureFile:
         self._kind = kind_of(target)
         require_matplotlib()
         refuse_overlap(inputs, [*outputs, target])
-        self._output = Output(target)
+        self._output = OutputFile(target)
 
     def commit(self, page: Page) -> None:
         """Draw the picture, or the report around it, and put it in its place."""
         content = html(page).encode() if self._kind == "html" else drawn(page.picture, self._kind)
-        with reported(self._output.target):
+        with output_errors(self._output.target):
             self._output.stream.write(content)
         self._output.commit()
 

@@ -1,8 +1,4 @@
-"""``sensor_msgs/Imu`` messages by the block: columns in, encoded messages out.
-
-With a frame name of fixed length every message has the same bytes in the same places, so a
-block of messages is one array of records, filled a column at a time.
-"""
+"""Samples as ``sensor_msgs/Imu`` messages, encoded by the block."""
 
 from __future__ import annotations
 
@@ -10,95 +6,101 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.writers.messages.ros_records import HEADER_TIME, RosRecords
+from quatprop.writers.messages.topics import ros_topic
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from quatprop.series import AttitudeSeries, GyroSeries
 
-TOPIC = "/imu"
-FRAME = b"imu"
 GRAVITY = 9.80665
 """Standard gravity, m/s^2."""
 
 ABSENT = -1.0
 """First element of a covariance whose quantity is not measured, by the definition of Imu."""
 
-_VALUES = [
-    ("orientation", "<f8", 4),
-    ("orientation_covariance", "<f8", 9),
-    ("angular_velocity", "<f8", 3),
-    ("angular_velocity_covariance", "<f8", 9),
-    ("linear_acceleration", "<f8", 3),
-    ("linear_acceleration_covariance", "<f8", 9),
-]
-
-# ROS 1 packs its fields. CDR has a header of four bytes, ends strings with a zero that counts, and
-# aligns float64 to 8 from after its header: with this frame name they happen to be.
-_ROS1 = np.dtype(
-    [
-        ("seq", "<u4"),
-        ("sec", "<u4"),
-        ("nanosec", "<u4"),
-        ("length", "<u4"),
-        ("frame", "S3"),
-        *_VALUES,
-    ]
-)
-_CDR = np.dtype(
-    [
-        ("header", "S4"),
-        ("sec", "<i4"),
-        ("nanosec", "<u4"),
-        ("length", "<u4"),
-        ("frame", "S4"),
-        *_VALUES,
-    ]
-)
-_CDR_LITTLE_ENDIAN = b"\0\1\0\0"
-_NS_PER_S = 1_000_000_000
+_TRANSPORT_NS = 1_000_000
+_JITTER_NS = 100_000
+_SCRAMBLE = 0x9E3779B1
+"""Multiplier that spreads neighbouring integers (Knuth, The Art of Computer Programming, 6.4)."""
 
 
-def ros1_messages(
-    measured: GyroSeries, truth: AttitudeSeries, deviation: float, first: int
-) -> NDArray[np.void]:
-    """Return messages as ROS 1 encodes them, shape ``(N,)``; as :func:`cdr_messages`."""
-    rows = np.zeros(len(measured), _ROS1)
-    rows["seq"] = np.arange(first, first + len(measured))
-    rows["length"] = len(FRAME)
-    return _messages(rows, measured, truth, deviation)
+class ImuEncoder:
+    """Encodes samples as messages on ``/imu``.
 
-
-def cdr_messages(measured: GyroSeries, truth: AttitudeSeries, deviation: float) -> NDArray[np.void]:
-    """Return messages as ROS 2 encodes them, shape ``(N,)``.
-
-    The orientation is marked absent; the acceleration is that of a sensor that only turns, in a
-    reference whose z axis points up: the reaction to gravity.
+    The orientation is marked absent; the acceleration is that of a sensor that only rotates, in a
+    reference frame whose z axis points up: the reaction to gravity.
 
     Parameters
     ----------
-    measured
-        Stamps and rates.
-    truth
-        Attitudes at those stamps.
     deviation
         Standard deviation of the rates' noise, rad/s, for the covariance.
+    ros1
+        Whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2.
+
+    Attributes
+    ----------
+    topic
+        The topic and its definition.
     """
-    rows = np.zeros(len(measured), _CDR)
-    rows["header"] = _CDR_LITTLE_ENDIAN
-    rows["length"] = len(FRAME) + 1
-    return _messages(rows, measured, truth, deviation)
+
+    def __init__(self, deviation: float, *, ros1: bool) -> None:
+        self.topic = ros_topic("/imu", "sensor_msgs/msg/Imu", ros1=ros1)
+        self._records = RosRecords(
+            {
+                "stamp": HEADER_TIME,
+                "frame": b"imu",
+                "orientation": "4<f8",
+                "orientation_covariance": "9<f8",
+                "angular_velocity": "3<f8",
+                "angular_velocity_covariance": "9<f8",
+                "linear_acceleration": "3<f8",
+                "linear_acceleration_covariance": "9<f8",
+            },
+            {
+                "orientation_covariance": [ABSENT, *[0.0] * 8],
+                "angular_velocity_covariance": (deviation**2 * np.eye(3)).ravel(),
+            },
+            ros1=ros1,
+        )
+
+    def encode(
+        self, measured: GyroSeries, truth: AttitudeSeries, target: Path | str
+    ) -> NDArray[np.void]:
+        """Return the messages of a batch, shape ``(N,)``.
+
+        Parameters
+        ----------
+        measured
+            Stamps and rates.
+        truth
+            Attitudes at those stamps.
+        target
+            Where they are written, for errors.
+
+        Raises
+        ------
+        OutputError
+            A stamp is out of the range of ROS.
+        """
+        rows = self._records.stamped(measured.t_ns, target)
+        rows["angular_velocity"] = measured.rate
+        rows["linear_acceleration"] = _reaction(truth.wxyz)
+        return rows
 
 
-def _messages(
-    rows: NDArray[np.void], measured: GyroSeries, truth: AttitudeSeries, deviation: float
-) -> NDArray[np.void]:
-    rows["sec"], rows["nanosec"] = np.divmod(measured.t_ns, _NS_PER_S)
-    rows["frame"] = FRAME
-    rows["orientation_covariance"][:, 0] = ABSENT
-    rows["angular_velocity"] = measured.rate
-    rows["angular_velocity_covariance"][:, ::4] = deviation**2
-    rows["linear_acceleration"] = _reaction(truth.wxyz)
-    return rows
+def arrival_ns(measured: GyroSeries) -> NDArray[np.int64]:
+    """Return when each message arrives: 1 to 1.1 ms after its stamp, unevenly.
+
+    The jitter is a scrambled stamp, not a random number, so that it depends on neither seed nor
+    batches. Up to 10 kHz messages arrive in order.
+    """
+    scrambled = (measured.t_ns * _SCRAMBLE & 0xFFFFFFFF) % _JITTER_NS
+    arrival: NDArray[np.int64] = measured.t_ns + _TRANSPORT_NS + scrambled
+    return arrival
 
 
 def _reaction(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:

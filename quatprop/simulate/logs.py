@@ -1,6 +1,6 @@
-"""Simulated recordings in every container that quatprop reads.
+"""Simulated logs in every table and container that quatprop writes.
 
-Tables carry stamps in ns and rates in rad/s as ``t_ns,wx,wy,wz``. Message logs carry
+Tables have stamps in ns and rates in rad/s as ``t_ns,wx,wy,wz``. Containers have
 ``sensor_msgs/Imu`` on ``/imu``: the header stamp is when the sample was taken, the log time when
 it arrived, a little later.
 """
@@ -8,26 +8,28 @@ it arrived, a little later.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
-from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError
+from quatprop.simulate.imu import ImuEncoder, arrival_ns
 from quatprop.text import listed, quoted
-from quatprop.writers.base import Uncommitted
+from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table
+from quatprop.writers.base import SeriesWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Any
+    from pathlib import Path
 
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.writers.base import Table
+    from quatprop.writers.base import MessageWriter, TableWriter
 
 RATE_COLUMNS = ("wx", "wy", "wz")
 
+DEFAULT_COMPRESSIONS = {"rosbag2-mcap": "none"}
+"""Where a recorder's default is not that of the attitude writer."""
 
-class LogWriter(Uncommitted):
+
+class LogWriter(SeriesWriter):
     """Takes batches of samples in order."""
 
     @abstractmethod
@@ -35,65 +37,45 @@ class LogWriter(Uncommitted):
         """Append a batch; the truth is for what depends on attitude, such as accelerations."""
 
 
-class TableLog(LogWriter):
-    """Rates as a table.
+class RateTable(LogWriter):
+    """Rates as a table with the columns :data:`RATE_COLUMNS`."""
 
-    Parameters
-    ----------
-    table
-        A table with the columns :data:`RATE_COLUMNS`.
-    """
-
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: TableWriter) -> None:
+        super().__init__(table)
         self._table = table
 
     def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:  # noqa: ARG002
         """Append a batch."""
         self._table.write(measured.t_ns, list(measured.rate.T))
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
-        """Finish the file and put it in its place."""
-        self._table.commit(provenance)
 
-    def abort(self) -> None:
-        """Remove what was not committed."""
-        self._table.abort()
-
-
-@dataclass(frozen=True, slots=True)
-class LogFormat:
-    """One line of :data:`LOGS`.
+class ImuMessages(LogWriter):
+    """Samples as messages.
 
     Parameters
     ----------
-    suffixes
-        File name endings that mean this format.
-    opener
-        ``module:name`` of what writes it, imported when it is needed: of a target for a table, of
-        a target, the noise's deviation and the compression for a message log.
-    compressions
-        What it can be compressed with; the first is the default.
-    table
-        Whether the opener gives a table.
+    container
+        Takes the messages.
+    encoder
+        Encodes the samples.
+    target
+        The log, for errors.
     """
 
-    suffixes: tuple[str, ...]
-    opener: str
-    compressions: tuple[str, ...] = ("none",)
-    table: bool = False
+    def __init__(self, container: MessageWriter, encoder: ImuEncoder, target: Path | str) -> None:
+        super().__init__(container)
+        self._container = container
+        self._encoder = encoder
+        self._target = target
 
+    def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:
+        """Append a batch."""
+        messages = self._encoder.encode(measured, truth, self._target)
+        self._container.write(arrival_ns(measured), messages)
 
-LOGS: Mapping[str, LogFormat] = {
-    "csv": LogFormat((".csv",), "quatprop.writers.tables.csv:CsvTable", table=True),
-    "parquet": LogFormat(
-        (".parquet", ".pq"), "quatprop.writers.tables.parquet:ParquetTable", ("zstd",), table=True
-    ),
-    "mcap": LogFormat((".mcap",), "quatprop.simulate.mcap:McapLog", ("zstd", "lz4", "none")),
-    "bag": LogFormat((".bag",), "quatprop.simulate.rosbag1:Rosbag1Log", ("none", "lz4", "bz2")),
-    "rosbag2": LogFormat(("",), "quatprop.simulate.rosbag2:SqliteLog"),
-    "rosbag2-mcap": LogFormat((), "quatprop.simulate.rosbag2:McapFolderLog", ("none", "zstd")),
-}
-"""Every kind of log that can be simulated; the keys are what ``--to`` accepts."""
+    def commit(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # as of a recorder
+        """Finish the log, without provenance, and put it in its place."""
+        self._container.commit({})
 
 
 def open_log_writer(
@@ -108,14 +90,13 @@ def open_log_writer(
     Parameters
     ----------
     target
-        Where to write; ``"-"`` is stdout, for CSV.
+        Where to write; ``"-"`` is stdout.
     kind
-        A key of :data:`LOGS`; without it, the suffix of `target` decides. No suffix means a
-        ROS 2 bag folder.
+        One of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`.
     deviation
         Standard deviation of the rates' noise, rad/s, for the messages' covariance.
     compression
-        ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's own default.
+        ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default.
 
     Raises
     ------
@@ -124,44 +105,19 @@ def open_log_writer(
     UsageError
         The kind has no such compression.
     """
-    kind = kind or log_kind_of(target)
-    chosen = LOGS[kind]
-    compression = compression or chosen.compressions[0]
-    if compression not in chosen.compressions:
+    kind = kind_of(target, kind)
+    if kind not in GENERAL_KINDS:
+        raise OutputError(
+            target, f"kind {quoted(kind)} holds attitudes only; choose {listed(GENERAL_KINDS)}"
+        )
+    compressions = WRITERS[kind].compressions
+    if compression not in (None, *compressions):
         raise UsageError(
             f"a {kind} log cannot be compressed with {quoted(compression)}; "
-            f"choose {listed(chosen.compressions)}"
+            f"choose {listed(compressions)}"
         )
-    module, _, name = chosen.opener.partition(":")
-    opener = getattr(import_module(module), name)
-    if chosen.table:
-        return TableLog(opener(target, RATE_COLUMNS))
-    writer: LogWriter = opener(target, deviation, compression)
-    return writer
-
-
-def log_kind_of(target: Path | str) -> str:
-    """Return the kind of log that a target's suffix means.
-
-    Raises
-    ------
-    OutputError
-        It means none.
-
-    Examples
-    --------
-    >>> log_kind_of("flight.bag"), log_kind_of("flight")
-    ('bag', 'rosbag2')
-    """
-    if str(target) == "-":
-        return "csv"
-    suffix = Path(target).suffix.lower()
-    for kind, known in LOGS.items():
-        if suffix in known.suffixes:
-            return kind
-    suffixes = ", ".join(s for known in LOGS.values() for s in known.suffixes if s)
-    raise OutputError(
-        target,
-        f"the suffix does not tell the log's format; use one of {suffixes}, none for a ROS 2 bag "
-        f"folder, or say --to {'|'.join(LOGS)}",
-    )
+    if WRITERS[kind].columns:
+        return RateTable(open_table(target, RATE_COLUMNS, kind))
+    encoder = ImuEncoder(deviation, ros1="ros1" in WRITERS[kind].encodings)
+    compression = compression or DEFAULT_COMPRESSIONS.get(kind)
+    return ImuMessages(open_messages(target, kind, encoder.topic, compression), encoder, target)

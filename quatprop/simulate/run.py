@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import record
-from quatprop.simulate.logs import log_kind_of, open_log_writer
+from quatprop.simulate.logs import open_log_writer
 from quatprop.simulate.motion import motion_named
-from quatprop.writers import open_writer
-from quatprop.writers.overlap import refuse_overlap
+from quatprop.writers import kind_of, open_writer
+from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import Any
 
     from quatprop.simulate.gyroscope import Gyroscope
     from quatprop.simulate.motion import Shape
@@ -24,7 +23,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
-    """Return where the truth of a log goes unless told: the log's name with ``.truth.csv``.
+    """Return where the truth of a log goes by default: the log's name with ``.truth.csv``.
 
     Beside a Parquet log it is Parquet as well; beside stdout there is none.
 
@@ -33,15 +32,15 @@ def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     >>> truth_beside("logs/spin.mcap")
     'logs/spin.truth.csv'
     """
-    if str(target) == "-":
+    if is_stdout(target):
         return None
-    kind = kind or log_kind_of(target)
+    kind = kind_of(target, kind)
     suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"
     path = Path(target)
     return str(path.with_name((path.name if kind.startswith("rosbag2") else path.stem) + suffix))
 
 
-def simulate(  # noqa: PLR0913  # one recording, told in full
+def simulate(  # noqa: PLR0913  # a recording in full
     target: Path | str,
     motion: str,
     shape: Shape,
@@ -60,7 +59,7 @@ def simulate(  # noqa: PLR0913  # one recording, told in full
     target
         Where the log goes.
     motion, shape
-        What the body does: a key of :data:`quatprop.simulate.motion.MOTIONS` and its particulars.
+        What the body does: a key of :data:`quatprop.simulate.motion.MOTIONS` and its parameters.
     gyroscope
         How it is sampled.
     q0
@@ -75,12 +74,11 @@ def simulate(  # noqa: PLR0913  # one recording, told in full
     Raises
     ------
     UsageError
-        The motion or the gyroscope cannot be as told.
+        The motion is unknown, or a parameter is out of range.
     OutputError
         A file cannot be written; then neither is.
     """
     refuse_overlap([], [str(target), None if truth is None else str(truth)])
-    moving = motion_named(motion, shape)
     provenance = _provenance(motion, shape, gyroscope, q0)
     with ExitStack() as stack:
         log = stack.enter_context(
@@ -88,7 +86,7 @@ def simulate(  # noqa: PLR0913  # one recording, told in full
         )
         attitudes = stack.enter_context(open_writer(truth)) if truth is not None else None
         done = 0
-        for measured, true in record(moving, gyroscope, q0):
+        for measured, true in record(motion_named(motion, shape), gyroscope, q0):
             log.write(measured, true)
             if attitudes is not None:
                 attitudes.write(true)
@@ -101,12 +99,12 @@ def simulate(  # noqa: PLR0913  # one recording, told in full
 
 def _provenance(
     motion: str, shape: Shape, gyroscope: Gyroscope, q0: tuple[float, ...]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what was simulated, JSON-ready. Without a version: the bytes depend on it alone."""
     return {
         "simulated": motion,
-        "motion": {name: _plain(value) for name, value in asdict(shape).items()},
-        "gyroscope": {name: _plain(value) for name, value in asdict(gyroscope).items()},
+        "motion": as_json(shape),
+        "gyroscope": as_json(gyroscope),
         "convention": {
             "attitude": "body to reference: v_ref = q v_body q*",
             "product": "Hamilton, ij = k",
@@ -115,8 +113,3 @@ def _provenance(
             "q0_wxyz": list(q0),
         },
     }
-
-
-def _plain(value: Any) -> Any:
-    """Return a fraction as text, other values as they are."""
-    return value if isinstance(value, int | float | tuple) else str(value)

@@ -1,7 +1,7 @@
-"""Attitude series to files: a format is one module and one line of :data:`WRITERS`.
+"""Writers of attitude series: a format is one module and one row of :data:`WRITERS`.
 
 A writer is opened on a target, takes batches in order, and is committed with the provenance of
-what it wrote. What is not committed leaves no trace::
+its content. What is not committed leaves no trace::
 
     with open_writer("attitude.parquet", layout="scalar-first") as writer:
         for series in attitudes:
@@ -16,102 +16,112 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.conventions.layout import layout_named
 from quatprop.errors import OutputError, UsageError
-from quatprop.text import listed, quoted
-from quatprop.writers.atomic import is_stdout, is_stream
-from quatprop.writers.base import AttitudeTable
-from quatprop.writers.messages.kinds import Message
+from quatprop.text import Setting, listed, quoted
+from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Any
 
     from quatprop.conventions.layout import Layout
-    from quatprop.writers.base import AttitudeWriter, Table
+    from quatprop.writers.base import AttitudeWriter, MessageWriter, TableWriter
+    from quatprop.writers.messages.kinds import Message
+    from quatprop.writers.messages.topics import Topic
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """One line of :data:`WRITERS`.
+    """One row of :data:`WRITERS`.
 
     Parameters
     ----------
     suffixes
         File name endings that mean this format; ``""`` is a name without one.
     opener
-        ``module:name`` of what writes it, imported when it is needed: of a target and, for a
-        table, the names of columns, for messages a :class:`Message`, for others a layout.
-    table
-        Whether the opener gives a table of any columns.
-    text
-        Whether it may go to stdout.
-    comments
-        Whether it has comments, in which the provenance can stand.
+        ``module:class`` of the writer, imported when it is needed. It is called with the target
+        and, for columns, their names; for messages, a topic and a compression.
+    columns
+        Whether it is a table of any columns.
+    encodings
+        Encodings of the messages that it holds; empty where it holds none.
     layout
         The layout that the format's own definition prescribes; None where there is a choice.
-    messages
-        Whether it holds ROS messages, of a type that can be chosen.
-    room
+    is_text
+        Whether it may go to stdout.
+    comments
+        Whether it has comments, in which the provenance can be kept.
+    keeps_provenance
         Whether it has a place of its own for the provenance, besides comments.
+    compressions
+        What its content can be compressed with; the first is the default.
     """
 
     suffixes: tuple[str, ...]
     opener: str
-    table: bool = False
-    text: bool = False
-    comments: bool = False
+    columns: bool = False
+    encodings: tuple[str, ...] = ()
     layout: str | None = None
-    messages: bool = False
-    room: bool = False
+    is_text: bool = False
+    comments: bool = False
+    keeps_provenance: bool = False
+    compressions: tuple[str, ...] = ("none",)
+
+    def load(self) -> Callable[..., Any]:
+        """Import and return the writer."""
+        module, _, name = self.opener.partition(":")
+        writer: Callable[..., Any] = getattr(import_module(f"quatprop.writers.{module}"), name)
+        return writer
 
 
-def _ros(suffixes: tuple[str, ...], opener: str) -> Format:
-    """Return a format of ROS messages, whose quaternions are x, y, z, w."""
-    return Format(suffixes, opener, layout="scalar-last", messages=True, room=True)
+def _text(suffixes: tuple[str, ...], opener: str, **options: Any) -> Format:
+    """Return a format of text."""
+    return Format(suffixes, opener, is_text=True, **options)
+
+
+def _messages(
+    suffixes: tuple[str, ...], opener: str, encodings: tuple[str, ...], *compressions: str
+) -> Format:
+    """Return a format of messages, whose quaternions are x, y, z, w."""
+    return Format(
+        suffixes,
+        opener,
+        encodings=encodings,
+        layout="scalar-last",
+        keeps_provenance=True,
+        compressions=compressions,
+    )
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": Format(
-        (".csv",), "quatprop.writers.tables.csv:CsvTable", table=True, text=True, comments=True
-    ),
-    "tsv": Format(
-        (".tsv",), "quatprop.writers.tables.csv:TsvTable", table=True, text=True, comments=True
-    ),
-    "jsonl": Format(
-        (".jsonl", ".ndjson"), "quatprop.writers.tables.jsonl:JsonLinesTable", table=True, text=True
-    ),
+    "csv": _text((".csv",), "tables.csv:CsvTable", columns=True, comments=True),
+    "tsv": _text((".tsv",), "tables.csv:TsvTable", columns=True, comments=True),
+    "jsonl": _text((".jsonl", ".ndjson"), "tables.jsonl:JsonLinesTable", columns=True),
     "parquet": Format(
-        (".parquet", ".pq"), "quatprop.writers.tables.parquet:ParquetTable", table=True, room=True
+        (".parquet", ".pq"),
+        "tables.parquet:ParquetTable",
+        columns=True,
+        keeps_provenance=True,
+        compressions=("zstd",),
     ),
     "feather": Format(
-        (".feather", ".arrow"),
-        "quatprop.writers.tables.feather:FeatherTable",
-        table=True,
-        room=True,
+        (".feather", ".arrow"), "tables.feather:FeatherTable", columns=True, keeps_provenance=True
     ),
-    "npy": Format((".npy",), "quatprop.writers.tables.npy:NpyTable", table=True),
-    "npz": Format((".npz",), "quatprop.writers.tables.npy:NpzTable", table=True, room=True),
-    "tum": Format(
-        (".tum",),
-        "quatprop.writers.tables.tum:attitudes",
-        text=True,
-        comments=True,
-        layout="scalar-last",
+    "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
+    "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
+    "tum": _text((".tum",), "tables.tum:TumTable", layout="scalar-last", comments=True),
+    "euroc": _text((), "tables.euroc:EurocTable", layout="scalar-first", comments=True),
+    "mcap": _messages(
+        (".mcap",), "mcap.writer:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
     ),
-    "euroc": Format(
-        (),
-        "quatprop.writers.tables.euroc:attitudes",
-        text=True,
-        comments=True,
-        layout="scalar-first",
-    ),
-    "mcap": _ros((".mcap",), "quatprop.writers.mcap.attitudes:McapAttitudes"),
-    "bag": _ros((".bag",), "quatprop.writers.rosbag1.attitudes:Rosbag1Attitudes"),
-    "rosbag2": _ros(("",), "quatprop.writers.rosbag2.attitudes:SqliteAttitudes"),
-    "rosbag2-mcap": _ros((), "quatprop.writers.rosbag2.attitudes:McapFolderAttitudes"),
+    "bag": _messages((".bag",), "rosbag1.writer:BagWriter", ("ros1",), "none", "lz4", "bz2"),
+    "rosbag2": _messages(("",), "rosbag2.writer:SqliteBagWriter", ("cdr",), "none"),
+    "rosbag2-mcap": _messages((), "rosbag2.writer:McapBagWriter", ("cdr",), "zstd", "none"),
 }
-"""Every kind of attitude file that can be written; the keys are what ``--to`` accepts."""
+"""Every kind of file that can be written; the keys are the choices of the setting ``to``."""
+
+GENERAL_KINDS = tuple(kind for kind, known in WRITERS.items() if known.columns or known.encodings)
+"""The kinds that can hold other series than attitudes."""
 
 DEFAULT_LAYOUT = "scalar-first"
 
@@ -131,16 +141,15 @@ def open_writer(
     target
         Where to write; ``"-"`` is stdout.
     kind
-        A key of :data:`WRITERS`; without it, the suffix of `target` decides. Stdout, pipes and
-        devices have no suffix to speak of and get CSV; any other name without one is a ROS 2 bag
-        folder.
+        A key of :data:`WRITERS`; None takes it from the suffix of `target`. Stdout, pipes and
+        devices get CSV; any other name without a suffix is a ROS 2 bag folder.
     layout
-        A name in :data:`quatprop.conventions.layout.LAYOUTS`; None is what the format prescribes,
-        or scalar-first where it leaves the choice.
+        A name in :data:`quatprop.conventions.layout.LAYOUTS`; None is the layout that the format
+        prescribes, or scalar-first where there is a choice.
     comment
         Write the provenance in a comment at the beginning.
     message
-        What to write the attitudes as, where they are written as messages.
+        The message to write the attitudes as, in a format of messages.
 
     Returns
     -------
@@ -156,22 +165,28 @@ def open_writer(
         The layout is unknown or not that of the format, or the format has no comments or no
         messages.
     """
+    from quatprop.writers.base import AttitudeMessages, AttitudeTable
+
     kind = kind_of(target, kind)
-    if message is not None and not WRITERS[kind].messages:
-        raise UsageError(f"{kind} holds no messages; leave --message out")
+    chosen = WRITERS[kind]
+    if message is not None and not chosen.encodings:
+        raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
     order = layout_of(kind, layout)
-    opener, options = _opener(target, kind, comment=comment)
-    if WRITERS[kind].table:
-        return AttitudeTable(opener(target, order.columns, **options), order)
-    told = (message or Message()) if WRITERS[kind].messages else order
-    writer: AttitudeWriter = opener(target, told, **options)
-    return writer
+    if not chosen.encodings:
+        return AttitudeTable(_open_columns(target, kind, order.columns, comment=comment), order)
+    from quatprop.writers.messages.encoders import attitude_encoder
+    from quatprop.writers.messages.kinds import Message
+
+    _refuse_comment(kind, comment=comment)
+    _refuse_stdout(target, kind)
+    encoder = attitude_encoder(message or Message(), chosen.encodings)
+    return AttitudeMessages(open_messages(target, kind, encoder.topic), encoder, target)
 
 
 def open_table(
     target: Path | str, names: Sequence[str], kind: str | None = None, *, comment: bool = False
-) -> Table:
-    """Open a table of any columns, in a format that has tables.
+) -> TableWriter:
+    """Open a table of any columns.
 
     Parameters
     ----------
@@ -188,14 +203,39 @@ def open_table(
         The format has no comments.
     """
     kind = kind_of(target, kind)
-    if not WRITERS[kind].table:
-        tables = [name for name, known in WRITERS.items() if known.table]
+    if not WRITERS[kind].columns:
+        tables = [name for name, known in WRITERS.items() if known.columns]
         raise OutputError(
             target, f"kind {quoted(kind)} holds quaternions only; choose {listed(tables)}"
         )
-    opener, options = _opener(target, kind, comment=comment)
-    table: Table = opener(target, names, **options)
-    return table
+    return _open_columns(target, kind, names, comment=comment)
+
+
+def open_messages(
+    target: Path | str, kind: str, topic: Topic, compression: str | None = None
+) -> MessageWriter:
+    """Open a container of messages of one topic.
+
+    Parameters
+    ----------
+    target
+        Where to write.
+    kind
+        A key of :data:`WRITERS` with messages.
+    topic
+        The topic and its definition, in one of the encodings of the format.
+    compression
+        One of the compressions of the format; None is its default.
+
+    Raises
+    ------
+    OutputError
+        As for :func:`open_writer`.
+    """
+    _refuse_stdout(target, kind)
+    chosen = WRITERS[kind]
+    writer: MessageWriter = chosen.load()(target, topic, compression or chosen.compressions[0])
+    return writer
 
 
 def layout_of(kind: str, layout: str | None = None) -> Layout:
@@ -206,7 +246,7 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     kind
         A key of :data:`WRITERS`.
     layout
-        The layout asked for; None where nothing was said.
+        The layout asked for; None where none was.
 
     Raises
     ------
@@ -218,19 +258,23 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     >>> layout_of("csv").name, layout_of("tum").name
     ('scalar-first', 'scalar-last')
     """
+    from quatprop.conventions.layout import layout_named
+
     prescribed = WRITERS[kind].layout
     if layout is None:
         return layout_named(prescribed or DEFAULT_LAYOUT)
-    asked = layout_named(layout)
-    if prescribed is not None and asked.name != prescribed:
+    order = layout_named(layout)
+    if prescribed is not None and order.name != prescribed:
         raise UsageError(
-            f"{kind} is {prescribed} by its own definition, not {asked.name}; leave --layout out"
+            f"{kind} is {prescribed} by its own definition, not {order.name}; leave ",
+            Setting("layout"),
+            " out",
         )
-    return asked
+    return order
 
 
 def kind_of(target: Path | str, kind: str | None = None) -> str:
-    """Return the kind of file to write: as told, or by the suffix of the target.
+    """Return the kind of file to write: the given one, or that of the target's suffix.
 
     Raises
     ------
@@ -256,12 +300,13 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     raise OutputError(
         target,
         f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
-        f"folder, or say --to {'|'.join(WRITERS)}",
+        "folder, or say ",
+        Setting("to", "|".join(WRITERS)),
     )
 
 
-def has_room(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
-    """Return whether the provenance is kept in a file, in a comment or in a place of its own.
+def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
+    """Return whether a file keeps its provenance, in a comment or in a place of its own.
 
     Parameters
     ----------
@@ -270,18 +315,27 @@ def has_room(target: Path | str, kind: str | None = None, *, comment: bool = Fal
 
     Examples
     --------
-    >>> has_room("attitude.csv"), has_room("attitude.parquet")
+    >>> keeps_provenance("attitude.csv"), keeps_provenance("attitude.parquet")
     (False, True)
     """
-    return comment or WRITERS[kind_of(target, kind)].room
+    return comment or WRITERS[kind_of(target, kind)].keeps_provenance
 
 
-def _opener(target: Path | str, kind: str, *, comment: bool) -> tuple[Any, dict[str, Any]]:
-    """Return what opens a format and the options it is called with."""
-    chosen = WRITERS[kind]
-    if is_stdout(target) and not chosen.text:
+def _open_columns(
+    target: Path | str, kind: str, names: Sequence[str], *, comment: bool
+) -> TableWriter:
+    _refuse_stdout(target, kind)
+    _refuse_comment(kind, comment=comment)
+    options = {"comment": True} if comment else {}
+    table: TableWriter = WRITERS[kind].load()(target, names, **options)
+    return table
+
+
+def _refuse_stdout(target: Path | str, kind: str) -> None:
+    if is_stdout(target) and not WRITERS[kind].is_text:
         raise OutputError(target, "standard output takes text only; name a file for this kind")
-    if comment and not chosen.comments:
-        raise UsageError(f"{kind} has no comments; leave --header-comment out")
-    module, _, name = chosen.opener.partition(":")
-    return getattr(import_module(module), name), {"comment": True} if comment else {}
+
+
+def _refuse_comment(kind: str, *, comment: bool) -> None:
+    if comment and not WRITERS[kind].comments:
+        raise UsageError(f"{kind} has no comments; leave ", Setting("header_comment"), " out")

@@ -1,4 +1,4 @@
-"""What every writer gives: attitudes in, a file out; beneath it tables of columns."""
+"""Interfaces of the writers: attitude series, tables of columns, encoded messages."""
 
 from __future__ import annotations
 
@@ -9,38 +9,75 @@ from typing import TYPE_CHECKING
 from quatprop.provenance import as_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
     from typing import Any, Self
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.conventions.layout import Layout
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages.encoders import AttitudeEncoder
+
+    Int64 = NDArray[np.int64]
 
 
-def words_of(provenance: Mapping[str, Any]) -> str:
+def provenance_json(provenance: Mapping[str, object]) -> str:
     """Return a provenance as it is kept in files: JSON on one line, plain ASCII.
 
     Examples
     --------
-    >>> words_of({"source": "a.bag", "samples": 1})
+    >>> provenance_json({"source": "a.bag", "samples": 1})
     '{"samples": 1, "source": "a.bag"}'
     """
     return json.dumps(as_json(provenance), sort_keys=True)
 
 
-class Uncommitted(ABC):
-    """A context manager that leaves no trace of what was not committed."""
+def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, slice]]:
+    """Yield how a batch of rows is distributed to blocks that all have one size.
+
+    Blocks end at fixed rows, wherever a batch ends: the bytes do not depend on batches.
+
+    Parameters
+    ----------
+    rows
+        Rows of the batch.
+    filled
+        Rows that the first block has already.
+    size
+        Rows of a block. The caller starts the next one when a place ends at `size`.
+
+    Yields
+    ------
+    source, place
+        Rows of the batch, and where they go in the block.
+
+    Examples
+    --------
+    >>> list(block_slices(3, 3, 4))
+    [(slice(0, 1, None), slice(3, 4, None)), (slice(1, 3, None), slice(0, 2, None))]
+    """
+    done = 0
+    while done < rows:
+        count = min(rows - done, size - filled)
+        yield slice(done, done + count), slice(filled, filled + count)
+        done, filled = done + count, (filled + count) % size
+
+
+class Transaction(ABC):
+    """A context manager that removes what was not committed."""
 
     @abstractmethod
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Finish the file and put it in its place.
 
         Parameters
         ----------
         provenance
             How the content came about: convention, layout, method, q0, source, counts,
-            versions; JSON-ready. Kept in the file where the format has room for it.
+            versions; JSON-ready. Kept in the file where the format has a place for it. May be
+            empty.
 
         Raises
         ------
@@ -50,7 +87,7 @@ class Uncommitted(ABC):
 
     @abstractmethod
     def abort(self) -> None:
-        """Remove what was not committed; harmless after a commit."""
+        """Remove what was not committed; does nothing after a commit."""
 
     def __enter__(self) -> Self:
         return self
@@ -59,31 +96,70 @@ class Uncommitted(ABC):
         self.abort()
 
 
-class AttitudeWriter(Uncommitted):
-    """Takes batches of attitudes in order.
-
-    What a batch holds may be looked at until the commit: nobody changes it meanwhile.
-    """
+class TableWriter(Transaction):
+    """A file of named columns: int64 stamps ``t_ns`` first, then float64."""
 
     @abstractmethod
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch.
+    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows: stamps and the named columns, all of one length.
 
         Raises
         ------
         OutputError
             The disk is full, or the target is otherwise gone.
         BrokenPipeError
-            Whoever read the output has gone.
+            The reader of the output has gone.
         """
 
 
-class Table(Uncommitted):
-    """A file of named columns: int64 stamps ``t_ns`` first, float64 after it."""
+class MessageWriter(Transaction):
+    """A container to which one topic is written whose messages all have one size."""
 
     @abstractmethod
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows: stamps and as many columns as were named, all of one length."""
+    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+        """Append a batch of messages.
+
+        Parameters
+        ----------
+        log_ns
+            When each was logged, shape ``(N,)``, ns.
+        messages
+            The encoded messages, shape ``(N,)``, always of the same item size.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the target is otherwise gone.
+        """
+
+
+class SeriesWriter(Transaction):
+    """Writes series as the rows or messages of a file, with which it is committed.
+
+    Parameters
+    ----------
+    file
+        The file that is written to.
+    """
+
+    def __init__(self, file: Transaction) -> None:
+        self._file = file
+
+    def commit(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file and put it in its place."""
+        self._file.commit(provenance)
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._file.abort()
+
+
+class AttitudeWriter(SeriesWriter):
+    """Takes batches of attitudes in order; the arrays must not change before the commit."""
+
+    @abstractmethod
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch; see :meth:`TableWriter.write` for the errors."""
 
 
 class AttitudeTable(AttitudeWriter):
@@ -97,18 +173,46 @@ class AttitudeTable(AttitudeWriter):
         Order of the components.
     """
 
-    def __init__(self, table: Table, layout: Layout) -> None:
+    def __init__(self, table: TableWriter, layout: Layout) -> None:
+        super().__init__(table)
         self._table = table
         self._order = layout.order
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch."""
-        self._table.write(series.t_ns, [series.wxyz[:, place] for place in self._order])
+        self._table.write(series.t_ns, [series.wxyz[:, component] for component in self._order])
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
-        """Finish the file and put it in its place."""
-        self._table.commit(provenance)
 
-    def abort(self) -> None:
-        """Remove what was not committed."""
-        self._table.abort()
+class AttitudeMessages(AttitudeWriter):
+    """Attitudes as messages.
+
+    Parameters
+    ----------
+    container
+        Takes the messages.
+    encoder
+        Encodes the attitudes.
+    target
+        The file, for errors.
+    log_times
+        Returns when attitudes are logged, given their stamps, ns; None is at their stamps.
+    """
+
+    def __init__(
+        self,
+        container: MessageWriter,
+        encoder: AttitudeEncoder,
+        target: Path | str,
+        log_times: Callable[[Int64], Int64] | None = None,
+    ) -> None:
+        super().__init__(container)
+        self._container = container
+        self._encoder = encoder
+        self._target = target
+        self._log_times = log_times
+
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch."""
+        messages = self._encoder.encode(series, self._target)
+        t_ns = series.t_ns
+        self._container.write(t_ns if self._log_times is None else self._log_times(t_ns), messages)

@@ -1,7 +1,7 @@
-"""Work in threads whose results are taken in the order in which it was given out.
+"""Threads whose results are written in the order in which the work was submitted.
 
-For work that does not hold the interpreter: formatting numbers, compressing blocks. While it goes
-on, the next samples are read and propagated.
+For work that releases the interpreter lock: formatting numbers, compressing blocks. Meanwhile the
+next samples are read and propagated.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 THREADS = 2
 AHEAD = 4
-"""Pieces of work under way before the first result must be taken."""
+"""Pieces of work under way before the first result is awaited."""
 
 
 class OrderedThreadPool(Generic[T]):
@@ -28,28 +28,28 @@ class OrderedThreadPool(Generic[T]):
     ----------
     work
         What the threads do.
-    take
+    write
         Takes the results, one after the other, in the caller's thread.
     """
 
-    def __init__(self, work: Callable[..., T], take: Callable[[T], None]) -> None:
+    def __init__(self, work: Callable[..., T], write: Callable[[T], None]) -> None:
         self._work = work
-        self._take = take
+        self._write = write
         self._threads = ThreadPoolExecutor(THREADS)
         self._results: deque[Future[T]] = deque()
 
-    def give(self, *piece: object) -> None:
-        """Give out a piece of work, after taking the oldest result where too many are due."""
+    def submit(self, *piece: object) -> None:
+        """Submit a piece of work; where too many are under way, wait for the oldest."""
         self._results.append(self._threads.submit(self._work, *piece))
         if len(self._results) > AHEAD:
-            self._take(self._results.popleft().result())
+            self._write(self._results.popleft().result())
 
-    def finish(self) -> None:
-        """Take every result that is due."""
+    def drain(self) -> None:
+        """Wait for every piece of work and write its result."""
         while self._results:
-            self._take(self._results.popleft().result())
+            self._write(self._results.popleft().result())
 
-    def stop(self) -> None:
-        """End the threads and drop what is due; harmless when nothing is."""
+    def shutdown(self) -> None:
+        """End the threads and drop what is under way; may be called twice."""
         self._threads.shutdown(cancel_futures=True)
         self._results.clear()

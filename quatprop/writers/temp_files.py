@@ -1,7 +1,7 @@
-"""Names beside a target for what is under way, and the end of those whose run was killed.
+"""Temporary files beside a target, and the removal of those that killed runs have left.
 
-Whoever writes holds a lock on what it writes. What bears the name of the target's unfinished
-files and is not locked belongs to nobody any more, and goes when the target is written next.
+A run holds a lock on the files it writes. A temporary file of the same target that is not locked
+belongs to a run that was killed, and is removed when the target is written next.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Aside(Generic[T]):
-    """A fresh file or folder beside a place, on the same disk, locked until it is removed or moved.
+class LockedTemp(Generic[T]):
+    """A new file or folder beside a place, on the same disk, locked until it is removed or moved.
 
     Parameters
     ----------
     place
-        Where it shall be in the end.
+        Where it will be in the end.
     make
         Makes the file or folder; fails where there is one.
 
@@ -36,52 +36,52 @@ class Aside(Generic[T]):
     path
         Where it is; the name is short, however long the target's is.
     made
-        What making it gave.
+        What `make` returned.
     """
 
     def __init__(self, place: Path, make: Callable[[Path], T]) -> None:
-        _sweep(place)
+        _remove_abandoned(place)
         while True:
-            self.path = place.with_name(f"{_start(place)}{secrets.token_hex(4)}.part")
-            # A signal may end the run between any two steps: what was made goes then, too.
+            self.path = place.with_name(f"{_prefix(place)}{secrets.token_hex(4)}.part")
+            # A signal may end the run between any two steps: what was made is removed then, too.
             self._removal = weakref.finalize(self, _remove, self.path)
             self.made = make(self.path)
-            self._lock = _locked(self.path, wait=True)
-            # Another run may have swept it away before the lock was ours.
+            self._lock = _lock(self.path, wait=True)
+            # Another run may have removed it before it was locked.
             if self.path.exists():
                 break
 
     def remove(self) -> None:
-        """Remove what is there, if it is, and let go of it; harmless the second time."""
+        """Remove it if it is still there, and unlock it; may be called twice."""
         self._removal()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
 
-def _start(place: Path) -> str:
-    """Return what the names of a target's unfinished files begin with."""
+def _prefix(place: Path) -> str:
+    """Return what the names of a target's temporary files begin with."""
     digest = hashlib.sha256(os.fsencode(place.name)).hexdigest()
     return f".quatprop-{digest[:8]}-"
 
 
-def _sweep(place: Path) -> None:
+def _remove_abandoned(place: Path) -> None:
     """Remove what killed runs have left of this target."""
-    start = _start(place)
-    for name in os.listdir(place.parent):  # noqa: PTH208  # names are all it takes
-        if name.startswith(start):
-            stray = place.with_name(name)
-            lock = _locked(stray, wait=False)
+    prefix = _prefix(place)
+    for name in os.listdir(place.parent):  # noqa: PTH208  # only names are needed
+        if name.startswith(prefix):
+            path = place.with_name(name)
+            lock = _lock(path, wait=False)
             if lock is not None:
-                _remove(stray)
+                _remove(path)
                 os.close(lock)
 
 
-def _locked(path: Path, *, wait: bool) -> int | None:
-    """Return a descriptor that locks a path; None where others have it, or nobody can."""
+def _lock(path: Path, *, wait: bool) -> int | None:
+    """Lock a path and return the descriptor; None where it is taken or not supported."""
     try:
         import fcntl
-    except ImportError:  # Windows: what a killed run leaves behind stays there
+    except ImportError:  # Windows: what a killed run has left stays
         return None
     try:
         descriptor = os.open(path, os.O_RDONLY)

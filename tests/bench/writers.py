@@ -13,7 +13,7 @@ from table import Table, median_of
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.mcap.messages import declared
+from quatprop.writers.messages.encoders import attitude_encoder
 from quatprop.writers.messages.kinds import Message
 
 BATCH = 1 << 16
@@ -91,9 +91,10 @@ def _mcap(out: Path, series: AttitudeSeries) -> None:
         seconds = median_of(5, lambda name=name: ours(fresh(out, ".mcap"), series, Message(name)))
         table.row(f"quatprop, {name}", seconds, len(series))
     few = AttitudeSeries(series.t_ns[:SLOW_SAMPLES], series.wxyz[:SLOW_SAMPLES])
-    told = declared(Message())
-    messages = [row.tobytes() for row in told.encoder.encode(few, out)]
+    encoder = attitude_encoder(Message(), ("cdr",))
+    messages = [row.tobytes() for row in encoder.encode(few, out)]
     stamps = few.t_ns.tolist()
-    schema = (told.schema_name, told.schema_encoding, told.schema)
+    topic = encoder.topic
+    schema = (topic.type_name, topic.schema_encoding, topic.schema)
     seconds = median_of(3, lambda: with_mcap(fresh(out, ".mcap"), stamps, messages, schema))
     table.row("mcap Writer, messages ready", seconds, len(few))

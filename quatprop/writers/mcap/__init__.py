@@ -1,1 +1,1 @@
-"""Attitudes as messages of an MCAP file."""
+"""MCAP files."""

@@ -1,7 +1,8 @@
-"""Messages of an MCAP channel by the block: where all have one size, a chunk is one array.
+"""An MCAP channel whose messages all have one size, written by the block.
 
-The record of a message is a head of 31 bytes and the message. A chunk is filled a column at a
-time, its message index is two columns, and nothing is done for a message alone.
+The record of a message is a head of 31 bytes and the message. A chunk is one array that is filled a
+column at a time, and its message index is two columns: the mcap package would take a call for each
+message.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from quatprop.checksum import crc32
+from quatprop.writers.base import block_slices
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -43,7 +45,7 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Chunk:
+class McapChunk:
     """A chunk as it is written, with the message index that follows it."""
 
     channel: int
@@ -51,19 +53,21 @@ class Chunk:
     last: int
     size: int
     crc: int
-    packed: bytes
+    data: bytes
     index: bytes
 
 
-def packed(compression: str, channel: int, records: bytes, index: NDArray[np.void]) -> Chunk:
-    """Return the chunk of a channel's records and their index, compressed."""
-    return Chunk(
+def compressed_chunk(
+    compression: str, channel: int, records: bytes, index: NDArray[np.void]
+) -> McapChunk:
+    """Return the chunk of a channel's records and their index."""
+    return McapChunk(
         channel=channel,
         first=int(index["log"].min()),
         last=int(index["log"].max()),
         size=len(records),
         crc=crc32(records),
-        packed=COMPRESSIONS[compression](records),
+        data=COMPRESSIONS[compression](records),
         index=index.tobytes(),
     )
 
@@ -73,30 +77,25 @@ class MessageChannel:
 
     Parameters
     ----------
-    give
+    submit
         Takes a full chunk: the channel's id, the records and their index.
     id_
         The channel's id.
     chunk_bytes
         About how large a chunk is before it is compressed.
-
-    Attributes
-    ----------
-    written
-        Messages written so far.
     """
 
-    def __init__(self, give: Callable[..., None], id_: int, chunk_bytes: int = CHUNK_BYTES) -> None:
-        self._give = give
+    def __init__(self, submit: Callable[..., None], id_: int, chunk_bytes: int) -> None:
+        self._submit = submit
         self._id = id_
         self._chunk_bytes = chunk_bytes
-        self.written = 0
+        self._written = 0
         self._rows: NDArray[np.void] | None = None
         self._index = np.zeros(0, _INDEX_ENTRY)
         self._filled = 0
 
     def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
-        """Append messages; chunks end at fixed messages, wherever a batch happened to end.
+        """Append messages.
 
         Parameters
         ----------
@@ -106,34 +105,30 @@ class MessageChannel:
             Shape ``(N,)``, always of the same item size.
         """
         if self._rows is None:
-            self._rows = _blank_rows(self._id, messages.itemsize, self._chunk_bytes)
+            self._rows = _empty_rows(self._id, messages.itemsize, self._chunk_bytes)
             self._index = np.zeros(len(self._rows), _INDEX_ENTRY)
             self._index["offset"] = np.arange(len(self._rows)) * self._rows.itemsize
         data = messages.view(self._rows.dtype["data"])
-        done = 0
-        while done < len(data):
-            take = min(len(data) - done, len(self._rows) - self._filled)
-            source, place = slice(done, done + take), slice(self._filled, self._filled + take)
+        for source, place in block_slices(len(data), self._filled, len(self._rows)):
             rows = self._rows[place]
-            rows["sequence"] = np.arange(self.written, self.written + take, dtype=np.uint64)
+            rows["sequence"] = np.arange(self._written, self._written + len(rows), dtype=np.uint64)
             rows["log"] = rows["publish"] = self._index["log"][place] = log_ns[source]
             rows["data"] = data[source]
-            self._filled += take
-            self.written += take
-            done += take
+            self._written += len(rows)
+            self._filled = place.stop
             if self._filled == len(self._rows):
                 self.flush()
 
     def flush(self) -> None:
-        """Write the messages that are still held as a chunk."""
+        """Write the messages that do not fill a chunk."""
         if self._rows is None or not self._filled:
             return
         records = self._rows[: self._filled].tobytes()
-        self._give(self._id, records, self._index[: self._filled].copy())
+        self._submit(self._id, records, self._index[: self._filled].copy())
         self._filled = 0
 
 
-def _blank_rows(channel: int, size: int, chunk_bytes: int) -> NDArray[np.void]:
+def _empty_rows(channel: int, size: int, chunk_bytes: int) -> NDArray[np.void]:
     """Return the records of a chunk of messages, without times and data."""
     dtype = np.dtype(
         [

@@ -1,4 +1,4 @@
-"""What an MCAP file holds and where, as it is written: its summary in the end."""
+"""The contents of an MCAP file being written, from which its summary is made."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _CRC_BYTES = 4
 
 
 @dataclass(slots=True)
-class Contents:
-    """What the summary tells of a file.
+class McapContents:
+    """What the summary of a file lists.
 
     Parameters
     ----------
     schemas, channels
         The records by their ids.
     chunks, attachments, metadata
-        Where they are.
+        Their index records.
     counts
         Messages of each channel.
     loose
@@ -86,7 +86,9 @@ class Contents:
         yield Opcode.METADATA_INDEX, self.metadata
 
     def _statistics(self) -> Statistics:
-        spans = [(c.message_start_time, c.message_end_time) for c in self.chunks if _holds(c)]
+        spans = [
+            (c.message_start_time, c.message_end_time) for c in self.chunks if _has_messages(c)
+        ]
         spans += self.loose
         return Statistics(
             attachment_count=len(self.attachments),
@@ -101,8 +103,8 @@ class Contents:
         )
 
 
-def _holds(chunk: ChunkIndex) -> bool:
-    """Tell whether a chunk has messages: the times of one without are zero and mean nothing."""
+def _has_messages(chunk: ChunkIndex) -> bool:
+    """Return whether a chunk has messages: without them its times are zero and mean nothing."""
     return bool(chunk.message_index_offsets)
 
 

@@ -1,7 +1,7 @@
 """MCAP files written by the chunk.
 
-First come schemas and channels, then chunks of messages, then what is needed to find them. The few
-records that are not messages are those of the mcap package.
+Schemas and channels come first, then chunks of messages, then the summary. The records other than
+messages, chunks and message indexes, which are many, are encoded by the mcap package.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
 from quatprop.checksum import crc32
-from quatprop.writers.mcap.channel import CHUNK_BYTES, ENTRY_BYTES, MessageChannel, packed
-from quatprop.writers.mcap.contents import Contents, encoded
+from quatprop.writers.mcap.channel import CHUNK_BYTES, ENTRY_BYTES, MessageChannel, compressed_chunk
+from quatprop.writers.mcap.contents import McapContents, encoded
 from quatprop.writers.ordered_threads import OrderedThreadPool
 
 if TYPE_CHECKING:
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-    from quatprop.writers.mcap.channel import Chunk
+    from quatprop.writers.mcap.channel import McapChunk
+    from quatprop.writers.messages.topics import Topic
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
@@ -46,29 +47,29 @@ class McapFile:
     compression
         A key of :data:`COMPRESSIONS`.
     contents
-        Schemas and channels that the file has besides those that are added, so that ids do not
-        clash; who knows them writes them with :meth:`put`, ahead of what is added.
+        Schemas and channels that the caller writes with :meth:`append`, so that the ids of those
+        that are added here do not clash.
     before
-        Called with the first log time of a chunk, ns, before it is written: what else the file
-        holds has its place there.
+        Called with the first log time of a chunk, ns, before it is written, so that the caller can
+        append earlier messages.
     chunk_bytes
         About how large a chunk is before it is compressed.
 
     Attributes
     ----------
     contents
-        What the file holds so far.
-    place
+        What the file contains so far.
+    size
         Bytes written so far.
     """
 
-    def __init__(  # noqa: PLR0913  # a file of its own needs the first three
+    def __init__(  # noqa: PLR0913  # a new file needs the first three only
         self,
         stream: BinaryIO,
         header: Header | str,
         compression: str,
         *,
-        contents: Contents | None = None,
+        contents: McapContents | None = None,
         before: Callable[[int], None] = lambda _first_ns: None,
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
@@ -77,86 +78,90 @@ class McapFile:
         self._before = before
         self._chunk_bytes = chunk_bytes
         self._channels: list[MessageChannel] = []
-        self._works = OrderedThreadPool(partial(packed, compression), self._put_chunk)
-        self.contents = Contents() if contents is None else contents
-        self.place = 0
+        self._pool = OrderedThreadPool(partial(compressed_chunk, compression), self._append_chunk)
+        self.contents = McapContents() if contents is None else contents
+        self.size = 0
         self._crc = 0
-        self.put(MAGIC)
-        self._put_record(Header(header, "quatprop") if isinstance(header, str) else header)
-
-    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Declare a type of messages and return its id: that of the same one if there is one."""
-        told = (name, encoding, data)
-        for known in self.contents.schemas.values():
-            if (known.name, known.encoding, known.data) == told:
-                return int(known.id)
-        schema = Schema(id=_free(self.contents.schemas), name=name, encoding=encoding, data=data)
-        self._put_record(schema)
-        self.contents.schemas[schema.id] = schema
-        return schema.id
+        self.append(MAGIC)
+        self._append_record(Header(header, "quatprop") if isinstance(header, str) else header)
 
     def add_channel(
-        self,
-        topic: str,
-        encoding: str,
-        schema: int,
-        metadata: Mapping[str, str] | None = None,
+        self, topic: Topic, metadata: Mapping[str, str] | None = None
     ) -> MessageChannel:
-        """Declare a channel of messages that all have one size."""
+        """Declare a channel whose messages all have one size."""
         record = Channel(
-            id=_free(self.contents.channels),
-            topic=topic,
-            message_encoding=encoding,
+            id=_free_id(self.contents.channels),
+            topic=topic.name,
+            message_encoding=topic.encoding,
             metadata=dict(metadata or {}),
-            schema_id=schema,
+            schema_id=self._schema_id(topic),
         )
-        self._put_record(record)
+        self._append_record(record)
         self.contents.channels[record.id] = record
-        channel = MessageChannel(self._works.give, record.id, self._chunk_bytes)
+        channel = MessageChannel(self._pool.submit, record.id, self._chunk_bytes)
         self._channels.append(channel)
         return channel
 
+    def _schema_id(self, topic: Topic) -> int:
+        """Return the id of a topic's definition, which is declared unless it is there already."""
+        for schema in self.contents.schemas.values():
+            if (schema.name, schema.encoding, schema.data) == (
+                topic.type_name,
+                topic.schema_encoding,
+                topic.schema,
+            ):
+                return int(schema.id)
+        schema = Schema(
+            id=_free_id(self.contents.schemas),
+            name=topic.type_name,
+            encoding=topic.schema_encoding,
+            data=topic.schema,
+        )
+        self._append_record(schema)
+        self.contents.schemas[schema.id] = schema
+        return schema.id
+
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
-        """Add words that tell about the file as a whole, after the messages written so far."""
+        """Add metadata about the file as a whole, after the messages written so far."""
         self.flush()
-        begin = self.place
-        self._put_record(Metadata(name=name, metadata=dict(content)))
-        self.contents.metadata.append(MetadataIndex(begin, self.place - begin, name))
+        begin = self.size
+        self._append_record(Metadata(name=name, metadata=dict(content)))
+        self.contents.metadata.append(MetadataIndex(begin, self.size - begin, name))
 
     def finish(self) -> None:
-        """Write what is still held, the summary and the end; the stream is left open."""
+        """Write buffered messages, the summary and the end; the stream is left open."""
         self.flush()
-        self._works.stop()
-        self._put_record(DataEnd(self._crc))
-        self.put(self.contents.summary(self.place))
-        self.put(MAGIC)
+        self._pool.shutdown()
+        self._append_record(DataEnd(self._crc))
+        self.append(self.contents.summary(self.size))
+        self.append(MAGIC)
 
     def abort(self) -> None:
-        """Let go of what is held; harmless after the end."""
-        self._works.stop()
+        """Drop buffered messages; does nothing after the end."""
+        self._pool.shutdown()
 
     def flush(self) -> None:
-        """Write everything that is still held."""
+        """Write buffered messages."""
         for channel in self._channels:
             channel.flush()
-        self._works.finish()
+        self._pool.drain()
 
-    def _put_chunk(self, chunk: Chunk) -> None:
+    def _append_chunk(self, chunk: McapChunk) -> None:
         """Write a chunk and its message index, after what is earlier."""
         self._before(chunk.first)
-        named = "" if self._compression == "none" else self._compression
-        tail = struct.pack("<I", len(named)) + named.encode() + struct.pack("<Q", len(chunk.packed))
-        length = _CHUNK_HEAD.size - _RECORD_HEAD_BYTES + len(tail) + len(chunk.packed)
+        name = "" if self._compression == "none" else self._compression
+        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(chunk.data))
+        length = _CHUNK_HEAD.size - _RECORD_HEAD_BYTES + len(tail) + len(chunk.data)
         head = _CHUNK_HEAD.pack(
             Opcode.CHUNK, length, chunk.first, chunk.last, chunk.size, chunk.crc
         )
-        begin = self.place
-        self.put(head + tail)
-        self.put(chunk.packed)
-        end = self.place
+        begin = self.size
+        self.append(head + tail)
+        self.append(chunk.data)
+        end = self.size
         entries = len(chunk.index)
-        self.put(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries, chunk.channel, entries))
-        self.put(chunk.index)
+        self.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries, chunk.channel, entries))
+        self.append(chunk.index)
         self.contents.chunks.append(
             ChunkIndex(
                 message_start_time=chunk.first,
@@ -164,24 +169,24 @@ class McapFile:
                 chunk_start_offset=begin,
                 chunk_length=end - begin,
                 message_index_offsets={chunk.channel: end},
-                message_index_length=self.place - end,
-                compression=named,
-                compressed_size=len(chunk.packed),
+                message_index_length=self.size - end,
+                compression=name,
+                compressed_size=len(chunk.data),
                 uncompressed_size=chunk.size,
             )
         )
         self.contents.counts[chunk.channel] += entries // ENTRY_BYTES
 
-    def put(self, data: bytes) -> None:
+    def append(self, data: bytes) -> None:
         """Write whole records as they are."""
         self._stream.write(data)
         self._crc = crc32(data, self._crc)
-        self.place += len(data)
+        self.size += len(data)
 
-    def _put_record(self, record: McapRecord) -> None:
-        self.put(encoded([record]))
+    def _append_record(self, record: McapRecord) -> None:
+        self.append(encoded([record]))
 
 
-def _free(ids: Container[int]) -> int:
+def _free_id(ids: Container[int]) -> int:
     """Return the first id that is not taken; 0 means none."""
     return next(id_ for id_ in range(1, 1 << 16) if id_ not in ids)

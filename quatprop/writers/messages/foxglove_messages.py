@@ -1,9 +1,9 @@
-"""Attitudes as Foxglove's own messages, in protobuf by the block: Foxglove and Rerun show them.
+"""Attitudes as Foxglove's own messages, encoded in protobuf by the block.
 
-Protobuf leaves out numbers that are zero, and gives others as many bytes as they need. Neither is
-a must: here every number is written, and those of a time stamp in five bytes each, which is what
-they mostly take, with zeros in front where they are smaller. So every message has its fields in
-the same places, and a block is an array of records.
+Protobuf encoders usually leave out numbers that are zero and use as few bytes as a number needs.
+Neither is required: here every number is written, and those of a time stamp in five bytes each, as
+most of them need. So every message has its fields in the same places, and a block is an array of
+records. The protobuf library would encode one message at a time.
 
 References
 ----------
@@ -18,6 +18,7 @@ import numpy as np
 
 from quatprop.errors import OutputError
 from quatprop.writers.messages.protobuf import FIXED64, VARINT, ProtoFile, delimited, described, tag
+from quatprop.writers.messages.topics import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -73,7 +74,7 @@ FILES: Mapping[str, ProtoFile] = {
         },
     ),
 }
-"""The definitions, those that others import ahead of them."""
+"""The definitions, each after those that it imports."""
 
 
 def schema_of(name: str) -> bytes:
@@ -84,27 +85,34 @@ def schema_of(name: str) -> bytes:
     name
         ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``.
     """
-    wanted = [name.replace(".", "/") + ".proto"]
-    for file in wanted:
-        wanted += [imported for imported in FILES[file].imports if imported not in wanted]
-    return described({file: FILES[file] for file in FILES if file in wanted})
+    used = [name.replace(".", "/") + ".proto"]
+    for file in used:
+        used += [imported for imported in FILES[file].imports if imported not in used]
+    return described({file: FILES[file] for file in FILES if file in used})
 
 
 class FoxgloveEncoder:
-    """Encodes attitudes as one of Foxglove's own messages.
+    """Encodes attitudes as one of Foxglove's own messages; see :class:`.encoders.AttitudeEncoder`.
 
     Parameters
     ----------
     message
         What to encode.
+
+    Attributes
+    ----------
+    topic
+        The topic and its definition.
     """
 
     def __init__(self, message: Message) -> None:
+        name = message.definition.name
+        self.topic = Topic(message.topic_name, name, "protobuf", "protobuf", schema_of(name))
         template = b"".join(
-            delimited(number, _part(part, message))
+            delimited(number, _field(part, message))
             for number, part in enumerate(message.definition.parts, 1)
         )
-        # A quaternion is the last that any of them has; the stamp is the first.
+        # All of them begin with the stamp and end with the quaternion.
         doubles = len(template) - len(_ROTATION) + 1
         seconds = len(delimited(1, _STAMP)) - len(_STAMP) + 1
         self._dtype = np.dtype(
@@ -119,7 +127,7 @@ class FoxgloveEncoder:
                 "itemsize": len(template),
             }
         )
-        self._blank = np.frombuffer(template, f"V{len(template)}")
+        self._template = np.frombuffer(template, f"V{len(template)}")
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
         """Return the messages of a batch, shape ``(N,)``.
@@ -135,7 +143,7 @@ class FoxgloveEncoder:
                 f"MCAP has no time for the stamp {series.t_ns[(series.t_ns < 0).argmax()]} ns; "
                 "write a table, or a trajectory",
             )
-        rows = np.repeat(self._blank, len(series)).view(self._dtype)
+        rows = np.repeat(self._template, len(series)).view(self._dtype)
         seconds, nanos = np.divmod(series.t_ns, NS_PER_S)
         rows["seconds"], rows["nanos"] = _varints(seconds), _varints(nanos)
         for place, name in enumerate("wxyz"):
@@ -148,19 +156,19 @@ def _varints(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
     spread = numbers & 0x7F
     for place in range(1, _VARINT_BYTES):
         spread |= numbers << place & 0x7F << 8 * place
-    # All but the last say that there are more.
-    words = (spread | 0x80808080).astype("<i8", copy=False)
-    return words.view(np.uint8).reshape(-1, words.itemsize)[:, :_VARINT_BYTES]
+    # The high bit of all but the last says that more follow.
+    varints = (spread | 0x80808080).astype("<i8", copy=False)
+    return varints.view(np.uint8).reshape(-1, varints.itemsize)[:, :_VARINT_BYTES]
 
 
 _STAMP = tag(1, VARINT) + bytes(_VARINT_BYTES) + tag(2, VARINT) + bytes(_VARINT_BYTES)
 _ROTATION = b"".join(tag(number, FIXED64) + bytes(8) for number in range(1, 5))
 _ORIGIN = b""
-"""A vector of zeros is a message without numbers."""
+"""A vector of zeros is an empty message."""
 
 
-def _part(part: str, message: Message) -> bytes | str:
-    """Return a field of a message, zero where it differs from message to message."""
+def _field(part: str, message: Message) -> bytes | str:
+    """Return a field of a message, with zeros for what differs from message to message."""
     content: Mapping[str, bytes | str] = {
         "stamp": _STAMP,
         "frame": message.frame,

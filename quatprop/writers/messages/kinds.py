@@ -1,8 +1,8 @@
-"""What attitudes are written as where they are written as messages: types, topics, frames.
+"""The messages that attitudes can be written as: types, topics, frames.
 
-A position or translation, which attitude does not tell, is zero. The message's frame is the
-reference; of a transform, the child is the body, so that it takes body to reference, as the
-attitude does. All of these types define the quaternion as x, y, z, w: there is no other layout.
+A position or translation, which attitudes do not have, is zero. The message's frame is the
+reference; the child of a transform is the body, so that it maps body to reference, as the attitude
+does. All of these types define the quaternion as x, y, z, w: there is no other layout.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
-    """One line of :data:`MESSAGES`.
+    """One row of :data:`MESSAGES`.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class MessageType:
         Its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
         ``position`` and ``xyzw``, or a ``pose`` of both.
     topic
-        Where it is published by custom.
+        The topic it is usually published under.
     """
 
     name: str
@@ -57,19 +57,19 @@ MESSAGES: Mapping[str, MessageType] = {
     ),
     "PoseInFrame": MessageType("foxglove.PoseInFrame", ("stamp", "frame", "pose")),
 }
-"""Every message that an attitude can be written as."""
+"""Every message that attitudes can be written as."""
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What attitudes are written as, where they are written as messages.
+    """The message that attitudes are written as, and its topic and frames.
 
     Parameters
     ----------
     type
         A key of :data:`MESSAGES`, or its full name.
     topic
-        None is what custom says: ``/attitude``, or ``/tf`` for transforms.
+        None is the usual one: ``/attitude``, or ``/tf`` for transforms.
     frame
         Name of the reference.
     child
@@ -83,7 +83,7 @@ class Message:
 
     @property
     def definition(self) -> MessageType:
-        """The type's line of :data:`MESSAGES`.
+        """The type's row of :data:`MESSAGES`.
 
         Raises
         ------
@@ -98,12 +98,12 @@ class Message:
         return MESSAGES[short]
 
     @property
-    def place(self) -> str:
-        """The topic: as told, or as custom says."""
+    def topic_name(self) -> str:
+        """The topic, given or usual."""
         return self.topic or self.definition.topic
 
 
 def _names(name: str) -> tuple[str, ...]:
-    """Return what a type goes by: short, in full, and as ROS 1 has it."""
+    """Return the names of a type: short, in full, and as in ROS 1."""
     package, _, short = name.replace(".", "/msg/").split("/")
     return short, name, f"{package}/{short}"

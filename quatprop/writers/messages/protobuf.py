@@ -1,7 +1,7 @@
-"""Protobuf without its library: what messages and their descriptors are made of.
+"""The parts of protobuf that messages and their descriptors need, without its library.
 
-Descriptors are themselves messages, of few kinds of fields. Only what the messages that we write
-need is here; the tests hold it against the library.
+The library is an optional dependency, and descriptors are messages of only a few kinds of
+fields. The tests compare the bytes with the library's.
 
 References
 ----------
@@ -59,7 +59,7 @@ def varint(number: int) -> bytes:
 
 
 def tag(number: int, wire: int) -> bytes:
-    """Return what a field begins with."""
+    """Return the tag that a field begins with."""
     return varint(number << 3 | wire)
 
 
@@ -76,12 +76,12 @@ def delimited(number: int, content: bytes | str) -> bytes:
 
 
 def described(files: Mapping[str, ProtoFile]) -> bytes:
-    """Return a ``FileDescriptorSet``, as MCAP wants it for a schema.
+    """Return a ``FileDescriptorSet``, the form of a schema in MCAP.
 
     Parameters
     ----------
     files
-        By name, those that others import ahead of them.
+        By name, each after those that it imports.
     """
     return b"".join(delimited(1, _file(name, file)) for name, file in files.items())
 

@@ -1,1 +1,1 @@
-"""Attitudes as messages of a ROS 1 bag."""
+"""ROS 1 bags."""

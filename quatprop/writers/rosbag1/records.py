@@ -1,4 +1,4 @@
-"""Records of ROS 1 bags as they are written: a head of named fields and data, after their lengths.
+"""Records of ROS 1 bags as they are written: a head of named fields, then data.
 
 References
 ----------
@@ -26,11 +26,11 @@ ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 """One message in the index data of a chunk."""
 
 _HEAD_BYTES = 4096
-"""Bytes of the bag's first record: padded, since it is written again at the end."""
+"""Bytes of the bag's first record, padded, as it is written again at the end."""
 
 
 def bag(index: int, connections: int, chunks: int) -> bytes:
-    """Return the bag's first record: where the index is, and how much it tells of."""
+    """Return the bag's first record: the place and the counts of the index."""
     head = {
         "index_pos": struct.pack("<Q", index),
         "conn_count": u4(connections),
@@ -40,24 +40,24 @@ def bag(index: int, connections: int, chunks: int) -> bytes:
     return record(BAG, head, b" " * padding)
 
 
-def connection(id_: int, described: Mapping[str, bytes]) -> bytes:
-    """Return what tells of a connection: its number, its topic and all that is known of it."""
-    return record(CONNECTION, {"conn": u4(id_), "topic": described["topic"]}, fields(described))
+def connection(id_: int, values: Mapping[str, bytes]) -> bytes:
+    """Return the record of a connection: its number, its topic and all its fields."""
+    return record(CONNECTION, {"conn": u4(id_), "topic": values["topic"]}, fields(values))
 
 
 def chunk_head(compression: str, size: int) -> dict[str, bytes]:
-    """Return the head of a chunk of `size` bytes when unpacked."""
+    """Return the head of a chunk of `size` bytes before compression."""
     return {"compression": compression.encode(), "size": u4(size)}
 
 
 def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
-    """Return where the messages of a connection are in the chunk ahead."""
+    """Return the index of the messages of a connection in the chunk before it."""
     head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
     return record(INDEX, head, entries.tobytes())
 
 
 def chunk_info(place: int, indexes: Mapping[int, NDArray[np.void]]) -> bytes:
-    """Return what the index tells of a chunk: where it is, its times, its messages."""
+    """Return the index record of a chunk: its place, its times, its counts of messages."""
     times = [
         each["sec"].astype(np.int64) * NS_PER_S + each["nsec"]
         for each in indexes.values()
@@ -76,13 +76,13 @@ def chunk_info(place: int, indexes: Mapping[int, NDArray[np.void]]) -> bytes:
 
 def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
     """Return a record."""
-    named = fields({"op": op, **head})
-    return u4(len(named)) + named + u4(len(data)) + data
+    head_bytes = fields({"op": op, **head})
+    return u4(len(head_bytes)) + head_bytes + u4(len(data)) + data
 
 
-def fields(named: Mapping[str, bytes]) -> bytes:
+def fields(values: Mapping[str, bytes]) -> bytes:
     """Return named values, each after its length."""
-    joined = (name.encode() + b"=" + value for name, value in named.items())
+    joined = (name.encode() + b"=" + value for name, value in values.items())
     return b"".join(u4(len(field)) + field for field in joined)
 
 

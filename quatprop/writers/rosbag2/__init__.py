@@ -1,1 +1,1 @@
-"""Attitudes as messages of a ROS 2 bag."""
+"""ROS 2 bag folders."""

@@ -1,8 +1,7 @@
 """Tables as CSV and TSV: one header line, no quotes, a newline after every row.
 
-Each number is the shortest decimal that reads back as the same float64. The names of the columns
-tell the layout; the provenance has room in a comment ahead of them, for readers that pass over
-comments.
+Each number is the shortest decimal that reads back as the same float64. The provenance may be
+written in a comment before the header line, for readers that skip comments.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ class CsvTable(TextTable):
     separator = ","
 
     def __init__(self, target: Path | str, names: Sequence[str], *, comment: bool = False) -> None:
-        every = ("t_ns", *names)
-        form = delimited(self.separator, every)
-        super().__init__(target, self.separator.join(every) + "\n", form, comment=comment)
+        names = ("t_ns", *names)
+        header = self.separator.join(names) + "\n"
+        super().__init__(target, header, delimited(self.separator, names), comment=comment)
 
 
 class TsvTable(CsvTable):

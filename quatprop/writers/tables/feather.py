@@ -1,6 +1,6 @@
-"""Tables as Arrow IPC files, also known as Feather: columns to be used in place.
+"""Tables as Arrow IPC files, also known as Feather.
 
-They are not compressed: attitudes hardly can be, and only so can a file be mapped to memory.
+They are not compressed: attitudes hardly shrink, and an uncompressed file can be memory-mapped.
 """
 
 from __future__ import annotations
@@ -9,20 +9,19 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
-from quatprop.writers.atomic import reported, scratch
+from quatprop.writers.atomic import output_errors, scratch_file
 from quatprop.writers.tables.arrow import ArrowTable, metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from typing import Any
 
 
 class FeatherTable(ArrowTable):
     """Write columns as an Arrow IPC file.
 
-    It begins with its metadata, which is complete only at the end: the rows wait in a file of
-    their own.
+    It begins with its metadata, which is complete only at the end: the rows are kept in a
+    temporary file until then.
 
     Parameters
     ----------
@@ -34,15 +33,15 @@ class FeatherTable(ArrowTable):
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
-        self._body = scratch(target)
-        with reported(target):
+        self._body = scratch_file(target)
+        with output_errors(target):
             self._rows = pa.ipc.new_stream(self._body, self._schema)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        self._finish_rows()
+        self._flush()
         schema = self._schema.with_metadata(metadata(provenance))
-        with reported(self._output.target), self._body as body:
+        with output_errors(self._output.target), self._body as body:
             self._rows.close()
             body.seek(0)
             with pa.ipc.new_file(self._output.stream, schema) as file:
@@ -55,5 +54,5 @@ class FeatherTable(ArrowTable):
         self._body.close()
         self._output.discard()
 
-    def _put(self, group: pa.RecordBatch) -> None:
+    def _write_group(self, group: pa.RecordBatch) -> None:
         self._rows.write(group)

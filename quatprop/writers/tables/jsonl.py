@@ -1,7 +1,7 @@
 """Tables as JSON Lines: one object a row, in the order of the columns.
 
 Each number is the shortest decimal that reads back as the same float64; a number that is not
-finite, for which JSON has no word, is null.
+finite, which JSON does not have, is null.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.writers.tables.text import Form
+    from quatprop.writers.tables.text import Formatter
 
 
 class JsonLinesTable(TextTable):
@@ -42,26 +42,26 @@ class JsonLinesTable(TextTable):
         super().__init__(target, "", _objects(("t_ns", *names)))
 
 
-def _objects(names: Sequence[str]) -> Form:
-    """Return what formats columns as objects with these keys."""
+def _objects(names: Sequence[str]) -> Formatter:
+    """Return a formatter of columns as objects with these keys."""
     keys = [
         text_scalar(f"{',' if place else '{'}{json.dumps(name)}:")
         for place, name in enumerate(names)
     ]
-    end, nothing = text_scalar("}\n"), text_scalar("")
+    end, no_separator = text_scalar("}\n"), text_scalar("")
 
-    def form(columns: list[NDArray[Any]]) -> pa.Buffer:
+    def formatter(columns: list[NDArray[Any]]) -> pa.Buffer:
         parts = chain.from_iterable(zip(keys, map(_numbers, columns), strict=True))
-        lines = pc.binary_join_element_wise(*parts, end, nothing)
+        lines = pc.binary_join_element_wise(*parts, end, no_separator)
         # The strings of an array lie one after the other: that is the file.
         _, ends, text = lines.buffers()
         return text.slice(0, np.frombuffer(ends, np.int32, len(lines) + 1)[-1])
 
-    return form
+    return formatter
 
 
 def _numbers(column: NDArray[Any]) -> pa.Array:
-    """Return numbers as JSON has them."""
+    """Return numbers as JSON writes them."""
     text = pc.cast(to_arrow(column), pa.string())
     if column.dtype == np.int64:
         return text

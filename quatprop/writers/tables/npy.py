@@ -1,6 +1,6 @@
-"""Tables as NumPy files: one structured array in ``.npy``, one array a column in ``.npz``.
+"""Tables as NumPy files: one structured array in ``.npy``, one array for each column in ``.npz``.
 
-A ``.npy`` file has no room for provenance; in ``.npz`` it is the string ``quatprop``, as JSON.
+A ``.npy`` file has no place for provenance; in ``.npz`` it is the string ``quatprop``, as JSON.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.writers.atomic import Output, refuse_streams, reported, scratch
-from quatprop.writers.base import Table, words_of
+from quatprop.writers.atomic import OutputFile, output_errors, scratch_file
+from quatprop.writers.base import TableWriter, provenance_json
+from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,11 +24,11 @@ if TYPE_CHECKING:
 
 PROVENANCE = "quatprop"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The time that members of an archive carry: the earliest there is, so that bytes repeat."""
+"""The time of an archive's members: the earliest that ZIP has, so that bytes are reproducible."""
 
 
-class NpyTable(Table):
-    """Write columns as one structured array with a field a column.
+class NpyTable(TableWriter):
+    """Write columns as one structured array with a field for each column.
 
     Parameters
     ----------
@@ -41,37 +42,37 @@ class NpyTable(Table):
         self._dtype = np.dtype([("t_ns", "<i8"), *((name, "<f8") for name in names)])
         self._count = 0
         refuse_streams(target, "a NumPy file")
-        self._output = Output(target)
-        with reported(target):
-            self._write_head()
+        self._output = OutputFile(target)
+        with output_errors(target):
+            self._write_header()
 
     def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         """Append a batch of rows."""
         rows = np.empty(len(t_ns), self._dtype)
         for name, column in zip(self._dtype.fields or (), (t_ns, *columns), strict=True):
             rows[name] = column
-        with reported(self._output.target):
+        with output_errors(self._output.target):
             self._output.stream.write(rows.data)
         self._count += len(rows)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:  # noqa: ARG002  # no room for it
+    def commit(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
         """Finish the file and put it in its place."""
-        with reported(self._output.target):
+        with output_errors(self._output.target):
             self._output.stream.seek(0)
-            self._write_head()
+            self._write_header()
         self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._output.discard()
 
-    def _write_head(self) -> None:
-        """Write the head, which is as long for any number of rows."""
+    def _write_header(self) -> None:
+        """Write the header, which has the same length for any number of rows."""
         np.lib.format.write_array_header_1_0(self._output.stream, _header(self._dtype, self._count))
 
 
-class NpzTable(Table):
-    """Write columns as an archive of arrays; until the commit each waits in its own file.
+class NpzTable(TableWriter):
+    """Write columns as an archive of arrays; each is kept in a temporary file until the commit.
 
     Parameters
     ----------
@@ -82,21 +83,24 @@ class NpzTable(Table):
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._output = Output(target)
+        self._output = OutputFile(target)
         self._count = 0
-        self._columns = {name: scratch(target) for name in ("t_ns", *names)}
+        self._columns = {name: scratch_file(target) for name in ("t_ns", *names)}
 
     def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         """Append a batch of rows."""
-        with reported(self._output.target):
+        with output_errors(self._output.target):
             for body, column in zip(self._columns.values(), (t_ns, *columns), strict=True):
                 body.write(np.ascontiguousarray(column).data)
         self._count += len(t_ns)
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        words = np.array(words_of(provenance))
-        with reported(self._output.target), zipfile.ZipFile(self._output.stream, "w") as archive:
+        provenance_array = np.array(provenance_json(provenance))
+        with (
+            output_errors(self._output.target),
+            zipfile.ZipFile(self._output.stream, "w") as archive,
+        ):
             for name, body in self._columns.items():
                 with _member(archive, name) as member:
                     dtype = np.dtype("<i8" if name == "t_ns" else "<f8")
@@ -104,7 +108,7 @@ class NpzTable(Table):
                     body.seek(0)
                     shutil.copyfileobj(body, member, 1 << 20)
             with _member(archive, PROVENANCE) as member:
-                np.lib.format.write_array(member, words, allow_pickle=False)
+                np.lib.format.write_array(member, provenance_array, allow_pickle=False)
         self._close()
         self._output.commit()
 

@@ -1,9 +1,9 @@
 """Tables as Parquet: ``t_ns`` int64, float64 columns, provenance beside them.
 
 Attitudes change little from sample to sample: their sign, exponent and leading bits repeat, their
-trailing bits are noise. Byte-stream-split brings the bytes that repeat together, and a light zstd
-folds them; dictionaries, Parquet's default, gain nothing on numbers that never recur and cost
-the most time. Steady stamps have nearly constant differences, hence the delta encoding.
+trailing bits are noise. Byte-stream-split brings the repeating bytes together, and zstd at level 1
+compresses them; dictionaries, Parquet's default, gain nothing on numbers that never recur and cost
+the most time. Regular stamps have nearly constant differences, hence the delta encoding.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 
 import pyarrow.parquet
 
-from quatprop.writers.atomic import reported
+from quatprop.writers.atomic import output_errors
 from quatprop.writers.tables.arrow import GROUP, ArrowTable, metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from typing import Any
 
     import pyarrow as pa
 
@@ -37,7 +36,7 @@ class ParquetTable(ArrowTable):
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
-        with reported(target):
+        with output_errors(target):
             self._parquet = pyarrow.parquet.ParquetWriter(
                 self._output.stream,
                 self._schema,
@@ -50,10 +49,10 @@ class ParquetTable(ArrowTable):
                 },
             )
 
-    def commit(self, provenance: Mapping[str, Any]) -> None:
+    def commit(self, provenance: Mapping[str, object]) -> None:
         """Finish the file, with its provenance, and put it in its place."""
-        self._finish_rows()
-        with reported(self._output.target):
+        self._flush()
+        with output_errors(self._output.target):
             self._parquet.add_key_value_metadata(metadata(provenance))
             self._parquet.close()
         self._output.commit()
@@ -61,9 +60,9 @@ class ParquetTable(ArrowTable):
     def abort(self) -> None:
         """Remove what was not committed."""
         self._output.discard()
-        # pyarrow would finish the file when it is collected: let it fail here, unheard.
+        # pyarrow would write the end when it is garbage-collected: let that fail here.
         with suppress(Exception):
             self._parquet.close()
 
-    def _put(self, group: pa.RecordBatch) -> None:
+    def _write_group(self, group: pa.RecordBatch) -> None:
         self._parquet.write_batch(group, row_group_size=GROUP)

@@ -1,7 +1,7 @@
 """Attitudes as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw`` between blanks.
 
-Seconds are written with nine decimals out of the integer nanoseconds, so nothing is rounded; the
-position, which attitude does not tell, is zero.
+Seconds are written with nine decimals from the integer nanoseconds, so nothing is rounded; the
+position, which attitudes do not have, is zero.
 """
 
 from __future__ import annotations
@@ -13,30 +13,36 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from quatprop.arrow_arrays import to_arrow
-from quatprop.writers.base import AttitudeTable
 from quatprop.writers.tables.text import TextTable, delimited
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
     from typing import Any
 
     from numpy.typing import NDArray
 
-    from quatprop.conventions.layout import Layout
-
-HEAD = "# timestamp tx ty tz qx qy qz qw\n"
-_FORM = delimited(" ", HEAD.split()[1:])
+HEADER = "# timestamp tx ty tz qx qy qz qw\n"
+_FORMATTER = delimited(" ", HEADER.split()[1:])
 _DECIMALS = 9
 
 
-def attitudes(target: Path | str, layout: Layout, *, comment: bool = False) -> AttitudeTable:
-    """Open a TUM trajectory of attitudes."""
-    return AttitudeTable(TextTable(target, HEAD, _rows, comment=comment), layout)
+class TumTable(TextTable):
+    """Write quaternions as a TUM trajectory; parameters as for a CSV table."""
+
+    def __init__(
+        self,
+        target: Path | str,
+        names: Sequence[str],  # noqa: ARG002  # prescribed by the format
+        *,
+        comment: bool = False,
+    ) -> None:
+        super().__init__(target, HEADER, _rows, comment=comment)
 
 
 def _rows(columns: list[NDArray[Any]]) -> pa.Buffer:
     t_ns, *xyzw = columns
-    return _FORM([seconds(t_ns), *[np.zeros(len(t_ns), np.int8)] * 3, *xyzw])
+    return _FORMATTER([seconds(t_ns), *[np.zeros(len(t_ns), np.int8)] * 3, *xyzw])
 
 
 def seconds(t_ns: NDArray[np.int64]) -> pa.Array:

@@ -1,4 +1,8 @@
-"""ROS 2 bag folders by the block: SQLite or MCAP storage, with the library's metadata.yaml."""
+"""ROS 2 bag folders of one topic, with SQLite or MCAP storage.
+
+The rosbags library writes the tables and metadata.yaml; messages are stored by the block. The
+provenance is among the custom data of metadata.yaml, under the key ``quatprop``, as JSON.
+"""
 
 from __future__ import annotations
 
@@ -10,41 +14,43 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from quatprop.errors import OutputError
-from quatprop.writers.atomic import Replacement, reported
+from quatprop.writers.atomic import OutputPath, output_errors
+from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.file import McapFile
+from quatprop.writers.messages.topics import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
     from typing import Any
 
     import numpy as np
     from numpy.typing import NDArray
     from rosbags.interfaces import Connection
-    from rosbags.typesys.store import Typestore
 
     from quatprop.writers.mcap.channel import MessageChannel
 
     Int64 = NDArray[np.int64]
 
+_COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
 _VERSION_OFFSET = 96
 _VERSION = (3_040_000).to_bytes(4, "big")
 
 
 class _Storage(Protocol):
-    """What both storages do beyond the library's protocol."""
+    """What both storages have beyond the library's protocol."""
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
         """Append messages."""
 
 
-class SteadySqlite(Sqlite3Writer):
+class ReproducibleSqlite(Sqlite3Writer):
     """The library's SQLite storage, without what differs between builds of SQLite.
 
-    Builds differ in whether they clear the unused parts of a page: they shall, and the file is
-    rewritten once to be rid of what is left. On closing, the library lets SQLite optimise,
-    whereupon newer versions add tables of statistics: left out. And the header notes which
-    version wrote last, which nothing reads but people: a fixed number.
+    Builds differ in whether they clear the unused parts of a page: here they do, and the file is
+    rewritten once to remove what is left. On closing, the library lets SQLite optimise, which adds
+    tables of statistics in newer versions: left out. And the header states the version that wrote
+    last, which no program reads: a fixed number.
     """
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
@@ -86,22 +92,17 @@ class BulkMcap:
         self._file = McapFile(
             self._stream, "ros2", "zstd" if compression == CompressionMode.STORAGE else "none"
         )
-        self._schemas: dict[str, int] = {}
         self._channels: dict[int, MessageChannel] = {}
 
     def add_msgtype(self, connection: Connection) -> None:
-        """Declare a type of messages."""
-        self._schemas[connection.msgtype] = self._file.add_schema(
-            connection.msgtype, "ros2msg", connection.msgdef.data.encode()
-        )
+        """Types are declared with the topics."""
 
     def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
         """Declare a topic."""
+        schema = connection.msgdef.data.encode()
+        topic = Topic(connection.topic, connection.msgtype, "cdr", "ros2msg", schema)
         self._channels[connection.id] = self._file.add_channel(
-            connection.topic,
-            "cdr",
-            self._schemas[connection.msgtype],
-            {"offered_qos_profiles": offered_qos_profiles},
+            topic, {"offered_qos_profiles": offered_qos_profiles}
         )
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
@@ -109,7 +110,7 @@ class BulkMcap:
         self._channels[connection.id].write(log_ns, messages)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Messages come in blocks only."""
+        """Messages are written by the block only."""
         raise NotImplementedError
 
     def close(self, version: int, metadata: str) -> None:  # noqa: ARG002  # of the protocol
@@ -125,10 +126,10 @@ class BulkMcap:
 
 
 class BulkWriter(Writer):
-    """The library's writer of bag folders, over storages that take blocks."""
+    """The library's writer of bag folders, with storages that take blocks."""
 
     STORAGE_PLUGINS = {  # noqa: RUF012  # declared by the library
-        StoragePlugin.SQLITE3: SteadySqlite,
+        StoragePlugin.SQLITE3: ReproducibleSqlite,
         StoragePlugin.MCAP: BulkMcap,
     }
 
@@ -141,63 +142,62 @@ class BulkWriter(Writer):
             self.max_timestamp = max(self.max_timestamp, int(log_ns.max()))
 
 
-class BagFolder:
-    """A ROS 2 bag of one topic being written, to be committed or to vanish.
+class SqliteBagWriter(MessageWriter):
+    """Write messages to a ROS 2 bag that stores them in SQLite.
 
     Parameters
     ----------
     target
         A path where nothing is yet.
-    storage
-        How the messages are stored.
+    topic
+        The topic and its definition.
     compression
-        ``STORAGE`` compresses the chunks of an MCAP file.
-    topic, kind, types
-        What is published where.
+        Of the chunks of an MCAP file: ``"zstd"`` or ``"none"``.
     """
 
-    def __init__(  # noqa: PLR0913  # a bag, told in full
-        self,
-        target: Path | str,
-        storage: StoragePlugin,
-        compression: CompressionMode,
-        *,
-        topic: str,
-        kind: str,
-        types: Typestore,
-    ) -> None:
-        self._target = target
-        self._replacement = Replacement(target, folder=True)
-        self._bag = BulkWriter(self._replacement.path, version=9, storage_plugin=storage)
-        self._bag.compression_mode = compression
-        with _reported(target):
-            self._bag.open()
-            self._connection = self._bag.add_connection(topic, kind, typestore=types)
+    storage = StoragePlugin.SQLITE3
 
-    def write(self, log_ns: Int64, messages: NDArray[Any]) -> None:
-        """Append messages that all have one size, and when each was logged, ns."""
-        with _reported(self._target):
+    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+        self._target = target
+        self._output = OutputPath(target, folder=True)
+        self._bag = BulkWriter(self._output.path, version=9, storage_plugin=self.storage)
+        self._bag.compression_mode = _COMPRESSIONS[compression]
+        with _output_errors(target):
+            self._bag.open()
+            self._connection = self._bag.add_connection(
+                topic.name, topic.type_name, msgdef=topic.schema.decode(), rihs01=topic.digest
+            )
+
+    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+        """Append a batch of messages."""
+        with _output_errors(self._target):
             self._bag.write_block(self._connection, log_ns, messages)
 
-    def commit(self, provenance: str = "") -> None:
-        """Finish the folder, with words on its provenance, and put it in its place."""
+    def commit(self, provenance: Mapping[str, object]) -> None:
+        """Finish the folder, with its provenance, and put it in its place."""
         if provenance:
-            self._bag.set_custom_data("quatprop", provenance)
-        with _reported(self._target):
+            self._bag.set_custom_data("quatprop", provenance_json(provenance))
+        with _output_errors(self._target):
             self._bag.close()
-        self._replacement.commit()
+        self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         with suppress(OSError, sqlite3.Error):
             self._bag.abort()
-        self._replacement.discard()
+        self._output.discard()
+
+
+class McapBagWriter(SqliteBagWriter):
+    """Write messages to a ROS 2 bag that stores them in MCAP; parameters as above."""
+
+    storage = StoragePlugin.MCAP
 
 
 @contextmanager
-def _reported(target: Path | str) -> Iterator[None]:
+def _output_errors(target: Path | str) -> Iterator[None]:
     """Turn errors of the system and of SQLite into an error that names the target."""
-    with reported(target):
+    with output_errors(target):
         try:
             yield
         except sqlite3.Error as error:

@@ -1,0 +1,69 @@
+"""MCAP files of one topic, with the definition embedded and the provenance as metadata."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.base import MessageWriter, provenance_json
+from quatprop.writers.mcap.file import McapFile
+from quatprop.writers.messages.topics import PROFILES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.writers.messages.topics import Topic
+
+METADATA = "quatprop"
+"""Name of the metadata record of a topic's provenance, with the keys ``provenance``, which is
+JSON, and ``topic``."""
+
+
+class McapWriter(MessageWriter):
+    """Write messages to an MCAP file.
+
+    Parameters
+    ----------
+    target
+        A path.
+    topic
+        The topic and its definition.
+    compression
+        Of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``.
+    """
+
+    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+        self._topic = topic.name
+        self._output = OutputFile(target)
+        with output_errors(target):
+            profile = PROFILES.get(topic.encoding, "")
+            self._file = McapFile(self._output.stream, profile, compression)
+            self._channel = self._file.add_channel(topic)
+
+    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        """Append a batch of messages."""
+        with output_errors(self._output.target):
+            self._channel.write(log_ns, messages)
+
+    def commit(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file, with its provenance, and put it in its place."""
+        with output_errors(self._output.target):
+            finish_with_provenance(self._file, self._topic, provenance)
+        self._output.commit()
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._file.abort()
+        self._output.discard()
+
+
+def finish_with_provenance(file: McapFile, topic: str, provenance: Mapping[str, object]) -> None:
+    """Finish an MCAP file with the provenance of a topic, if there is any."""
+    if provenance:
+        record = {"provenance": provenance_json(provenance), "topic": topic}
+        file.add_metadata(METADATA, record)
+    file.finish()

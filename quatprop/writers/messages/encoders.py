@@ -1,0 +1,102 @@
+"""Attitudes encoded as messages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from quatprop.errors import UsageError
+from quatprop.text import listed, quoted
+from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder
+from quatprop.writers.messages.kinds import MESSAGES
+from quatprop.writers.messages.ros_records import HEADER_TIME, RosRecords
+from quatprop.writers.messages.topics import ros_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
+    from quatprop.writers.messages.kinds import Message
+    from quatprop.writers.messages.topics import Topic
+
+
+class AttitudeEncoder(Protocol):
+    """Encodes attitudes as one type of message.
+
+    Attributes
+    ----------
+    topic
+        The topic and its definition.
+    """
+
+    topic: Topic
+
+    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+        """Return the messages of a batch, shape ``(N,)``.
+
+        Raises
+        ------
+        OutputError
+            A stamp is out of range; the error names the target.
+        """
+
+
+def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
+    """Return the encoder of a message for a container.
+
+    Parameters
+    ----------
+    message
+        What to encode.
+    encodings
+        What the container takes: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``.
+
+    Raises
+    ------
+    UsageError
+        There is no such message, or the container does not take its encoding.
+    """
+    if message.definition.is_ros:
+        return RosEncoder(message, ros1="ros1" in encodings)
+    if "protobuf" not in encodings:
+        raise UsageError(
+            f"{quoted(message.type)} is Foxglove's own, in protobuf, and ROS bags hold ROS "
+            "messages; write mcap, or choose ",
+            listed(name for name, definition in MESSAGES.items() if definition.is_ros),
+        )
+    return FoxgloveEncoder(message)
+
+
+class RosEncoder:
+    """Encodes attitudes as a ROS message; see :class:`AttitudeEncoder`.
+
+    Parameters
+    ----------
+    message
+        What to encode.
+    ros1
+        Whether as in ROS 1 rather than in CDR, as in ROS 2.
+    """
+
+    def __init__(self, message: Message, *, ros1: bool) -> None:
+        definition = message.definition
+        self.topic = ros_topic(message.topic_name, definition.name, ros1=ros1)
+        formats: dict[str, str | bytes] = {
+            "stamp": HEADER_TIME,
+            "frame": message.frame.encode(),
+            "child": message.child.encode(),
+            "count": "<u4",
+            "position": "3<f8",
+            "xyzw": "4<f8",
+        }
+        fields = {part: formats[part] for part in definition.parts}
+        self._records = RosRecords(fields, {"count": 1} if "count" in fields else {}, ros1=ros1)
+
+    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+        """Return the messages of a batch."""
+        rows = self._records.stamped(series.t_ns, target)
+        rows["xyzw"][:, :3], rows["xyzw"][:, 3] = series.wxyz[:, 1:], series.wxyz[:, 0]
+        return rows

@@ -1,0 +1,77 @@
+"""Topics to be written: their messages' type and definition, as the ROS releases have them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+
+PROFILES = {"cdr": "ros2", "ros1": "ros1"}
+"""The MCAP profile of a file whose messages all have one encoding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic to be written.
+
+    Parameters
+    ----------
+    name
+        What it is published under.
+    type_name
+        Message type, as the release names it: ``package/msg/Name`` in ROS 2, ``package/Name`` in
+        ROS 1.
+    encoding
+        How the messages are encoded: ``"cdr"``, ``"ros1"`` or ``"protobuf"``.
+    schema_encoding, schema
+        The definition: ``"ros2msg"``, ``"ros1msg"`` or ``"protobuf"``, and its text or bytes.
+    digest
+        Hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty.
+    """
+
+    name: str
+    type_name: str
+    encoding: str
+    schema_encoding: str
+    schema: bytes
+    digest: str = ""
+
+
+def ros1_types() -> Typestore:
+    """Return the definitions of ROS 1 Noetic, with that of transforms, which the library lacks."""
+    types = get_typestore(Stores.ROS1_NOETIC)
+    types.register(get_types_from_msg(_TRANSFORMS, "tf2_msgs/msg/TFMessage"))
+    return types
+
+
+def ros2_types() -> Typestore:
+    """Return the definitions of ROS 2 Humble."""
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def ros_topic(name: str, type_name: str, *, ros1: bool) -> Topic:
+    """Return a topic of ROS messages.
+
+    Parameters
+    ----------
+    name
+        What it is published under.
+    type_name
+        Message type, as ROS 2 names it.
+    ros1
+        Whether the messages are encoded as in ROS 1, rather than in CDR as in ROS 2.
+    """
+    if ros1:
+        definition, md5sum = ros1_types().generate_msgdef(type_name)
+        short = type_name.replace("/msg/", "/")
+        return Topic(name, short, "ros1", "ros1msg", definition.encode(), md5sum)
+    types = ros2_types()
+    definition, _ = types.generate_msgdef(type_name, ros_version=2)
+    digest = types.hash_rihs01(type_name)
+    return Topic(name, type_name, "cdr", "ros2msg", definition.encode(), digest)

@@ -1,0 +1,119 @@
+"""Where output may go: a file, a stream, but never over an input or another output of the run."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop.errors import OutputError
+from quatprop.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+STDOUT = ("-", "/dev/stdout")
+_DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
+"""Names of open files: behind them may be a regular file, which is not ours to replace."""
+
+
+def is_stdout(target: Path | str) -> bool:
+    """Return whether the target means standard output."""
+    return str(target) in STDOUT
+
+
+def is_stream(target: Path | str) -> bool:
+    """Return whether the target is a pipe, a device or an open file rather than a file."""
+    if str(target).startswith(_DESCRIPTORS):
+        return True
+    try:
+        mode = Path(target).stat().st_mode
+    except OSError:
+        return False
+    return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
+
+
+def refuse_streams(target: Path | str, what: str) -> None:
+    """Refuse pipes and devices for a format whose beginning is written last.
+
+    Raises
+    ------
+    OutputError
+        The target is a stream.
+    """
+    if is_stdout(target) or is_stream(target):
+        raise OutputError(
+            target,
+            f"a pipe or a device cannot take {what}, whose beginning is written last; name a file",
+        )
+
+
+def checked_place(target: Path | str) -> Path:
+    """Return the path that the target resolves to, if a file can be written there.
+
+    Raises
+    ------
+    OutputError
+        The target is a folder, its folder does not exist, or writing is not permitted.
+    """
+    place = Path(os.path.realpath(target))
+    if place.is_dir():
+        raise OutputError(target, "is a folder; name a file in it")
+    if not place.parent.is_dir():
+        raise OutputError(target, f"there is no folder {place.parent}; create it first")
+    if place.exists() and not (os.access(place, os.W_OK) and _has_write_bit(place)):
+        raise OutputError(target, "this file is read-only; choose another")
+    if not _has_write_bit(place.parent) or not os.access(place.parent, os.W_OK | os.X_OK):
+        raise OutputError(
+            target, f"writing in the folder {place.parent} is not permitted; choose another"
+        )
+    return place
+
+
+def _has_write_bit(place: Path) -> bool:
+    """Return whether anybody may write: what is marked read-only is kept, for root too."""
+    return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
+
+
+def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) -> None:
+    """Refuse outputs that would replace an input or another output of the run.
+
+    Parameters
+    ----------
+    inputs
+        Files and folders that are read, with everything in the folders; None is skipped.
+    outputs
+        Where results go; None is skipped. Streams replace nothing.
+
+    Raises
+    ------
+    OutputError
+        An output is an input, lies inside one, or is named twice.
+    """
+    targets = [name for name in outputs if name is not None]
+    if sum(map(is_stdout, targets)) > 1:
+        raise OutputError("-", "two outputs of the run would go to stdout; name a file for one")
+    for name in targets:
+        if "://" in name:
+            # The address may carry a key.
+            raise OutputError(
+                name.partition("://")[0] + "://...",
+                "outputs are files of this machine; copy them there afterwards",
+            )
+    sources = [Path(os.path.realpath(name)) for name in inputs if name and Path(name).exists()]
+    places: list[Path] = []
+    for name in targets:
+        if is_stdout(name) or is_stream(name):
+            continue
+        place = Path(os.path.realpath(name))
+        for source in sources:
+            if place == source or (place.exists() and place.samefile(source)):
+                raise OutputError(name, "this is an input of the run; choose another output")
+            if source in place.parents:
+                raise OutputError(
+                    name, f"this lies in {plain(source)}, which is an input; choose another output"
+                )
+        if place in places:
+            raise OutputError(name, "two outputs of the run would go here; choose another")
+        places.append(place)
