@@ -107,7 +107,8 @@ def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
     Returns
     -------
     ndarray
-        Sample number / rate rounded down, shape ``(stop - start,)``, int64, ns.
+        Sample number / rate rounded to the nearest ns, halves to even; shape ``(stop - start,)``,
+        int64, ns.
 
     Raises
     ------
@@ -118,7 +119,7 @@ def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
     --------
     >>> from fractions import Fraction
     >>> regular_stamps(2, 4, Fraction(3)).tolist()
-    [666666666, 1000000000]
+    [666666667, 1000000000]
     """
     import numpy as np
 
@@ -129,9 +130,28 @@ def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
         )
     # The first in unbounded integers, the others relative to it, in 64 bits where they fit.
     whole, rest = divmod(start * period, divisor)
-    small = (stop - start) * period + divisor <= _LONGEST_NS
+    small = (stop - start) * period + 2 * divisor <= _LONGEST_NS
     relative = np.arange(stop - start, dtype=np.int64 if small else object) * period + rest
-    return np.asarray(whole + relative // divisor, dtype=np.int64)
+    stamps = whole + relative // divisor
+    excess = 2 * (relative % divisor)
+    up = (excess > divisor) | ((excess == divisor) & (stamps % 2 == 1))
+    return np.asarray(stamps + up, dtype=np.int64)
+
+
+def regular_count(elapsed_ns: int, rate: Fraction) -> int:
+    """Return how many regular samples have stamps from 0 to `elapsed_ns`, both included.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> regular_count(666_666_666, Fraction(3)), regular_count(666_666_667, Fraction(3))
+    (2, 3)
+    """
+    # Sample k is rounded to `elapsed_ns` or less where k / rate <= elapsed_ns + 1/2 ns.
+    last, rest = divmod((2 * elapsed_ns + 1) * rate.numerator, 2 * NS_PER_S * rate.denominator)
+    if rest == 0 and elapsed_ns % 2:
+        last -= 1  # a half is rounded to even, and so beyond
+    return max(0, last + 1)
 
 
 @dataclass(frozen=True, slots=True)

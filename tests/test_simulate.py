@@ -174,13 +174,13 @@ def test_an_unknown_motion_is_refused():
 
 
 def test_stamps_are_exact_for_rates_that_divide_no_second():
-    """30 Hz has stamps of thirds of ns rounded down, also after a million years of samples."""
+    """30 Hz has thirds of seconds to the nearest ns, also after a million years of samples."""
     np.testing.assert_array_equal(
-        regular_stamps(0, 5, Fraction(30)), [0, 33333333, 66666666, 10**8, 133333333]
+        regular_stamps(0, 5, Fraction(30)), [0, 33333333, 66666667, 10**8, 133333333]
     )
     late = 27 * 10**10 + 1
     np.testing.assert_array_equal(
-        regular_stamps(late, late + 2, Fraction(30)), [9 * 10**18 + 33333333, 9 * 10**18 + 66666666]
+        regular_stamps(late, late + 2, Fraction(30)), [9 * 10**18 + 33333333, 9 * 10**18 + 66666667]
     )
 
 

@@ -280,7 +280,7 @@ def test_a_time_too_small_for_decimals_is_read_exactly(tmp_path):
 def test_a_sample_rate_too_low_for_the_clock_is_refused():
     """Rows that would last for centuries are a mistake in the sample rate."""
     with pytest.raises(
-        UsageError, match=r"at a sample rate of 1e-10 Hz the times of 2 rows do not"
+        UsageError, match=r"at 1e-10 Hz the times of 2 samples do not fit .*; check sample"
     ):
         read("wx,wy,wz\n1,2,3\n4,5,6\n", rate_unit="rad/s", sample_rate=1e-10)
 

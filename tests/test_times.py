@@ -1,11 +1,21 @@
 """Durations and instants as users write them."""
 
 import re
+from fractions import Fraction
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from quatprop.errors import UsageError
-from quatprop.times import Instant, duration_ns, duration_text, instant
+from quatprop.times import (
+    Instant,
+    duration_ns,
+    duration_text,
+    instant,
+    regular_count,
+    regular_stamps,
+)
 
 
 @pytest.mark.parametrize(
@@ -76,3 +86,15 @@ def test_what_is_no_instant_is_refused(text):
     """Anything else is refused."""
     with pytest.raises(UsageError, match=f"^'{re.escape(text)}' is not a time"):
         instant(text)
+
+
+@given(st.integers(0, 10**12), st.fractions(Fraction(1, 10**4), 10**9, max_denominator=10**6))
+def test_regular_stamps_are_rounded_once(first, rate):
+    """Sample k is at k / rate to the nearest ns, and those up to a stamp are as many as counted."""
+    expected = [round(k * 10**9 / rate) for k in range(first, first + 3)]
+    if expected[-1] < 2**62:
+        assert regular_stamps(first, first + 3, rate).tolist() == expected
+        assert regular_count(expected[1], rate) >= first + 2
+        if expected[1] < expected[2]:
+            assert regular_count(expected[1], rate) == first + 2
+            assert regular_count(expected[2] - 1, rate) == first + 2

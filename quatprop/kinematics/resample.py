@@ -7,7 +7,6 @@ the interval.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.times import NS_PER_S, regular_stamps
+from quatprop.times import NS_PER_S, regular_count, regular_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -69,7 +68,7 @@ class Steady:
     Parameters
     ----------
     rate
-        Times a second, Hz. The k-th time is k / rate, rounded down to the ns: no drift builds up.
+        Times a second, Hz. The k-th time is k / rate, rounded to the nearest ns, without drift.
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -81,10 +80,8 @@ class Steady:
         """Yield the next times; see :class:`Times`."""
         if self._origin is None:
             self._origin = first_ns
-        per_ns = self._rate / NS_PER_S
-        first = max(self._next, math.ceil((first_ns - self._origin) * per_ns))
-        # floor(k / rate) <= t is k < (t + 1) rate.
-        stop = max(first, math.ceil((last_ns - self._origin + 1) * per_ns))
+        first = max(self._next, regular_count(first_ns - self._origin - 1, self._rate))
+        stop = max(first, regular_count(last_ns - self._origin, self._rate))
         self._next = stop
         for start in range(first, stop, PIECE):
             stop_piece = min(start + PIECE, stop)

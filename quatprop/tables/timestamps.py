@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from quatprop.errors import UsageError
 from quatprop.text import Setting
+from quatprop.times import regular_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -33,7 +34,6 @@ SPARE_PLACES = 9
 _DIGITS = 38
 _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
-_ROOM = 2**62
 
 
 class TimestampRangeError(ValueError):
@@ -195,7 +195,7 @@ def sum_parts(parts: Iterable[Int64]) -> Int64:
 
 
 def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
-    """Return the stamps of rows that come at a steady rate, without drift.
+    """Return the stamps of rows that come at a steady rate.
 
     Parameters
     ----------
@@ -209,31 +209,14 @@ def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
     Returns
     -------
     ndarray
-        Row number / rate rounded half to even, shape ``(count,)``, int64, ns.
+        Shape ``(count,)``, int64, ns.
 
     Raises
     ------
     UsageError
         The last stamp does not fit.
-
-    Examples
-    --------
-    >>> row_stamps(2, 2, 3.0)
-    array([ 666666667, 1000000000])
     """
-    period = Fraction(10**9) / Fraction(repr(sample_rate))
-    if (first + count) * period > _LIMITS.max:
-        raise UsageError(
-            f"at a sample rate of {sample_rate} Hz the times of {first + count} rows "
-            "do not fit in int64 ns; check ",
-            Setting("sample_rate"),
-        )
-    begin, step = divmod(first * period.numerator, period.denominator)
-    whole, part = divmod(period.numerator, period.denominator)
-    # Object arithmetic is exact for any rate; common rates fit in int64.
-    small = (count + 1) * max(period.denominator, 1) < _ROOM
-    rows = np.arange(count, dtype=np.int64 if small else object)
-    carry, rest = np.divmod(step + rows * part, period.denominator)
-    stamps = begin + rows * whole + carry
-    up = (2 * rest > period.denominator) | ((2 * rest == period.denominator) & (stamps % 2 == 1))
-    return np.asarray(stamps + up, dtype=np.int64)
+    try:
+        return regular_stamps(first, first + count, Fraction(repr(sample_rate)))
+    except UsageError as error:
+        raise UsageError(error.text, "; check ", Setting("sample_rate")) from None
