@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.containers.base import Channel, MessageBlock
-from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, steps
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, steps
 
 if TYPE_CHECKING:
     from random import Random
@@ -58,7 +58,7 @@ class Encoder:
         """Write any value."""
         if isinstance(kind, Primitive):
             self.number(kind.code, value)
-        elif isinstance(kind, Text):
+        elif isinstance(kind, String):
             encoded = value.encode() + (b"" if self.encoding == "ros1" else b"\0")
             self.number("u4", len(encoded))
             self.out += encoded
@@ -76,7 +76,7 @@ def random_value(kind, source: Random, longest=3) -> Any:
     """Return a random value of a type; strings and sequences have up to `longest` elements."""
     if isinstance(kind, Primitive):
         return _random_number(kind.code, source)
-    if isinstance(kind, Text):
+    if isinstance(kind, String):
         return "".join(source.choices("abcdefgh", k=source.randint(0, 3 * longest)))
     if isinstance(kind, Struct):
         return {name: random_value(part, source, longest) for name, part in kind.fields}
@@ -133,7 +133,7 @@ def _lines(kind: Struct, inside: dict[str, Struct]) -> str:
 def _spelled(kind, inside):
     if isinstance(kind, Primitive):
         return NAMES[kind.code]
-    if isinstance(kind, Text):
+    if isinstance(kind, String):
         return "string"
     if isinstance(kind, Struct):
         inside[kind.name] = kind

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
-from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers, steps
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
 
@@ -31,7 +31,7 @@ PRIMITIVES = st.sampled_from([Primitive(code) for code in NAMES])
 @st.composite
 def types(draw, depth=3):
     """Return a struct with numbers, strings, arrays, sequences and structs inside."""
-    leaf = st.one_of(PRIMITIVES, st.just(Text()))
+    leaf = st.one_of(PRIMITIVES, st.just(String()))
     inner = st.one_of(leaf, types(depth - 1)) if depth else leaf
     kinds = st.one_of(
         leaf, inner, st.builds(Array, inner, st.integers(1, 4)), st.builds(Sequence, inner)
@@ -143,7 +143,7 @@ def test_a_message_cut_short_is_reported_or_not_needed(case, encoding, data):
 
 def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
     """One byte less than the wanted number is an error, and the number itself is enough."""
-    root = Struct("pkg/msg/T", (("name", Text()), ("x", Primitive("f8")), ("y", Primitive("f8"))))
+    root = Struct("pkg/msg/T", (("name", String()), ("x", Primitive("f8")), ("y", Primitive("f8"))))
     whole = Encoder("cdr", "<", 8).message(root, {"name": "ab", "x": 1.5, "y": 2.5})
     decoder = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log")
     assert decoder.columns(block_of([whole[: 4 + 8 + 8], whole]))[0].tolist() == [1.5, 1.5]
@@ -159,7 +159,7 @@ def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
 
 @pytest.mark.parametrize(
     "element",
-    [Primitive("u1"), Primitive("f8"), Text(), Struct("pkg/msg/S", (("t", Text()),))],
+    [Primitive("u1"), Primitive("f8"), String(), Struct("pkg/msg/S", (("t", String()),))],
     ids=["bytes", "doubles", "strings", "structs"],
 )
 @pytest.mark.parametrize("encoding", ENCODINGS, ids=["ros1", "little", "big"])

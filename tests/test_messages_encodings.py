@@ -10,14 +10,14 @@ from quatprop.containers.base import Channel
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.decoders import decoder_of
-from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct
 
 MIXED = Struct(
     "pkg/msg/T",
     (
         ("small", Primitive("u1")),
         ("stamp", Primitive("u8")),
-        ("name", Text()),
+        ("name", String()),
         ("flags", Sequence(Primitive("u2"))),
         ("many", Sequence(Primitive("f8"))),
         ("rate", Array(Primitive("f8"), 3)),
@@ -86,7 +86,7 @@ def test_identifiers_of_earlier_drafts_are_XCDR2_too(identifier):
         (b"\0\3", r"a parameter list \(0x0003\)"),
         (b"\0\x09", r"delimited XCDR2 \(0x0009\)"),
         (b"\0\x0b", r"an XCDR2 parameter list \(0x000b\)"),
-        (b"\x12\x34", r"nothing known \(0x1234\)"),
+        (b"\x12\x34", r"an unknown form \(0x1234\)"),
     ],
 )
 def test_encapsulations_with_tags_are_refused(identifier, form):
@@ -105,7 +105,7 @@ def test_encapsulations_with_tags_are_refused(identifier, form):
 
 def test_collections_of_strings_are_refused_in_XCDR2_only():
     """Writers disagree on whether XCDR2 says their size first."""
-    root = Struct("pkg/msg/T", (("names", Sequence(Text())), ("x", Primitive("f8"))))
+    root = Struct("pkg/msg/T", (("names", Sequence(String())), ("x", Primitive("f8"))))
     decoder = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log")
     value = {"names": ["a", "bcd"], "x": 4.0}
     (x,) = decoder.columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))

@@ -168,7 +168,7 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
     with pytest.raises(
         SchemaError,
         match=r"^log: topic '/t': 'foxglove.Odometry' is encoded as protobuf, which is an extra; "
-        r"install it with pip install 'quatprop\[protobuf\]', or choose another --topic$",
+        r"install it with pip install 'quatprop\[protobuf\]', or choose another topic$",
     ):
         rate_fields(channel, "log")
     other = Channel("/t", "foxglove.Grid", "protobuf", "protobuf", b"Odometry")

@@ -11,8 +11,8 @@ from quatprop.containers.base import Channel, MessageBlock
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.message_types import MESSAGE_TYPES, RateField, SignalFields
-from quatprop.messages.signal_fields import rate_field_at, rate_fields, signal_fields, time_field_at
-from quatprop.messages.stamps import Stamp
+from quatprop.messages.signal_fields import rate_field_at, rate_fields, signal_fields
+from quatprop.messages.stamps import Stamp, time_field_at
 
 HEADER = Stamp(("header.stamp.sec", "header.stamp.nanosec"), "s")
 

@@ -14,8 +14,8 @@ from quatprop.messages.schema import (
     Array,
     Primitive,
     Sequence,
+    String,
     Struct,
-    Text,
     Unknown,
     around,
     at,
@@ -44,7 +44,7 @@ def spelled(kind):
         return [spelled(kind.element)]
     if isinstance(kind, Primitive):
         return kind.code
-    return "wide" if isinstance(kind, Text) and kind.wide else "text"
+    return "wide" if isinstance(kind, String) and kind.wide else "text"
 
 
 def test_every_form_of_a_field_is_read():
@@ -263,7 +263,7 @@ def test_field_paths_are_names_with_dots_and_indices(text, way):
             "header.stamp.sec.x",
             (
                 "'sensor_msgs/msg/Imu' has no field 'header.stamp.sec.x'; "
-                "a number or a string has no parts"
+                "a number or a string has no fields"
             ),
         ),
         (

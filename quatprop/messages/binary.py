@@ -1,4 +1,4 @@
-"""From the bytes of messages to columns of the wanted fields."""
+"""Binary messages (CDR, ROS 1, ULog), decoded a block at a time into columns."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
-from quatprop.messages.columns import Messages, MixedError, TooShortError, follow
+from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, follow
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1, XCDR2
@@ -51,7 +51,7 @@ UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
     0x0014: "delimited XCDR2",
     0x0015: "delimited XCDR2",
 }
-"""Encapsulations in which fields carry tags or sizes that plans know nothing of."""
+"""Encapsulations in which fields carry tags or sizes, which plans do not support."""
 
 
 class BinaryDecoder:
@@ -81,19 +81,19 @@ class BinaryDecoder:
         self._empty: list[NDArray[Any]] = []
         for field_path in field_paths:
             way, kind = at(self._root, field_path, path)
-            found = numbers(kind)
-            if found is None:
+            shape = numbers(kind)
+            if shape is None:
                 raise SchemaError(
                     path,
                     f"field {quoted(field_path)} of {quoted(channel.type_name)} is not made of "
                     "equal numbers; name a number, or a struct or fixed array of them",
                 )
-            number, count = found
+            number, count = shape
             self._ways.append(way)
-            shape = (0,) if way and kind is number else (0, count)
-            self._empty.append(np.empty(shape, number.code))
+            empty_shape = (0,) if way and kind is number else (0, count)
+            self._empty.append(np.empty(empty_shape, number.code))
         self._plans: dict[Placement, Plan] = {}
-        # A definition that cannot be planned is an error before the first message is read.
+        # A definition without a plan is an error before the first message is read.
         self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
     def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
@@ -102,7 +102,7 @@ class BinaryDecoder:
         Parameters
         ----------
         block
-            Messages of this channel.
+            MessageBytes of this channel.
 
         Returns
         -------
@@ -113,9 +113,9 @@ class BinaryDecoder:
         Raises
         ------
         MessageError
-            Messages end before a wanted field; its `positions` say which of the block.
+            MessageBytes end before a wanted field; its `positions` say which of the block.
         UnsupportedLogError
-            Messages are encapsulated in a way that is not read.
+            MessageBytes are encapsulated in a way that is not read.
         """
         try:
             return self._columns(block.data, block.starts, block.ends - block.starts)
@@ -126,9 +126,9 @@ class BinaryDecoder:
         self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
     ) -> list[NDArray[Any]]:
         if not len(starts) or not self._ways:
-            return self._room(len(starts))
+            return self._empty_columns(len(starts))
         placement, order = self._encoding(data, starts, lengths)
-        messages = Messages.of(data, starts, lengths, order, placement.header)
+        messages = MessageBytes.of(data, starts, lengths, order, placement.header)
         try:
             return follow(self._plan(placement), messages, len(self._ways))
         except MixedError:
@@ -137,9 +137,9 @@ class BinaryDecoder:
     def _mixed(
         self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
     ) -> list[NDArray[Any]]:
-        """Return the columns of messages in several encapsulations, each taken by itself."""
+        """Return the columns of messages in several encapsulations, each decoded by itself."""
         identifiers = data[starts].astype(np.int64) << 8 | data[starts + 1]
-        mixed = self._room(len(starts))
+        mixed = self._empty_columns(len(starts))
         for identifier in np.unique(identifiers):
             same = np.flatnonzero(identifiers == identifier)
             try:
@@ -150,7 +150,7 @@ class BinaryDecoder:
                 column[same] = part
         return mixed
 
-    def _room(self, count: int) -> list[NDArray[Any]]:
+    def _empty_columns(self, count: int) -> list[NDArray[Any]]:
         return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
 
     def _encoding(
@@ -165,7 +165,7 @@ class BinaryDecoder:
         identifier = int(data[begin]) << 8 | int(data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
-        form = UNREADABLE_ENCAPSULATIONS.get(identifier, "nothing known")
+        form = UNREADABLE_ENCAPSULATIONS.get(identifier, "an unknown form")
         raise UnsupportedLogError(
             self.path,
             f"messages of topic {quoted(self.channel.topic)} are encapsulated as {form} "

@@ -1,8 +1,8 @@
-"""Following a plan through all messages of a block at once.
+"""Follow a decoding plan through all messages of a block at once.
 
-While all messages agree, the offset within a message is one integer; from the first string or
-sequence of differing lengths on it is an array, until an alignment brings them together again.
-Every segment is checked against the end of each message before a byte of it is fetched.
+While all messages agree, the offset within a message is one integer; after a string or sequence of
+differing lengths it is an array, until an alignment makes the offsets equal again. Every segment is
+checked against the end of each message before a byte of it is fetched.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NATIVE = "<" if np.little_endian else ">"
 
 
 class TooShortError(Exception):
-    """Messages end before what the plan needs.
+    """MessageBytes end before what the plan needs.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class MixedError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Messages:
-    """Messages of one byte order in one buffer.
+class MessageBytes:
+    """MessageBytes of one byte order in one buffer.
 
     Parameters
     ----------
@@ -79,14 +79,14 @@ class Messages:
         lengths: NDArray[np.int64],
         order: str,
         origin: int,
-    ) -> Messages:
-        """Return messages with what can be said about all of them."""
+    ) -> MessageBytes:
+        """Return messages with the length of the shortest and their stride."""
         return cls(data, starts, lengths, order, origin, int(lengths.min()), _stride(starts))
 
-    def at(self, positions: NDArray[np.intp]) -> Messages:
+    def at(self, positions: NDArray[np.intp]) -> MessageBytes:
         """Return some of the messages."""
         starts, lengths = self.starts[positions], self.lengths[positions]
-        return Messages.of(self.data, starts, lengths, self.order, self.origin)
+        return MessageBytes.of(self.data, starts, lengths, self.order, self.origin)
 
     def require(self, ends: Offsets) -> None:
         """Check that no message ends before an offset.
@@ -109,11 +109,11 @@ class Messages:
             begin = int(self.starts[0]) + offset + window.offset
             shape, strides = (len(self.starts),), (self.stride,)
             return np.ndarray(shape, kind, self.data, begin, strides).copy()
-        # Every window that the buffer holds, one byte apart: choosing among them copies each
-        # message's with a single call and no loop over its fields.
+        # All windows of the buffer, one byte apart: indexing them copies each message's window
+        # in a single call.
         shape = (len(self.data) - window.size + 1,)
-        every: NDArray[np.void] = np.ndarray(shape, kind, self.data, 0, (1,))
-        fetched: NDArray[np.void] = every[self.starts + (offset + window.offset)]
+        windows: NDArray[np.void] = np.ndarray(shape, kind, self.data, 0, (1,))
+        fetched: NDArray[np.void] = windows[self.starts + (offset + window.offset)]
         return fetched
 
     def numbers(self, piece: Piece, window: NDArray[np.void]) -> NDArray[Any]:
@@ -131,13 +131,13 @@ class Messages:
         return stored if self.order == NATIVE else stored.astype(NATIVE + code)
 
 
-def follow(plan: Plan, messages: Messages, width: int) -> Columns:
+def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
     """Return the columns that a plan takes.
 
     Parameters
     ----------
     plan
-        The way through a message.
+        The plan of the message type.
     messages
         Which messages, at least one.
     width
@@ -151,7 +151,7 @@ def follow(plan: Plan, messages: Messages, width: int) -> Columns:
     Raises
     ------
     TooShortError
-        Messages end before what is wanted of them.
+        MessageBytes end before what is wanted of them.
     MixedError
         The messages are not all encapsulated like the first.
     """
@@ -160,12 +160,12 @@ def follow(plan: Plan, messages: Messages, width: int) -> Columns:
     return columns
 
 
-def _walk(plan: Plan, messages: Messages, offset: Offsets, columns: Columns) -> Offsets:
+def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns) -> Offsets:
     """Follow a plan from an offset on, fill the columns, and return the offset behind it."""
     for segment in plan:
         if segment.alignment > 1:
             offset = offset + ((messages.origin - offset) & (segment.alignment - 1))
-        offset = _agreed(offset)
+        offset = _common(offset)
         messages.require(offset + segment.reach)
         counts: Offsets = 0
         for window in segment.windows:
@@ -173,7 +173,7 @@ def _walk(plan: Plan, messages: Messages, offset: Offsets, columns: Columns) -> 
             for piece in window.pieces:
                 found = messages.numbers(piece, taken)
                 if piece.column == COUNT:
-                    counts = _agreed(found)
+                    counts = _common(found)
                 elif piece.column != ENCAPSULATION:
                     columns[piece.column] = found
                 elif np.count_nonzero(found != found[0]):
@@ -193,13 +193,13 @@ def _stride(starts: NDArray[np.int64]) -> int:
     if len(starts) == 1:
         return 0
     step = int(starts[1] - starts[0])
-    # Whether it can be is told by the ends, which costs nothing where it is not.
+    # The ends tell quickly where it cannot be.
     if int(starts[-1] - starts[0]) != step * (len(starts) - 1):
         return 0
     return 0 if np.count_nonzero(starts[1:] - starts[:-1] != step) else step
 
 
-def _agreed(found: int | NDArray[Any]) -> Offsets:
+def _common(found: int | NDArray[Any]) -> Offsets:
     """Return one integer where all messages agree."""
     if isinstance(found, int):
         return found
@@ -218,10 +218,10 @@ def _skipped(skip: Skip, counts: Offsets, begin: Offsets) -> Offsets:
     return (first + (counts - 1) * skip.further) * (counts != 0)
 
 
-def _repeated(element: Plan, messages: Messages, offset: Offsets, counts: Offsets) -> Offsets:
+def _repeated(element: Plan, messages: MessageBytes, offset: Offsets, counts: Offsets) -> Offsets:
     """Return the offsets behind so many elements of varying size."""
     if isinstance(counts, int):
-        # Every element takes bytes, so a count that lies runs into the end of its message.
+        # Every element takes bytes, so a wrong count runs into the end of its message.
         for _ in range(counts):
             offset = _walk(element, messages, offset, [])
         return offset
@@ -232,7 +232,7 @@ def _repeated(element: Plan, messages: Messages, offset: Offsets, counts: Offset
     while len(remaining):
         try:
             offsets[remaining] = _walk(
-                element, messages.at(remaining), _agreed(offsets[remaining]), []
+                element, messages.at(remaining), _common(offsets[remaining]), []
             )
         except TooShortError as error:
             raise TooShortError(remaining[error.positions]) from None

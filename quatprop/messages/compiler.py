@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.messages.placement import Extents, Placement
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Repeat, Segment, Skip, Window
-from quatprop.messages.schema import Array, Primitive, Sequence, Struct, Text, numbers
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
     from quatprop.messages.schema import Steps, Type
 
 MERGE_GAP = 64
-"""Wanted bytes this close together are fetched as one: copying them is cheaper than a call."""
+"""FieldTree bytes this close together are fetched as one: copying them is cheaper than a call."""
 
 MAX_SEGMENTS = 10_000
-"""Longer plans are refused: types that share parts can multiply them without bound."""
+"""Longer plans are refused: types that share parts can multiply them without limit."""
 
 MAX_SIZE = 1 << 30
 """Types with more fixed bytes than this are refused: offsets stay far from overflow."""
 
 
 class NotPlannedError(Exception):
-    """The definition does not say where the wanted field is."""
+    """The definition does not determine where the wanted field is."""
 
 
 @dataclass(slots=True)
-class Wanted:
+class FieldTree:
     """Which columns are taken at a place in a message, and below it."""
 
     columns: list[int] = field(default_factory=list)
-    below: dict[str | int, Wanted] = field(default_factory=dict)
+    below: dict[str | int, FieldTree] = field(default_factory=dict)
 
     @classmethod
-    def at(cls, ways: Iterable[Steps]) -> Wanted:
+    def at(cls, ways: Iterable[Steps]) -> FieldTree:
         """Return the tree of the ways to columns 0, 1, 2..."""
         root = cls()
         for column, way in enumerate(ways):
@@ -50,9 +50,9 @@ class Wanted:
             here.columns.append(column)
         return root
 
-    def under(self, step: str | int) -> Wanted:
-        """Return what is wanted one step below."""
-        return self.below.get(step) or Wanted()
+    def under(self, step: str | int) -> FieldTree:
+        """Return the tree one step below."""
+        return self.below.get(step) or FieldTree()
 
 
 def compile_plan(root: Struct, ways: list[Steps], placement: Placement) -> Plan:
@@ -63,18 +63,18 @@ def compile_plan(root: Struct, ways: list[Steps], placement: Placement) -> Plan:
     root
         The message type.
     ways
-        Where the fields are; each leads to equal numbers. At least one.
+        Where the fields are, at least one; each leads to equal numbers.
     placement
         The encoding.
 
     Raises
     ------
     NotPlannedError
-        Something of unknown size is in the way.
+        A field of unknown size lies before a wanted one.
     """
     compiler = _Compiler(Extents(placement), itertools.count(), len(ways))
     compiler.begin()
-    compiler.walk(root, Wanted.at(ways))
+    compiler.walk(root, FieldTree.at(ways))
     compiler.close()
     return tuple(compiler.segments)
 
@@ -82,8 +82,8 @@ def compile_plan(root: Struct, ways: list[Steps], placement: Placement) -> Plan:
 class _Compiler:
     """Walks a type and writes down segments.
 
-    The place reached lies `size` bytes behind the beginning of the open segment. That beginning,
-    counted from the origin of alignment, is `phase` plus a multiple of `known`.
+    The current position is `size` bytes behind the beginning of the open segment. That beginning,
+    counted from the origin of alignment, is `phase` plus a multiple of `aligned_to`.
     """
 
     def __init__(self, extents: Extents, budget: Iterator[int], left: int) -> None:
@@ -95,24 +95,24 @@ class _Compiler:
         self.pieces: list[Piece] = []
         self.phase = 0
         self.size = 0
-        self.known = 1
+        self.aligned_to = 1
         self.alignment = 1
 
     def begin(self) -> None:
-        """Start where a message starts."""
-        self.known = self.placement.alignment
+        """Begin at the start of a message."""
+        self.aligned_to = self.placement.alignment
         if self.placement.header:
             self.phase = -self.placement.header
             self.pieces.append(Piece(ENCAPSULATION, 0, Primitive("u2")))
             self.size = self.placement.header
 
-    def walk(self, kind: Type, wanted: Wanted) -> None:
-        """Take what is wanted of a value and move behind it, unless nothing is left to take."""
+    def walk(self, kind: Type, wanted: FieldTree) -> None:
+        """Take the wanted fields of a value and move behind it, unless no field is left to take."""
         if wanted.columns:
             self._take(kind, wanted.columns)
         if not self.left:
             return
-        if not wanted.below and 0 < self.extents.alignment(kind) <= self.known:
+        if not wanted.below and 0 < self.extents.alignment(kind) <= self.aligned_to:
             self._over(kind, 1)
         elif isinstance(kind, Struct):
             for name, part in kind.fields:
@@ -127,17 +127,17 @@ class _Compiler:
         elif isinstance(kind, Primitive):
             self._align(kind.size)
             self.size += kind.size
-        elif isinstance(kind, Text) and not kind.wide:
+        elif isinstance(kind, String) and not kind.wide:
             self._counted(Primitive("u1"))
         else:
-            name = "wstring" if isinstance(kind, Text) else kind.name
+            name = "wstring" if isinstance(kind, String) else kind.name
             raise NotPlannedError(
                 f"a field of type {quoted(name)} lies before the wanted one, and how many bytes "
                 "it takes is not known"
             )
 
     def close(self, ending: Skip | Repeat | None = None) -> None:
-        """End the open segment and begin another, anywhere."""
+        """End the open segment and begin another, with no known alignment."""
         reach = max([self.size, *(piece.end for piece in self.pieces)])
         if reach > MAX_SIZE or next(self.budget) >= MAX_SEGMENTS:
             raise NotPlannedError("the definition is larger than any message")
@@ -145,7 +145,7 @@ class _Compiler:
         self.segments.append(Segment(self.alignment, windows, reach, self.size, ending))
         self.pieces = []
         self.phase = self.size = 0
-        self.known = self.alignment = 1
+        self.aligned_to = self.alignment = 1
 
     def _take(self, kind: Type, columns: list[int]) -> None:
         found = numbers(kind)
@@ -157,8 +157,8 @@ class _Compiler:
         self.pieces += [Piece(column, self.size, number, length) for column in columns]
         self.left -= len(columns)
 
-    def _array(self, kind: Array, wanted: Wanted) -> None:
-        """Walk the elements in which something is wanted, and move over the others."""
+    def _array(self, kind: Array, wanted: FieldTree) -> None:
+        """Walk the elements with wanted fields, and move over the others."""
         self._refuse_delimited(kind.element)
         stops = {step for step in wanted.below if isinstance(step, int)}
         if self.extents.alignment(kind) and kind.length:
@@ -174,7 +174,7 @@ class _Compiler:
         self._over(kind.element, kind.length - passed)
 
     def _over(self, element: Type, count: int) -> None:
-        """Move over some elements whose alignment has been reached, or which vary in size."""
+        """Move over elements that are aligned already or vary in size."""
         if not count:
             return
         if self.extents.alignment(element):
@@ -183,7 +183,7 @@ class _Compiler:
             self.close(Repeat(self._element(element), count))
 
     def _counted(self, element: Type) -> None:
-        """Move over as many elements as each message says."""
+        """Move over as many elements as each message counts."""
         self._align(4)
         self.pieces.append(Piece(COUNT, self.size, Primitive("u4")))
         self.size += 4
@@ -198,14 +198,14 @@ class _Compiler:
         ends = (0, 4) if self.placement.alignment > 1 else range(8)
         padded = any(first[end] != further for end in ends)
         self.close(Skip(first if padded else None, further))
-        # So may the sequence, with or without elements.
-        self.known = math.gcd(4, further, *(end + first[end] for end in ends))
-        self.known = min(self.known, self.placement.alignment)
+        # The same holds for the end of the sequence, with or without elements.
+        self.aligned_to = math.gcd(4, further, *(end + first[end] for end in ends))
+        self.aligned_to = min(self.aligned_to, self.placement.alignment)
 
     def _element(self, element: Type) -> Plan:
-        """Return the way over one element that may begin anywhere."""
+        """Return the plan of one element that may begin anywhere."""
         inner = _Compiler(self.extents, self.budget, 1)
-        inner.walk(element, Wanted())
+        inner.walk(element, FieldTree())
         inner.close()
         return tuple(inner.segments)
 
@@ -218,15 +218,15 @@ class _Compiler:
 
     def _align(self, to: int) -> None:
         to = min(to, self.placement.alignment)
-        if to > self.known:
+        if to > self.aligned_to:
             if self.size or self.pieces:
                 self.close()
-            self.alignment = self.known = to
+            self.alignment = self.aligned_to = to
         self.size += -(self.phase + self.size) % to
 
 
 def _windows(pieces: list[Piece]) -> tuple[Window, ...]:
-    """Return windows over pieces, as few as can be without copying much for nothing."""
+    """Return windows over pieces: few, without copying large gaps."""
     windows: list[Window] = []
     for piece in sorted(pieces, key=lambda piece: piece.offset):
         if not windows or piece.offset > windows[-1].offset + windows[-1].size + MERGE_GAP:

@@ -1,4 +1,4 @@
-"""Which decoder takes fields out of messages: one an encoding."""
+"""The decoder of each message encoding."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Message definitions as logs carry them, read into trees of types.
 
-The grammars are rosbags'; what is here is what real logs do to them, and the two things in which
-the encodings differ that a definition does not say: a ROS 1 ``time`` is unsigned, and an empty
+rosbags parses them; this module repairs what real logs do to the grammar, and adds two differences
+between the encodings that a definition does not show: a ROS 1 ``time`` is unsigned, and an empty
 message takes a byte in CDR and none in ROS 1.
 """
 
@@ -19,8 +19,8 @@ from quatprop.messages.schema import (
     BadDefinitionError,
     Primitive,
     Sequence,
+    String,
     Struct,
-    Text,
     Unknown,
 )
 from quatprop.text import quoted
@@ -71,7 +71,7 @@ PLACEHOLDER = "structure_needs_at_least_one_member"
 """The byte that stands for an empty message in CDR."""
 
 MAX_DEFINITION = 1 << 19
-"""Bytes that a definition may have: parsing more takes seconds, and no message needs it."""
+"""Most bytes of a definition: parsing more takes seconds, and no real message needs it."""
 
 _RULE = "=" * 80
 _SECTION = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
@@ -124,14 +124,14 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
     text = schema.decode("utf-8", "replace").replace("\r\n", "\n").lstrip("\ufeff").strip("\0")
     try:
         if schema_encoding in {"ros1msg", "ros2msg"}:
-            types = get_types_from_msg(tidied(text), type_name)
+            types = get_types_from_msg(without_comments(text), type_name)
             # The grammar has its own idea of the spelling of service and action types.
             return {**types, type_name: types.get(type_name) or next(iter(types.values()))}
         if schema_encoding in {"ros2idl", "omgidl"}:
             parts = [get_types_from_idl(part) for part in idl_parts(text)]
             return {name: kind for part in parts for name, kind in part.items()}
     except (TypesysError, AssertionError, LookupError, RecursionError, TypeError, ValueError):
-        # The parser's own words hold the whole definition; none is a sentence.
+        # The parser's own message would contain the whole definition.
         raise BadDefinitionError(
             f"the definition of {quoted(type_name)} that the log carries cannot be parsed as "
             f"{schema_encoding}"
@@ -142,18 +142,17 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
     )
 
 
-def tidied(text: str) -> str:
-    """Return a .msg definition without what only people and compilers need.
+def without_comments(text: str) -> str:
+    """Return a .msg definition without constants, comments and trailing blanks.
 
-    Constants and comments go first, because real ones break the grammar: lower-case constants,
-    separators of other lengths, blanks at the ends of lines.
+    Real ones break the grammar: lower-case constants, separators of other lengths.
     """
     text = _COMMENT.sub("", _SECTION.sub(_RULE, text))
     return _TRAILING.sub("", _CONSTANT.sub("", text)).strip() + "\n"
 
 
 def idl_parts(text: str) -> list[str]:
-    """Return the IDL documents in a definition; one, or several headed ``IDL: name``."""
+    """Return the IDL documents in a definition: one, or several with headings ``IDL: name``."""
     parts = [part.strip() for part in _SECTION.split(text)]
     return [part.partition("\n")[2] if part.startswith("IDL:") else part for part in parts if part]
 
@@ -172,22 +171,22 @@ class _Builder:
     def __init__(self, own: Typesdict, ros1: bool) -> None:
         self.own = own
         self.ros1 = ros1
-        self.known: dict[str, Struct] = dict(ROS1_TIMES) if ros1 else {}
+        self.types: dict[str, Struct] = dict(ROS1_TIMES) if ros1 else {}
         self.open: list[str] = []
 
     def struct(self, name: str) -> Struct:
         """Return the message type of this name."""
-        if name not in self.known:
+        if name not in self.types:
             definition = self._definition(name)
             if definition is None:
                 raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
                     "type; convert the log to MCAP where its definitions are installed"
                 )
-            self.known[name] = self._built(name, definition)
-        return self.known[name]
+            self.types[name] = self._build(name, definition)
+        return self.types[name]
 
-    def _built(self, name: str, fields: list[tuple[str, FieldDesc]]) -> Struct:
+    def _build(self, name: str, fields: list[tuple[str, FieldDesc]]) -> Struct:
         if name in self.open or len(self.open) >= MAX_DEPTH:
             raise BadDefinitionError(
                 f"the definition of {quoted(self.open[0])} contains itself or is nested deeper "
@@ -201,7 +200,7 @@ class _Builder:
         return Struct(name, parts)
 
     def _definition(self, name: str) -> list[tuple[str, FieldDesc]] | None:
-        # A log's own definition counts: another distribution's may differ.
+        # A log's own definition comes first: another distribution's may differ.
         if name in self.own:
             return self.own[name][1]
         standard = _standard(self.ros1)
@@ -220,11 +219,11 @@ class _Builder:
 
     def _base(self, name: str) -> Type:
         if name in {"string", "wstring"}:
-            return Text(wide=name == "wstring")
+            return String(wide=name == "wstring")
         return NUMBERS.get(name) or Unknown(name)
 
     def _named(self, name: str) -> Type:
-        if name in self.known or self._definition(name) is not None:
+        if name in self.types or self._definition(name) is not None:
             return self.struct(name)
-        # The .msg grammar does not know wide strings and takes them for a message.
-        return Text(wide=True) if name.endswith("/wstring") else Unknown(name)
+        # The .msg grammar takes wide strings for a message type.
+        return String(wide=True) if name.endswith("/wstring") else Unknown(name)

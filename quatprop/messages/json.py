@@ -1,8 +1,8 @@
-"""JSON messages: what they hold is told by one of them.
+"""JSON messages, defined by the first of them.
 
-Schemas of JSON are lax where they are there at all, so the first message of a channel stands in for
-its definition. Blocks of messages like it are parsed at once, as the lines of one document; others
-one by one, with the same answer.
+JSON schemas are optional and loose, so the first message of a channel serves as its definition.
+Blocks of messages like it are parsed at once, as the lines of one document; others one by one, with
+the same result.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from quatprop.messages.schema import (
     Array,
     BadDefinitionError,
     Primitive,
+    String,
     Struct,
-    Text,
     Unknown,
     at,
 )
 from quatprop.messages.stamps import NANOSECONDS, SECONDS
-from quatprop.messages.values import ValueDecoder, Wanted, raw_messages
+from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
 from quatprop.text import quoted
 from quatprop.times import instant
 
@@ -48,21 +48,21 @@ INTEGER = Primitive("i8")
 MAX_INTEGER = int(np.iinfo(np.int64).max)
 
 AXES = ("x", "y", "z", "w")
-"""The order of parts that have one; JSON itself keeps none."""
+"""The order of components; JSON objects have none."""
 
 
 def message_type(channel: Channel) -> Struct:
-    """Return the type of a channel's messages, as its sample shows it.
+    """Return the type of a channel's messages, from its sample.
 
     Parameters
     ----------
     channel
-        Without a sample its messages have no fields.
+        Its sample; without one its messages have no fields.
 
     Raises
     ------
     BadDefinitionError
-        The sample is no JSON object.
+        The sample is not a JSON object.
     """
     if not channel.sample:
         return Struct(channel.type_name, ())
@@ -71,7 +71,7 @@ def message_type(channel: Channel) -> Struct:
     except (RecursionError, ValueError):
         sample = None
     if not isinstance(sample, dict):
-        raise BadDefinitionError("its first message is no JSON object")
+        raise BadDefinitionError("its first message is not a JSON object")
     return Struct(channel.type_name, _fields(sample))
 
 
@@ -94,7 +94,7 @@ def _type(sample: Any) -> Type:
     if isinstance(sample, int | float):
         return FLOAT
     if isinstance(sample, str):
-        return TIME if _is_time(sample) else Text()
+        return TIME if _is_time(sample) else String()
     return Unknown("null")
 
 
@@ -109,8 +109,8 @@ def _is_time(text: str) -> bool:
 class JsonDecoder(ValueDecoder):
     """Takes fields out of JSON messages.
 
-    A number that is a column by itself may be a time: it is kept exact, as a decimal. Rates that
-    are null or not there are NaN.
+    A number that is a column of its own may be a time: it is kept exact, as a decimal. Rates that
+    are null or missing are NaN.
 
     Parameters
     ----------
@@ -120,33 +120,33 @@ class JsonDecoder(ValueDecoder):
     Raises
     ------
     SchemaError
-        There are no such fields, they are not numbers, or their order is nowhere said.
+        There are no such fields, they are not numbers, or their order is not defined.
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
         super().__init__(channel, field_paths, path)
         self._schema = _schema(self.wanted)
 
-    def _wanted(self, root: Struct, field_path: str) -> Wanted:
+    def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
         _, kind = at(root, field_path, self.path)
         if isinstance(kind, Struct) and not {name for name, _ in kind.fields} <= set(AXES):
             raise SchemaError(
                 self.path,
-                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} has parts in no "
-                "order that JSON keeps; name its numbers as a,b,c",
+                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} has parts without "
+                "a defined order; name its numbers as a,b,c",
             )
         return super()._wanted(root, field_path)
 
     def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
-        """Return the wanted fields of all messages of a block, all at once if that can be."""
+        """Return the wanted fields of all messages of a block, parsed at once where possible."""
         columns = self._at_once(block) if self._schema is not None and len(block) else None
         return super().columns(block) if columns is None else columns
 
     def _at_once(self, block: MessageBlock) -> list[NDArray[Any]] | None:
-        # A line break within a message is blank: in a string it would be escaped.
+        # A line break within a message is white space: in a string it would be escaped.
         document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(block))
         try:
-            table = _read(document, self._schema)
+            table = _parse(document, self._schema)
             if len(table) != len(block):
                 return None
             columns = [_stacked(table, wanted) for wanted in self.wanted]
@@ -157,10 +157,10 @@ class JsonDecoder(ValueDecoder):
         return columns
 
     def _check(self, document: bytes, columns: list[NDArray[Any]]) -> None:
-        """Hold decimals against doubles: those that are too large overflow in silence."""
+        """Compare decimals with doubles: decimals that are too large overflow silently."""
         pairs = zip(self.wanted, columns, strict=True)
         exact = [(wanted, column) for wanted, column in pairs if _is_exact(wanted)]
-        table = _read(document, _schema([wanted for wanted, _ in exact], exact=False))
+        table = _parse(document, _schema([wanted for wanted, _ in exact], exact=False))
         for wanted, column in exact:
             rough = _stacked(table, wanted)
             if not np.allclose(column.astype(np.float64), rough, rtol=1e-9, atol=0, equal_nan=True):
@@ -187,17 +187,17 @@ class JsonDecoder(ValueDecoder):
             raise ValueError
         return value
 
-    def _dtype(self, wanted: Wanted) -> np.dtype[Any]:
+    def _dtype(self, wanted: WantedColumn) -> np.dtype[Any]:
         if wanted.number == TIME:
             return np.dtype(np.int64)
         return np.dtype(object if _is_exact(wanted) else wanted.number.code)
 
 
 class _MisreadError(Exception):
-    """Messages are not what columns can hold."""
+    """Messages cannot be read as columns."""
 
 
-def _read(document: bytes, schema: pa.Schema) -> pa.Table:
+def _parse(document: bytes, schema: pa.Schema) -> pa.Table:
     return pyarrow_json.read_json(
         pa.BufferReader(document),
         read_options=pyarrow_json.ReadOptions(block_size=len(document) + 1),
@@ -207,7 +207,7 @@ def _read(document: bytes, schema: pa.Schema) -> pa.Table:
     )
 
 
-def _is_exact(wanted: Wanted) -> bool:
+def _is_exact(wanted: WantedColumn) -> bool:
     return wanted.single and wanted.number == FLOAT
 
 
@@ -218,22 +218,22 @@ def _time(value: Any) -> int:
     return int(moment.cast(pa.int64()).as_py())
 
 
-def _schema(every: Sequence[Wanted], *, exact: bool = True) -> pa.Schema | None:
+def _schema(columns: Sequence[WantedColumn], *, exact: bool = True) -> pa.Schema | None:
     """Return the wanted columns as a schema, or None where columns cannot express them.
 
     Parameters
     ----------
-    every
+    columns
         The columns.
     exact
-        Whether numbers by themselves are decimals.
+        Whether single numbers are decimals.
     """
     tree: dict[str, Any] = {}
-    for wanted in every:
+    for wanted in columns:
         for way in wanted.ways:
-            listed = isinstance(way[-1], int)
+            is_list = isinstance(way[-1], int)
             names = [step for step in way if isinstance(step, str)]
-            if len(names) != len(way) - listed:
+            if len(names) != len(way) - is_list:
                 return None
             *around, last = names
             here = tree
@@ -241,16 +241,16 @@ def _schema(every: Sequence[Wanted], *, exact: bool = True) -> pa.Schema | None:
                 here = here.setdefault(name, {})
                 if not isinstance(here, dict):
                     return None
-            leaf = _leaf(wanted, listed=listed, exact=exact)
+            leaf = _leaf(wanted, is_list=is_list, exact=exact)
             if here.setdefault(last, leaf) != leaf:
                 return None
     return pa.schema(_arrow_fields(tree))
 
 
-def _leaf(wanted: Wanted, *, listed: bool, exact: bool) -> pa.DataType:
+def _leaf(wanted: WantedColumn, *, is_list: bool, exact: bool) -> pa.DataType:
     if wanted.number == TIME:
         return pa.timestamp("ns", "UTC")
-    if listed:
+    if is_list:
         return pa.list_(pa.float64())
     if exact and _is_exact(wanted):
         return pa.decimal256(76, 38)
@@ -264,24 +264,24 @@ def _arrow_fields(tree: dict[str, Any]) -> list[tuple[str, pa.DataType]]:
     ]
 
 
-def _stacked(table: pa.Table, wanted: Wanted) -> NDArray[Any]:
+def _stacked(table: pa.Table, wanted: WantedColumn) -> NDArray[Any]:
     parts = [_part(table, way, wanted) for way in wanted.ways]
     return parts[0] if wanted.single else np.stack(parts, axis=1)
 
 
-def _part(table: pa.Table, way: Steps, wanted: Wanted) -> NDArray[Any]:
+def _part(table: pa.Table, way: Steps, wanted: WantedColumn) -> NDArray[Any]:
     """Return one number of each message, shape ``(N,)``."""
-    found = table.column(way[0])
+    column = table.column(way[0])
     for step in way[1:]:
         if isinstance(step, int):
-            found = pc.list_element(found, step)
+            column = pc.list_element(column, step)
         else:
-            found = pc.struct_field(found, step)
-    if wanted.number != FLOAT and found.null_count:
+            column = pc.struct_field(column, step)
+    if wanted.number != FLOAT and column.null_count:
         raise _MisreadError
     if wanted.number == TIME:
-        found = found.cast(pa.int64())
-    if pa.types.is_decimal(found.type):
-        values = [math.nan if value is None else value for value in found.to_pylist()]
+        column = column.cast(pa.int64())
+    if pa.types.is_decimal(column.type):
+        values = [math.nan if value is None else value for value in column.to_pylist()]
         return np.array(values, object)
-    return to_numpy(found)
+    return to_numpy(column)

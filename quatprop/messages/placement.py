@@ -1,4 +1,4 @@
-"""How the encodings place values: alignment, and the extent of what has a fixed size.
+"""How the encodings place values: alignment, and the extent of values of fixed size.
 
 ROS 1 is packed. XCDR1 aligns every number to its size, counted from the end of the four bytes of
 encapsulation; XCDR2 does the same, but to 4 at most. A struct has no alignment of its own: its
@@ -31,8 +31,8 @@ class Placement:
     alignment
         Largest alignment, bytes; 1 is packed.
     delimited
-        Whether collections of other than numbers are preceded by their size in bytes, on which
-        writers disagree.
+        Whether collections of strings or structs are preceded by their size in bytes, in which
+        writers differ.
     """
 
     header: int

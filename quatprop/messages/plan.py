@@ -1,9 +1,9 @@
-"""What a message type is to the machine: which bytes to fetch, how far to move.
+"""Decoding plans: which bytes of a message to fetch, and how far to move.
 
-A message is a row of runs at distances known beforehand, parted by strings and sequences whose
-length each message says for itself. A :class:`Segment` is one such run: what to fetch at fixed
-distances from where it begins, and how to get from there to the next one.
-:mod:`quatprop.messages.compiler` makes plans, :mod:`quatprop.messages.columns` follows them.
+A message consists of runs of fixed size, separated by strings and sequences whose length differs
+from message to message. A :class:`Segment` is one such run: what to fetch at fixed offsets from its
+beginning, and how to move from there to the next. :mod:`quatprop.messages.compiler` makes plans,
+:mod:`quatprop.messages.columns` follows them.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from quatprop.messages.schema import Primitive
 
 COUNT = -1
-"""The column of a :class:`Piece` that is the length of what follows."""
+"""Column number of a :class:`Piece` that is the number of elements that follow."""
 
 ENCAPSULATION = -2
-"""The column of a :class:`Piece` that says how the message is encoded."""
+"""Column number of a :class:`Piece` that is the encapsulation identifier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +28,13 @@ class Piece:
     Parameters
     ----------
     column
-        Which column they are.
+        Number of the column.
     offset
         Where in the window, bytes.
     number
         Their type.
     count
-        How many, or None for one that is not a row of one.
+        How many, or None for a single number (which is not a row of one).
     """
 
     column: int
@@ -69,7 +69,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """Move over as many elements of fixed size as were counted.
+    """Move over the counted elements, of fixed size.
 
     Parameters
     ----------
@@ -86,14 +86,14 @@ class Skip:
 
 @dataclass(frozen=True, slots=True)
 class Repeat:
-    """Walk elements of varying size, one after another in all messages at once.
+    """Move over elements of varying size, one after another in all messages at once.
 
     Parameters
     ----------
     element
-        The way over one element.
+        The plan of one element.
     count
-        How many there are; None where they were counted.
+        How many there are; None where the message counts them.
     """
 
     element: Plan
@@ -102,7 +102,7 @@ class Repeat:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Fixed distances, and the way to the next segment.
+    """A run of fixed size, and how to reach the next segment.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Segment:
     windows
         What to fetch.
     reach
-        Bytes that every message must still have from the beginning of the segment.
+        Bytes that every message must have from the beginning of the segment on.
     size
         Bytes to move on before `ending`.
     ending

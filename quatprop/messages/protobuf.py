@@ -1,6 +1,6 @@
 """Protobuf messages, defined by the file descriptors that the log carries.
 
-The library decodes them, one after the other. It is an extra: ``pip install quatprop[protobuf]``.
+Google's library decodes them one by one. It is an extra: ``pip install quatprop[protobuf]``.
 """
 
 from __future__ import annotations
@@ -9,7 +9,14 @@ import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from quatprop.messages.schema import BadDefinitionError, Primitive, Sequence, Struct, Text, Unknown
+from quatprop.messages.schema import (
+    BadDefinitionError,
+    Primitive,
+    Sequence,
+    String,
+    Struct,
+    Unknown,
+)
 from quatprop.messages.values import ValueDecoder
 from quatprop.text import quoted
 
@@ -70,7 +77,7 @@ def _message_class(type_name: str, schema: bytes) -> Any:
     except ImportError:
         raise BadDefinitionError(
             f"{quoted(type_name)} is encoded as protobuf, which is an extra; "
-            "install it with pip install 'quatprop[protobuf]', or choose another --topic"
+            "install it with pip install 'quatprop[protobuf]', or choose another topic"
         ) from None
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema)
@@ -86,12 +93,12 @@ def _message_class(type_name: str, schema: bytes) -> Any:
 
 def _add(pool: Any, files: dict[str, Any]) -> None:
     """Add files to a pool, those that others import first, in whatever order the log has them."""
-    done: set[str] = set()
+    added: set[str] = set()
 
     def add(name: str) -> None:
-        if name in done:
+        if name in added:
             return
-        done.add(name)
+        added.add(name)
         for imported in files[name].dependency:
             add(imported)
         pool.Add(files[name])
@@ -100,23 +107,23 @@ def _add(pool: Any, files: dict[str, Any]) -> None:
         add(name)
 
 
-def _struct(descriptor: Any, known: dict[str, Struct]) -> Struct:
+def _struct(descriptor: Any, structs: dict[str, Struct]) -> Struct:
     name: str = descriptor.full_name
-    if name not in known:
-        # A type may contain itself, as deep as a message likes: nobody looks for rates there.
-        known[name] = Struct(name, ())
-        known[name] = Struct(name, tuple((f.name, _type(f, known)) for f in descriptor.fields))
-    return known[name]
+    if name not in structs:
+        # A type may contain itself, to any depth: it is not searched for rates.
+        structs[name] = Struct(name, ())
+        structs[name] = Struct(name, tuple((f.name, _type(f, structs)) for f in descriptor.fields))
+    return structs[name]
 
 
-def _type(field: Any, known: dict[str, Struct]) -> Type:
+def _type(field: Any, structs: dict[str, Struct]) -> Type:
     kind: Type
     if field.type in NUMBERS:
         kind = NUMBERS[field.type]
     elif field.type in TEXTS:
-        kind = Text()
+        kind = String()
     elif field.type in MESSAGES:
-        kind = _struct(field.message_type, known)
+        kind = _struct(field.message_type, structs)
     else:
         kind = Unknown(field.name)
     return Sequence(kind) if field.is_repeated else kind
@@ -125,8 +132,8 @@ def _type(field: Any, known: dict[str, Struct]) -> Type:
 class ProtobufDecoder(ValueDecoder):
     """Takes fields out of protobuf messages.
 
-    Rates whose message is not set are NaN; other numbers that are not set are what protobuf says
-    they then are.
+    Rates whose message is not set are NaN; other numbers that are not set have the default value
+    of protobuf.
 
     Parameters
     ----------

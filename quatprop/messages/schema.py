@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAX_DEPTH = 50
-"""Definitions nested deeper than this are refused: no real one is, and walks recurse."""
+"""Definitions nested deeper than this are refused: none are in practice, and searches recurse."""
 
 MAX_VISITS = 100_000
-"""A search through a definition stops after so many types: sharing can multiply paths."""
+"""A search through a definition stops after this many types: shared types multiply the paths."""
 
 MAX_SEARCHED_ITEMS = 16
 """A search looks into the elements of fixed arrays up to this length."""
@@ -28,7 +28,7 @@ _STEP = re.compile(r"(?:^|(?<=.)\.)(\w+)|\[(\d+)\]", re.ASCII)
 
 
 class BadDefinitionError(Exception):
-    """What is wrong with a definition, before it is known whose it is."""
+    """A definition cannot be used; says why, without naming the log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ TIME = Primitive("M8")
 
 
 @dataclass(frozen=True, slots=True)
-class Text:
+class String:
     """A string.
 
     Parameters
@@ -68,12 +68,12 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A type that is named but defined nowhere; an error only where it is in the way.
+    """A type without a definition; an error only where a wanted field lies behind it.
 
     Parameters
     ----------
     name
-        As the definition says it.
+        As the definition has it.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Struct:
-    """A message or a part of one; compared by identity, so that walks can remember it.
+    """A message or a part of one; compared by identity, to be cheap as a dictionary key.
 
     Parameters
     ----------
@@ -109,17 +109,17 @@ class Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sequence:
-    """A number of elements that each message says for itself."""
+    """A number of elements that differs from message to message."""
 
     element: Type
 
 
-Type: TypeAlias = Primitive | Text | Unknown | Struct | Array | Sequence
+Type: TypeAlias = Primitive | String | Unknown | Struct | Array | Sequence
 Steps: TypeAlias = tuple[str | int, ...]
 
 
 def ros_name(type_name: str) -> str:
-    """Return a type under the name it has in ROS; of other spellings package and name count.
+    """Return the name of a type in ROS; of other spellings, package and name count.
 
     Examples
     --------
@@ -131,7 +131,7 @@ def ros_name(type_name: str) -> str:
 
 
 def steps(field_path: str) -> Steps | None:
-    """Return the names and indices of a dotted path, or None where it is not one.
+    """Return the names and indices of a dotted path, or None for another text.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     Raises
     ------
     SchemaError
-        It leads nowhere, or into a sequence, whose elements need not be there.
+        It leads nowhere, or into a sequence, whose elements may be missing.
     """
     way = steps(field_path)
     if way is None:
@@ -198,25 +198,25 @@ def numbers(kind: Type) -> tuple[Primitive, int] | None:
 
 
 def _numbers(
-    kind: Type, known: dict[Type, tuple[Primitive, int] | None]
+    kind: Type, memo: dict[Type, tuple[Primitive, int] | None]
 ) -> tuple[Primitive, int] | None:
     if isinstance(kind, Primitive):
         return kind, 1
-    if kind not in known:
-        known[kind] = None
+    if kind not in memo:
+        memo[kind] = None
         if isinstance(kind, Array):
-            inner = _numbers(kind.element, known)
-            known[kind] = inner and (inner[0], inner[1] * kind.length)
+            inner = _numbers(kind.element, memo)
+            memo[kind] = inner and (inner[0], inner[1] * kind.length)
         elif isinstance(kind, Struct):
-            parts = [_numbers(part, known) for _, part in kind.fields]
+            parts = [_numbers(part, memo) for _, part in kind.fields]
             present = [part for part in parts if part is not None]
             if len(present) == len(parts) and len({part[0] for part in present}) == 1:
-                known[kind] = present[0][0], sum(count for _, count in present)
-    return known[kind]
+                memo[kind] = present[0][0], sum(count for _, count in present)
+    return memo[kind]
 
 
 def structs(root: Struct) -> Iterator[tuple[str, Struct]]:
-    """Yield every struct in a message that is there once and always, outermost first.
+    """Yield every struct that each message has exactly once, outermost first.
 
     Yields
     ------
@@ -237,7 +237,7 @@ def structs(root: Struct) -> Iterator[tuple[str, Struct]]:
 
 
 def around(root: Struct, field_path: str) -> Iterator[tuple[str, Struct]]:
-    """Yield the structs that a field lies in, with their prefixes, innermost first."""
+    """Yield the structs around a field, with their prefixes, innermost first."""
     here: Type | None = root
     prefix = ""
     found: list[tuple[str, Struct]] = []
@@ -258,11 +258,11 @@ def _below(kind: Type, step: str | int) -> Type | None:
 
 
 def _dead_end(root: Struct, here: Type, field_path: str) -> str:
-    lost = f"{quoted(root.name)} has no field {quoted(field_path)}"
+    no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):
-        return f"{lost}; {quoted(here.name)} has {listed(name for name, _ in here.fields)}"
+        return f"{no_field}; {quoted(here.name)} has {listed(name for name, _ in here.fields)}"
     if isinstance(here, Array):
-        return f"{lost}; the array there takes an index from [0] to [{here.length - 1}]"
+        return f"{no_field}; the array there takes an index from [0] to [{here.length - 1}]"
     if isinstance(here, Sequence):
-        return f"{lost} in every message: a sequence may be empty; name a field outside it"
-    return f"{lost}; a number or a string has no parts"
+        return f"{no_field} in every message: a sequence may be empty; name a field outside it"
+    return f"{no_field}; a number or a string has no fields"

@@ -1,4 +1,4 @@
-"""Which fields of a message are a rate, an orientation or a time.
+"""Which fields of a message are a rate or an orientation.
 
 Recognised types (:mod:`quatprop.messages.message_types`) are found at the top of a message and
 inside it; any other field can be named.
@@ -20,8 +20,8 @@ from quatprop.messages.message_types import (
     SignalFields,
     fields_of_type,
 )
-from quatprop.messages.schema import Struct, at, find, numbers, structs
-from quatprop.messages.stamps import Stamp, stamp_around, stamp_of
+from quatprop.messages.schema import Struct, find, numbers, structs
+from quatprop.messages.stamps import stamp_around
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel
     from quatprop.conventions.layout import Layout
     from quatprop.messages.schema import Type
+    from quatprop.messages.stamps import Stamp
 
 Kind: TypeAlias = Literal["rate", "orientation"]
 
@@ -188,44 +189,6 @@ def orientation_field_at(
         )
     stamp = stamp_around(root, components[0])
     return OrientationField(quat_field, layout, fields=components, stamp=stamp)
-
-
-def time_field_at(
-    channel: Channel, time_field: str, unit: str | None, path: Path | str
-) -> Stamp | None:
-    """Return the stamp at a dotted path.
-
-    Parameters
-    ----------
-    channel
-        A topic.
-    time_field
-        Path of a ``time`` of seconds and nanoseconds, or of one number.
-    unit
-        Of one number: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; None where it is not declared.
-    path
-        The log, for errors.
-
-    Returns
-    -------
-    Stamp or None
-        None where the unit of one number is not declared.
-
-    Raises
-    ------
-    SchemaError
-        There is no such field, or it is not a time.
-    """
-    _, kind = at(message_type(channel, path), time_field, path)
-    if (stamp := stamp_of(time_field, kind)) is not None:
-        return stamp
-    if _count(kind) != 1:
-        raise SchemaError(
-            path,
-            f"field {quoted(time_field)} of {quoted(channel.type_name)} is not a time; "
-            "name a time of seconds and nanoseconds, or a number",
-        )
-    return None if unit is None else Stamp((time_field,), unit)
 
 
 def _root_with(channel: Channel, names: tuple[str, ...], path: Path | str) -> Struct | None:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from quatprop.errors import MessageError
-from quatprop.messages.schema import TIME, Primitive, Struct, around, find
-from quatprop.text import listed
+from quatprop.errors import MessageError, SchemaError
+from quatprop.messages.definitions import message_type
+from quatprop.messages.schema import TIME, Primitive, Struct, around, at, find, numbers
+from quatprop.text import Setting, Text, listed, quoted
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -19,15 +20,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
-"""Names of the two parts of a time, in the generations of ROS and its neighbours."""
-
+"""Names of the two parts of a time, in ROS 1, ROS 2 and related systems."""
 
 STAMPS = ("header.stamp", "stamp", "timestamp")
-"""Where a message keeps its time, when nothing says where."""
+"""Where a message may have its time, for types that are not in the table."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class Stamp:
             # Written so that NaN is refused too.
             fits = (column > -limit) & (column < limit)
             if not fits.all():
-                raise self._misfit(column, np.flatnonzero(~fits), path)
+                raise self._overflow(column, np.flatnonzero(~fits), path)
         whole = np.floor(column).astype(np.int64) if floating else column.astype(np.int64)
         t_ns: NDArray[np.int64] = whole * scale
         return t_ns + np.rint((column - whole) * scale).astype(np.int64) if floating else t_ns
@@ -104,17 +105,22 @@ class Stamp:
         limit = np.iinfo(np.int64).max // scale
         bad = [row for row, value in enumerate(column) if not -limit < value < limit]
         if bad:
-            raise self._misfit(column, np.array(bad), path)
+            raise self._overflow(column, np.array(bad), path)
         whole = [int((Decimal(value) * scale).to_integral_value()) for value in column]
         return np.array(whole, np.int64)
 
-    def _misfit(
+    def _overflow(
         self, column: NDArray[Any], positions: NDArray[np.intp], path: Path | str
     ) -> MessageError:
         return MessageError(
             path,
-            f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does "
-            "not fit in 64 bits of nanoseconds; choose --clock log or another --time-field",
+            Text(
+                f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does not "
+                "fit in 64 bits of nanoseconds; choose ",
+                Setting("clock", "log"),
+                " or another ",
+                Setting("time_field"),
+            ),
             positions.tolist(),
         )
 
@@ -152,8 +158,46 @@ def stamp_around(root: Struct, name: str) -> Stamp | None:
     """
     for prefix, kind in around(root, name):
         for place in STAMPS:
-            found = find(kind, place)
-            stamp = None if found is None else stamp_of(prefix + place, found)
+            field = find(kind, place)
+            stamp = None if field is None else stamp_of(prefix + place, field)
             if stamp is not None:
                 return stamp
     return None
+
+
+def time_field_at(
+    channel: Channel, time_field: str, unit: str | None, path: Path | str
+) -> Stamp | None:
+    """Return the stamp at a dotted path.
+
+    Parameters
+    ----------
+    channel
+        A topic.
+    time_field
+        Path of a ``time`` of seconds and nanoseconds, or of one number.
+    unit
+        Of one number: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; None where it is not declared.
+    path
+        The log, for errors.
+
+    Returns
+    -------
+    Stamp or None
+        None where the unit of one number is not declared.
+
+    Raises
+    ------
+    SchemaError
+        There is no such field, or it is not a time.
+    """
+    _, kind = at(message_type(channel, path), time_field, path)
+    if (stamp := stamp_of(time_field, kind)) is not None:
+        return stamp
+    if (shape := numbers(kind)) is None or shape[1] != 1:
+        raise SchemaError(
+            path,
+            f"field {quoted(time_field)} of {quoted(channel.type_name)} is not a time; "
+            "name a time of seconds and nanoseconds, or a number",
+        )
+    return None if unit is None else Stamp((time_field,), unit)

@@ -1,8 +1,8 @@
-"""The transforms in TF messages: a list of any length in each, taken out by their frames.
+"""The transforms in TF messages: a list of any length in each, chosen by their frames.
 
-A plan leads to fields that every message has; the elements of a list are not. So the lists are
-walked here, the same element of all messages at a time. The type has not changed since it was
-made; the definition that a log carries is compared with it before it is believed.
+Decoding plans reach fields that every message has, which elements of a list are not. So the lists
+are decoded here, the same element of all messages at a time. The message type has never changed;
+the definition that a log carries is checked against it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-"""Types that are a list of ``geometry_msgs/TransformStamped`` and nothing else."""
+"""Types that consist of one list of ``geometry_msgs/TransformStamped``."""
 
 SECOND_NS = 1_000_000_000
 
@@ -39,7 +39,7 @@ _TRANSLATION_AND_ROTATION = 3 + 4
 
 
 class Frames(NamedTuple):
-    """Whose attitude a transform is: that of the child in the parent."""
+    """The two frames of a transform: the attitude of the child in the parent."""
 
     parent: str
     child: str
@@ -56,7 +56,7 @@ class Transforms:
     t_ns
         Header stamps, shape ``(N,)``, int64 ns.
     frames
-        Which of the known frames it relates, shape ``(N,)``, int64.
+        Number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64.
     wxyz
         Rotations child -> parent, shape ``(N, 4)``, float64.
     """
@@ -79,17 +79,17 @@ class TransformDecoder:
 
     Attributes
     ----------
-    known
-        Every pair of frames met so far, in that order; :attr:`Transforms.frames` counts in it.
+    frames
+        Every pair of frames met so far, in that order.
 
     Raises
     ------
     SchemaError
-        The log's own definition of the type is another one.
+        The log's definition of the type is a different one.
     """
 
     def __init__(self, channel: Channel, path: Path | str) -> None:
-        self.known: list[Frames] = []
+        self.frames: list[Frames] = []
         self._channel = channel
         self._path = path
         if not _is_list_of_transforms(message_type(channel, path)):
@@ -118,7 +118,7 @@ class TransformDecoder:
             none = np.empty(0, np.int64)
             return Transforms(none, none, none, np.empty((0, 4)))
         message = np.concatenate([element.message for element in elements])
-        # Of each message the first element of its list comes first: the sort keeps that.
+        # A stable sort keeps the order of the elements within each message.
         order = np.argsort(message, kind="stable")
         return Transforms(
             message[order],
@@ -154,7 +154,7 @@ class TransformDecoder:
         try:
             left = cursor.numbers("u4").astype(np.int64)
             while True:
-                # A count that lies runs into the end of its message: every element takes bytes.
+                # A wrong count runs into the end of its message: every element takes bytes.
                 cursor.keep(left > 0)
                 left = left[left > 0] - 1
                 if not len(left):
@@ -165,24 +165,24 @@ class TransformDecoder:
 
     def _element(self, cursor: _Cursor) -> Transforms:
         if cursor.placement is ROS1:
-            cursor.numbers("u4")  # the sequence number, which ROS 2 has dropped
+            cursor.numbers("u4")  # the sequence number, which ROS 2 does not have
         unsigned = cursor.placement is ROS1
         t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * SECOND_NS
         t_ns += cursor.numbers("u4")
         frames = self._frames(cursor.block, cursor.name(), cursor.name())
-        found = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)
-        wxyz = found[:, [6, 3, 4, 5]].astype(np.float64)
+        values = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)
+        wxyz = values[:, [6, 3, 4, 5]].astype(np.float64)
         return Transforms(cursor.messages, t_ns, frames, wxyz)
 
     def _frames(self, block: MessageBlock, parent: _Names, child: _Names) -> Int64:
-        """Return which of the known frames each pair of names is; new ones become known."""
+        """Return the number of each pair of names, adding new pairs."""
         frames = np.full(len(parent.begin), -1)
         number = 0
         while len(waiting := np.flatnonzero(frames < 0)):
-            if number == len(self.known):
+            if number == len(self.frames):
                 row = int(waiting[0])
-                self.known.append(Frames(parent.text(block, row), child.text(block, row)))
-            pair = self.known[number]
+                self.frames.append(Frames(parent.text(block, row), child.text(block, row)))
+            pair = self.frames[number]
             same = parent.are(pair.parent, block, waiting)
             same &= child.are(pair.child, block, waiting)
             frames[waiting[same]] = number
@@ -200,7 +200,7 @@ class TransformDecoder:
 
 
 class _ShortError(Exception):
-    """Some messages end before what is wanted of them."""
+    """Some messages end too early."""
 
     def __init__(self, positions: Int64) -> None:
         super().__init__()
@@ -208,7 +208,7 @@ class _ShortError(Exception):
 
 
 class _Names(NamedTuple):
-    """Where a name stands in each message, without the zero that may end it."""
+    """Where a name is in each message, without the zero that may end it."""
 
     begin: Int64
     length: Int64
@@ -219,7 +219,7 @@ class _Names(NamedTuple):
         return name.decode(errors="surrogateescape")
 
     def are(self, name: str, block: MessageBlock, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return for which of some rows this is the name."""
+        """Return in which of some messages the name is this one."""
         wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
         same: NDArray[np.bool_] = self.length[rows] == len(wanted)
         text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
@@ -228,7 +228,7 @@ class _Names(NamedTuple):
 
 
 class _Cursor:
-    """A place in each of several messages, moved on together; names make them drift apart."""
+    """A position in each of several messages, moved together; it differs after names."""
 
     def __init__(
         self, block: MessageBlock, messages: Int64, placement: Placement, order: str
@@ -242,7 +242,7 @@ class _Cursor:
         self._ends = block.ends[messages]
 
     def keep(self, chosen: NDArray[np.bool_]) -> None:
-        """Go on with some of the messages."""
+        """Continue with some of the messages."""
         if not chosen.all():
             self.messages = self.messages[chosen]
             self._origin, self._at = self._origin[chosen], self._at[chosen]
@@ -253,7 +253,7 @@ class _Cursor:
         kind = np.dtype(self._order + code)
         alignment = min(kind.itemsize, self.placement.alignment)
         self._at = self._at + (self._origin - self._at) % alignment
-        begin = self._moved_over(kind.itemsize * count)
+        begin = self._advance(kind.itemsize * count)
         places = begin[:, None] + np.arange(kind.itemsize * count)
         taken: NDArray[Any] = self.block.data[places].view(kind)
         return taken[:, 0] if count == 1 else taken
@@ -261,13 +261,13 @@ class _Cursor:
     def name(self) -> _Names:
         """Take a string."""
         length = self.numbers("u4").astype(np.int64)
-        begin = self._moved_over(length)
+        begin = self._advance(length)
         if self.placement is not ROS1:
             # CDR counts the zero at the end; some writers leave it out of an empty string.
             length = length - (length > 0)
         return _Names(begin, length)
 
-    def _moved_over(self, size: int | Int64) -> Int64:
+    def _advance(self, size: int | Int64) -> Int64:
         begin = self._at
         self._at = begin + size
         short = self._at > self._ends
@@ -290,6 +290,6 @@ def _is_list_of_transforms(root: Struct) -> bool:
         and isinstance(rotation, Struct)
         and [name for name, _ in rotation.fields] == list("xyzw")
         and transform is not None
-        and (found := numbers(transform)) is not None
-        and (found[0].code, found[1]) == ("f8", _TRANSLATION_AND_ROTATION)
+        and (shape := numbers(transform)) is not None
+        and (shape[0].code, shape[1]) == ("f8", _TRANSLATION_AND_ROTATION)
     )

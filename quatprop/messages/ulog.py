@@ -82,7 +82,7 @@ def message_type(channel: Channel) -> Struct:
 def _struct(
     name: str, definitions: Mapping[str, str], made: dict[str, Struct], depth: int
 ) -> Struct:
-    """Return a type, made once however often it is named: two of two of two soon are too many."""
+    """Return a type, built once however often it is named: nested types multiply quickly."""
     if name in made:
         return made[name]
     if depth > MAX_DEPTH:

@@ -1,4 +1,4 @@
-"""Messages that a library decodes one at a time: the wanted values of each, gathered to columns."""
+"""Messages that a library decodes one at a time: the wanted values, gathered into columns."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class WantedColumn:
     """One column.
 
     Parameters
@@ -66,16 +66,16 @@ class ValueDecoder(ABC):
         root = message_type(channel, path)
         self.wanted = [self._wanted(root, field_path) for field_path in field_paths]
 
-    def _wanted(self, root: Struct, field_path: str) -> Wanted:
+    def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
         way, kind = at(root, field_path, self.path)
-        found = numbers(kind)
-        if found is None:
+        shape = numbers(kind)
+        if shape is None:
             raise SchemaError(
                 self.path,
                 f"field {quoted(field_path)} of {quoted(self.channel.type_name)} is not made of "
                 "equal numbers; name a number, or a struct or array of them",
             )
-        return Wanted(tuple(_leaves(way, kind)), found[0], isinstance(kind, Primitive))
+        return WantedColumn(tuple(_leaves(way, kind)), shape[0], isinstance(kind, Primitive))
 
     def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
         """Return the wanted fields of all messages of a block.
@@ -85,42 +85,42 @@ class ValueDecoder(ABC):
         MessageError
             Messages cannot be decoded or lack what must be there; its `positions` say which.
         """
-        found: list[list[Any]] = []
+        values: list[list[Any]] = []
         bad: list[int] = []
         for position, raw in enumerate(raw_messages(block)):
             try:
                 message = self._parsed(raw)
-                found.append([self._values(message, wanted) for wanted in self.wanted])
+                values.append([self._values(message, wanted) for wanted in self.wanted])
             except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError):
                 bad.append(position)
         if bad:
-            raise self._misfit(block, bad)
-        rows = zip(*found, strict=True) if found else iter([()] * len(self.wanted))
+            raise self._undecodable(block, bad)
+        rows = zip(*values, strict=True) if values else iter([()] * len(self.wanted))
         return [self._column(wanted, row) for wanted, row in zip(self.wanted, rows, strict=True)]
 
     @abstractmethod
     def _parsed(self, raw: bytes) -> Any:
-        """Return a message; ValueError where it is none."""
+        """Return a message; ValueError where the bytes are none."""
 
     @abstractmethod
     def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
-        """Return a number of a message; NaN where one that may be absent is."""
+        """Return a number of a message; NaN for an optional one that is absent."""
 
-    def _dtype(self, wanted: Wanted) -> np.dtype[Any]:
+    def _dtype(self, wanted: WantedColumn) -> np.dtype[Any]:
         return np.dtype(wanted.number.code)
 
-    def _values(self, message: Any, wanted: Wanted) -> Any:
+    def _values(self, message: Any, wanted: WantedColumn) -> Any:
         values = [self._value(message, way, wanted.number) for way in wanted.ways]
         if wanted.single:
             return values[0]
-        # Here, where a number too large for its column is still the message's own fault.
+        # Converted here, so that a number too large for its column counts against its message.
         return np.array(values, wanted.number.code)
 
-    def _column(self, wanted: Wanted, values: Sequence[Any]) -> NDArray[Any]:
+    def _column(self, wanted: WantedColumn, values: Sequence[Any]) -> NDArray[Any]:
         shape = (len(values),) if wanted.single else (len(values), len(wanted.ways))
         return np.array(values, self._dtype(wanted)).reshape(shape)
 
-    def _misfit(self, block: MessageBlock, bad: list[int]) -> MessageError:
+    def _undecodable(self, block: MessageBlock, bad: list[int]) -> MessageError:
         others = f" and {len(bad) - 1} others" if len(bad) > 1 else ""
         return MessageError(
             self.path,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from quatprop.conventions import Meaning
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.message_values import BlockReader
+    from quatprop.signals.message_values import MessageReader
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
 
@@ -147,7 +147,7 @@ def _of_transforms(
 def _message_rows(
     log: MessageLog,
     channel: Channel,
-    reader: BlockReader,
+    reader: MessageReader,
     order: tuple[int, ...],
     meaning: Meaning,
 ) -> Rows:

@@ -17,7 +17,7 @@ from quatprop.containers.coalesce import joined
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
-from quatprop.messages.signal_fields import time_field_at
+from quatprop.messages.stamps import time_field_at
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _with_sample(log: MessageLog, channel: Channel) -> Channel:
     return channel
 
 
-class BlockReader(Protocol):
+class MessageReader(Protocol):
     """Turns the blocks of one channel into rows."""
 
     def columns(self, block: MessageBlock) -> Columns:
@@ -225,7 +225,7 @@ def as_rows(fields: list[NDArray[Any]]) -> Float64:
 
 
 def timed_values(
-    log: MessageLog, channel: Channel, reader: BlockReader
+    log: MessageLog, channel: Channel, reader: MessageReader
 ) -> Iterator[tuple[NDArray[Any], ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
@@ -249,7 +249,7 @@ def timed_values(
 
 
 def stamps_logged(
-    log: MessageLog, channel: Channel, reader: BlockReader
+    log: MessageLog, channel: Channel, reader: MessageReader
 ) -> Iterator[tuple[Int64, Int64]]:
     """Yield the stamps of one channel and their log times, in order of the log times.
 
@@ -262,13 +262,13 @@ def stamps_logged(
         yield columns.values[0], columns.log_ns
 
 
-def _in_log_order(log: MessageLog, channel: Channel, reader: BlockReader) -> Iterator[Columns]:
+def _in_log_order(log: MessageLog, channel: Channel, reader: MessageReader) -> Iterator[Columns]:
     batches = (_readable(log, channel, reader, block) for block in joined(log.blocks(channel)))
     return merge_by_time([batches])
 
 
 def _readable(
-    log: MessageLog, channel: Channel, reader: BlockReader, block: MessageBlock
+    log: MessageLog, channel: Channel, reader: MessageReader, block: MessageBlock
 ) -> Columns:
     """Return the rows of a block without the messages that do not fit."""
     try:

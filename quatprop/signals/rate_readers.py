@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
-    from quatprop.signals.message_values import BlockReader, Clock
+    from quatprop.signals.message_values import Clock, MessageReader
 
 MAX_SPACING_NS = NS_PER_UNIT["s"]
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -> BlockReader:
+def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -> MessageReader:
     """Return what turns the messages of a channel into rates.
 
     Parameters
@@ -38,7 +38,7 @@ def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Cloc
 
     Returns
     -------
-    BlockReader
+    MessageReader
         Its values are the arguments of :class:`quatprop.series.GyroSeries`, but in the unit of
         the field.
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
-    from quatprop.signals.message_values import BlockReader
+    from quatprop.signals.message_values import MessageReader
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
 
@@ -148,7 +148,7 @@ def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
 
 
 def _samples(
-    log: MessageLog, channel: Channel, reader: BlockReader, scale: float
+    log: MessageLog, channel: Channel, reader: MessageReader, scale: float
 ) -> Iterator[GyroSeries]:
     """Yield the rates of one channel in order of their log times."""
     for t_ns, rate, *span_ns in timed_values(log, channel, reader):

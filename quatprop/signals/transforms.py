@@ -31,7 +31,7 @@ class TransformReader:
 
     def __init__(self, log: MessageLog, channel: Channel, frames: Frames, clock: Clock) -> None:
         self._decoder = TransformDecoder(channel, log.path)
-        self._decoder.known.append(frames)
+        self._decoder.frames.append(frames)
         self._clock = clock
         self._path = log.path
 
@@ -71,17 +71,17 @@ def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Fram
         except MessageError as error:
             if not error.positions:
                 raise
-    if not decoder.known:
+    if not decoder.frames:
         raise NoSamplesError(log.path, channel.topic)
     parent, _, child = (wanted or "").rpartition(":")
     matching = [
         frames
-        for frames in decoder.known
+        for frames in decoder.frames
         if child in ("", frames.child) and parent in ("", frames.parent)
     ]
     if len(matching) == 1:
         return matching[0]
-    there = listed(f"{frames.parent}:{frames.child}" for frames in matching or decoder.known)
+    there = listed(f"{frames.parent}:{frames.child}" for frames in matching or decoder.frames)
     what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
     if not matching:
         what = f"has no transform {quoted(wanted)}, but"
