@@ -363,7 +363,7 @@ def test_motion_is_not_taken_for_rest(tmp_path):
     path.write_text(EUROC + "".join(rows))
     result = run("propagate", path, "-o", tmp_path / "o.csv", "--bias", "static")
     assert result.exit_code == 2
-    assert "the log has no stretch of rest to take the bias from (the quietest scatters by 0.7" in (
+    assert "the log has no period of rest to take the bias from (the quietest scatters by 0.7" in (
         result.stderr
     )
 
@@ -393,7 +393,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--rate", "0"], "'0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
         (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
-        (["--mount", "x,y,-z"], "the mounting 'x,y,-z' mirrors the axes, which no rotation does"),
+        (["--mount", "x,y,-z"], "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),
         (["--q0", "0,0,0,0"], "to have a direction"),
     ],
 )

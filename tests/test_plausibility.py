@@ -1,12 +1,13 @@
 """What looks wrong is said; what is right is not."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quatprop.kinematics.propagate import attitudes
-from quatprop.pipeline.plausibility import RateChecks, against_orientation
+from quatprop.pipeline.plausibility import RateChecks, against_orientation, orientation_remarks
 from quatprop.series import AttitudeSeries, GyroSeries
 
 MS = 1_000_000
@@ -20,8 +21,8 @@ def watched(rate, dt_ms=10, size=10_000):
     batches = [
         GyroSeries(t_ns[k : k + size], rate[k : k + size]) for k in range(0, len(rate), size)
     ]
-    assert list(watch.passing(batches)) == batches
-    return watch.remarks(dt_ms * MS)
+    assert list(watch.observe(batches)) == batches
+    return list(map(str, watch.remarks(dt_ms * MS)))
 
 
 def moving(samples=1000, scale=1.0):
@@ -43,7 +44,7 @@ def test_rates_beyond_any_gyroscope():
     assert frozen == "every rate is the same, [131.0, 132.0, 133.0] rad/s: frozen, or simulated?"
     assert said == (
         "rates up to 133 rad/s are beyond any gyroscope; if they are in deg/s, "
-        "say --rate-unit deg/s"
+        "use rate_unit='deg/s'"
     )
 
 
@@ -52,14 +53,44 @@ def test_rates_that_are_all_zero():
     assert watched(np.zeros((5, 3))) == ["every rate is zero: is this the right topic?"]
 
 
+@pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])
+@pytest.mark.parametrize("size", [1000, 16_384, 40_000])
+@pytest.mark.parametrize("run", [2, 3])
+def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size, run):
+    """Three in a row are saturation and two are not, also where columns are cut."""
+    rate = np.random.default_rng(3).normal(0, 0.1, (40_000, 3))
+    rate[at : at + run, 2] = -5.0
+    remarks = watched(rate, dt_ms=1, size=size)
+    assert len(remarks) == (run == 3)
+    assert all(remark.startswith("axis -z stays at its extreme of -5 ") for remark in remarks)
+
+
+def test_a_larger_extreme_ends_saturation():
+    """What three samples stayed at was not the sensor's range if another one lies beyond."""
+    rate = np.random.default_rng(3).normal(0, 0.1, (40_000, 3))
+    rate[100:110, 0] = 3.0
+    assert len(watched(rate, dt_ms=1)) == 1
+    rate[30_000, 0] = 3.1
+    assert watched(rate, dt_ms=1) == []
+
+
+def test_rates_that_are_not_finite_are_not_judged():
+    """Missing rates do not hide what is wrong with the others."""
+    rate = moving()
+    rate[::7] = np.nan
+    assert watched(rate) == []
+    rate[400:403, 1] = 5.0
+    assert len(watched(rate)) == 1
+
+
 @pytest.mark.parametrize("size", [1, 2, 7, 10_000])
 def test_saturation(size):
     """Three equal extremes in a row are saturation, wherever batches end; the side is named."""
     rate = np.clip(moving(scale=8.0), -np.inf, [np.inf, math.radians(250), np.inf])
     (said,) = watched(rate, size=size)
     assert said == (
-        "axis +y stays at its extreme of 4.36332 rad/s over 3 samples and more: saturated, so "
-        "what was beyond is lost"
+        "axis +y stays at its extreme of 4.36332 rad/s for 3 samples or more: saturated, so "
+        "larger rates are missing"
     )
 
 
@@ -80,15 +111,16 @@ def test_sampling_too_slow():
     """45 degrees between two samples is too far."""
     (said,) = watched([[0, 0, math.pi / 4], [0, 0, 0], [0, 0, 0.1]], dt_ms=1000)
     assert said == (
-        "the body turns up to 45 deg between two samples: sampled too slowly for this motion"
+        "the body rotates by up to 45 deg between two samples: the sample rate is too low for this "
+        "motion"
     )
 
 
 TOO_SMALL = (
-    "the log's own orientation turns 57.3 times as far as its rates: "
+    "the log's own orientation rotates 57.3 times as far as its rates: "
     "were they scaled by pi/180 once too often?"
 )
-TOO_LARGE = "own orientation: if they are in deg/s, say --rate-unit deg/s"
+TOO_LARGE = "own orientation: if they are in deg/s, use rate_unit='deg/s'"
 
 
 @pytest.mark.parametrize(
@@ -101,7 +133,7 @@ def test_rates_against_the_log_s_own_orientation(scale, sentence):
     rate = np.tile([0.01, 0.02, 0.03], (1000, 1))
     own = AttitudeSeries(t_ns, attitudes(t_ns, rate))
     said = against_orientation([GyroSeries(t_ns, rate * scale)], [own])
-    assert said is None if sentence is None else sentence in said
+    assert said is None if sentence is None else sentence in str(said)
 
 
 def test_an_orientation_that_does_not_move_tells_nothing():
@@ -119,3 +151,20 @@ def test_an_orientation_that_was_never_filled_tells_nothing_of_a_body_that_turns
     t_ns = np.arange(1000) * 10 * MS
     still = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (1000, 1)))
     assert against_orientation([GyroSeries(t_ns, np.full((1000, 3), 0.5))], [still]) is None
+
+
+def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
+    """Where no message has an orientation, the log is not read to its end to find that out."""
+    read = []
+
+    def rows():
+        for start in range(0, 10**6, 1000):
+            read.append(start)
+            yield np.arange(start, start + 1000), np.full((1000, 4), np.nan)
+
+    absent = SimpleNamespace(rows=rows)
+    monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
+    rates = GyroSeries(np.arange(10), np.ones((10, 3)))
+    source = SimpleNamespace(name="/imu", batches=lambda: iter([rates]))
+    assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
+    assert len(read) == 20

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,8 +16,9 @@ from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from quatprop.conditioning.static_detection import Rest
     from quatprop.containers.base import Loss
     from quatprop.pipeline.report import RunReport
 
@@ -81,8 +82,8 @@ def _facts(report: RunReport) -> Iterator[tuple[str, str]]:
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
     yield "method", f"{convention.method}, {convention.rates} rates: {convention.side}"
-    if report.conditioning["bias_rad_s"] is not None:
-        yield "bias", _bias(report.conditioning)
+    if (bias := report.conditioning.bias_rad_s) is not None:
+        yield "bias", _bias(bias, report.conditioning.rest)
     if convention.q0_from != "given":
         yield "q0", f"{_numbers(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     other = "start" if convention.method == "coning" else "coning"
@@ -102,14 +103,14 @@ def _numbers(wxyz: Iterable[float]) -> str:
     return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
-def _bias(conditioning: Mapping[str, Any]) -> str:
-    bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*conditioning["bias_rad_s"])
-    if (rest := conditioning["rest"]) is None:
+def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
+    bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*bias_rad_s)
+    if rest is None:
         return bias
     return (
-        f"{bias}, from {rest['samples']} samples at rest over "
-        f"{duration_text(rest['last_ns'] - rest['first_ns'])} from t = {rest['first_ns']} ns, "
-        f"scatter {rest['scatter_rad_s']:.3g} rad/s"
+        f"{bias}, from {rest.samples} samples at rest over "
+        f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
+        f"scatter {rest.scatter_rad_s:.3g} rad/s"
     )
 
 

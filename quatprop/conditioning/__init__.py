@@ -1,20 +1,20 @@
-"""What is done to the rates before they are multiplied up: bias, mounting, the part of the log.
+"""What is done to rates before they are propagated: bias, mounting, the part of the log.
 
-Each step is a map over batches, so memory stays flat. The order is fixed: the bias is subtracted in
-sensor axes, then sensor axes are turned into body axes.
+Each step is a map over batches, so memory stays constant. The order is fixed: the bias is
+subtracted in sensor axes, then sensor axes are converted to body axes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, quietest, windows_of
+from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, longest_rest, windows_of
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
-from quatprop.text import quoted
+from quatprop.text import Setting, Text, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.conditioning.static_detection import Rest
     from quatprop.series import GyroSeries
     from quatprop.times import Instant
 
@@ -59,7 +60,7 @@ def mounting(text: str) -> NDArray[np.float64]:
             axes[row, AXES[part[-1]]] = -1.0 if part.startswith("-") else 1.0
         if np.linalg.det(axes) < 0:
             raise UsageError(
-                f"the mounting {quoted(text)} mirrors the axes, which no rotation does; "
+                f"the mounting {quoted(text)} is left-handed, so it is not a rotation; "
                 "change one sign or swap two axes"
             )
         return axes
@@ -69,7 +70,7 @@ def mounting(text: str) -> NDArray[np.float64]:
         wxyz = np.zeros(0)
     if wxyz.shape != (4,) or not np.isfinite(wxyz).all() or not wxyz.any():
         raise UsageError(
-            f"{quoted(text)} is no mounting; write three signed axes such as x,-y,-z, "
+            f"{quoted(text)} is not a mounting; write three signed axes such as x,-y,-z, "
             "or a quaternion W,X,Y,Z that takes sensor axes to body axes"
         )
     matrix: NDArray[np.float64] = rotation_matrix(normalize(wxyz))
@@ -78,14 +79,15 @@ def mounting(text: str) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """What the user wants done; None is nothing.
+    """What to do to the rates; None is nothing.
 
     Parameters
     ----------
     bias
         Subtracted from every rate, x, y, z, in the unit of the source.
     static_ns
-        Take the mean over the log's rest as the bias; rest is looked for in windows so long, ns.
+        Take the mean over the log's rest as the bias; rest is looked for in windows of this
+        length, ns.
     mount
         Sensor axes to body axes, as :func:`mounting` reads it.
     start, end
@@ -100,21 +102,47 @@ class Conditioning:
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether the log has to be read once before it can be read for good."""
-        ends = {moment.origin for moment in (self.start, self.end) if moment is not None}
-        return self.static_ns is not None or bool(ends - {"clock"})
+        """Whether the log has to be read once before it is read for the propagation."""
+        origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
+        return self.static_ns is not None or bool(origins - {"clock"})
+
+
+@dataclass(frozen=True, slots=True)
+class ConditioningReport:
+    """What was done to the rates; None is nothing.
+
+    Parameters
+    ----------
+    bias_rad_s
+        Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s.
+    rest
+        The rest from which the bias was taken.
+    mount
+        Matrix from sensor to body axes, shape ``(3, 3)``.
+    start_ns, end_ns
+        The part of the log that was used, ends included, ns.
+    outside
+        Samples left out before and after that part, so far.
+    """
+
+    bias_rad_s: NDArray[np.float64] | None
+    rest: Rest | None
+    mount: NDArray[np.float64] | None
+    start_ns: int | None
+    end_ns: int | None
+    outside: list[int]
 
 
 def condition(
-    read: Callable[[], Iterable[GyroSeries]], wanted: Conditioning, unit: float
-) -> tuple[Iterator[GyroSeries], dict[str, Any]]:
-    """Return the samples as wanted, and what was done to them.
+    read: Callable[[], Iterable[GyroSeries]], settings: Conditioning, unit: float
+) -> tuple[Iterator[GyroSeries], ConditioningReport]:
+    """Return the conditioned samples, and what is done to them.
 
     Parameters
     ----------
     read
         Reads the samples; called twice where the conditioning looks ahead.
-    wanted
+    settings
         What to do.
     unit
         rad/s in the unit of the bias.
@@ -123,9 +151,8 @@ def condition(
     -------
     batches : iterator of GyroSeries
         The samples, rad/s, body axes.
-    facts : dict
-        ``bias_rad_s``, ``rest``, ``mount``, ``start_ns``, ``end_ns`` and ``outside``, the samples
-        left out so far as before or after them; JSON-ready.
+    report : ConditioningReport
+        Complete once all samples have passed.
 
     Raises
     ------
@@ -133,63 +160,70 @@ def condition(
         The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
         before it starts.
     """
-    mount = None if wanted.mount is None else mounting(wanted.mount)
-    bias = None if wanted.bias is None else np.array(wanted.bias) * unit
+    mount = None if settings.mount is None else mounting(settings.mount)
+    bias = None if settings.bias is None else np.array(settings.bias) * unit
     first_ns = last_ns = 0
     rest = None
-    if wanted.looks_ahead:
-        windows = windows_of(read(), wanted.static_ns or REST_WINDOW_NS)
+    if settings.looks_ahead:
+        windows = windows_of(read(), settings.static_ns or REST_WINDOW_NS)
         if len(windows):
             first_ns, last_ns = int(windows["first_ns"][0]), int(windows["last_ns"][-1])
-            rest = quietest(windows)
-    if wanted.static_ns is not None:
-        if rest is None or not rest.scatter <= AT_REST:
-            found = "" if rest is None else f" (the quietest scatters by {rest.scatter:.3g} rad/s)"
-            raise UsageError(
-                f"the log has no stretch of rest to take the bias from{found}; give --bias X,Y,Z, "
-                "or look for a shorter rest with --bias static:DUR"
-            )
-        bias = rest.mean
-    start_ns = _absolute(wanted.start, first_ns, last_ns)
-    end_ns = _absolute(wanted.end, first_ns, last_ns)
+        if settings.static_ns is not None:
+            rest = _bias_rest(longest_rest(windows))
+            bias = rest.mean_rad_s
+    start_ns = _absolute(settings.start, first_ns, last_ns)
+    end_ns = _absolute(settings.end, first_ns, last_ns)
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
-            f"--start is {duration_text(start_ns - end_ns)} after --end; swap them, or check units"
+            Setting("start"),
+            f" is {duration_text(start_ns - end_ns)} after ",
+            Setting("end"),
+            "; swap them, or check units",
         )
-    outside = [0, 0]
-    facts = {
-        "bias_rad_s": None if bias is None else bias.tolist(),
-        "rest": None if rest is None or wanted.static_ns is None else rest.told(),
-        "mount": None if mount is None else mount.tolist(),
-        "start_ns": start_ns,
-        "end_ns": end_ns,
-        "outside": outside,
-    }
+    report = ConditioningReport(bias, rest, mount, start_ns, end_ns, [0, 0])
     batches = iter(read())
     if start_ns is not None or end_ns is not None:
-        batches = clipped(batches, start_ns, end_ns, outside)
+        batches = clipped(batches, start_ns, end_ns, report.outside)
     if bias is not None or mount is not None:
         batches = conditioned(batches, bias=bias, mount=mount)
-    return batches, facts
+    return batches, report
 
 
-def clipping_remarks(wanted: Conditioning, facts: dict[str, Any]) -> list[str]:
-    """Return a sentence for each absolute end of the part that leaves nothing out.
+def _bias_rest(rest: Rest | None) -> Rest:
+    """Return a rest from which a bias can be taken, or refuse it."""
+    if rest is not None and rest.scatter_rad_s <= AT_REST:
+        return rest
+    quietest = ""
+    if rest is not None:
+        quietest = f" (the quietest scatters by {rest.scatter_rad_s:.3g} rad/s)"
+    raise UsageError(
+        f"the log has no period of rest to take the bias from{quietest}; give ",
+        Setting("bias", "X,Y,Z"),
+        ", or look for a shorter rest with ",
+        Setting("bias", "static:DUR"),
+    )
+
+
+def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:
+    """Return a remark for each absolute end of the part that leaves nothing out.
 
     Parameters
     ----------
-    wanted, facts
-        What was asked for, and what :func:`condition` tells once all samples have passed.
+    settings, report
+        What to do, and what was done once all samples have passed.
     """
-    before, after = facts["outside"]
+    before, after = report.outside
     ends = (
-        ("--start", "before the first", wanted.start, before),
-        ("--end", "after the last", wanted.end, after),
+        ("start", "before the first", settings.start, before),
+        ("end", "after the last", settings.end, after),
     )
     return [
-        f"{option} is {side} sample and leaves nothing out; a number without a unit is in ns"
-        for option, side, moment, left_out in ends
-        if moment is not None and moment.origin == "clock" and not left_out
+        Text(
+            Setting(name),
+            f" is {side} sample and leaves nothing out; a number without a unit is in ns",
+        )
+        for name, side, instant, left_out in ends
+        if instant is not None and instant.origin == "clock" and not left_out
     ]
 
 
@@ -215,14 +249,14 @@ def conditioned(
         if bias is not None:
             rate = rate - bias
         if mount is not None:
-            rate = _turned(rate, mount)
+            rate = _in_body_axes(rate, mount)
         yield batch.with_rate(rate)
 
 
-def _turned(rate: NDArray[np.float64], mount: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``rate @ mount.T``, each row rounded alike wherever it stands in its batch.
+def _in_body_axes(rate: NDArray[np.float64], mount: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``rate @ mount.T``, each row rounded alike wherever it is in its batch.
 
-    A product of matrices rounds by the block in which a row comes to lie, and by the thread.
+    How a matrix product rounds depends on the blocks and threads it is computed with.
     """
     x, y, z = rate.T
     return np.stack([x * row[0] + y * row[1] + z * row[2] for row in mount], axis=1)
@@ -238,21 +272,21 @@ def clipped(
 
     The samples before and after are counted in the two numbers of `outside`.
     """
-    left_out = [0, 0] if outside is None else outside
+    outside = [0, 0] if outside is None else outside
     low = np.iinfo(np.int64).min if start_ns is None else start_ns
     high = np.iinfo(np.int64).max if end_ns is None else end_ns
     for batch in batches:
         inside = (batch.t_ns >= low) & (batch.t_ns <= high)
-        left_out[0] += int(np.count_nonzero(batch.t_ns < low))
-        left_out[1] += int(np.count_nonzero(batch.t_ns > high))
+        outside[0] += int(np.count_nonzero(batch.t_ns < low))
+        outside[1] += int(np.count_nonzero(batch.t_ns > high))
         if inside.all():
             yield batch
         elif inside.any():
             yield batch[inside]
 
 
-def _absolute(moment: Instant | None, first_ns: int, last_ns: int) -> int | None:
+def _absolute(instant: Instant | None, first_ns: int, last_ns: int) -> int | None:
     """Return an instant on the log's clock, ns, given the log's first and last stamps."""
-    if moment is None:
+    if instant is None:
         return None
-    return moment.ns + {"clock": 0, "first": first_ns, "last": last_ns}[moment.origin]
+    return instant.ns + {"clock": 0, "first": first_ns, "last": last_ns}[instant.origin]

@@ -1,9 +1,9 @@
-"""The stretch of a log in which the sensor lay still, found from sums over windows of time."""
+"""Static detection: the period of a log in which the sensor was at rest, from sums over windows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from quatprop.series import GyroSeries
 
 REST_WINDOW_NS = 1_000_000_000
-"""Rest is looked for in windows of this length, unless told otherwise."""
+"""Rest is looked for in windows of this length by default."""
 
 AT_REST = 0.05
-"""rad/s: rates that scatter more than this are no rest."""
+"""rad/s: rates that scatter more than this are not at rest."""
 
 REST_FACTOR = 2.0
 """A window is at rest if its rates scatter at most this much more than the quietest window's."""
@@ -26,7 +26,7 @@ REST_FACTOR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """The stretch of a log in which the sensor lay still.
+    """The period of a log in which the sensor was at rest.
 
     Parameters
     ----------
@@ -34,31 +34,21 @@ class Rest:
         Its first and last stamps, ns.
     samples
         How many samples it holds.
-    mean
-        The mean rate, shape ``(3,)``, rad/s: the bias, if the stretch is rest indeed.
-    scatter
-        Root mean square deviation of the rates from `mean`, rad/s, over all three axes.
+    mean_rad_s
+        The mean rate, shape ``(3,)``: the bias, if this is rest.
+    scatter_rad_s
+        Root mean square deviation of the rates from the mean, over all three axes.
     """
 
     first_ns: int
     last_ns: int
     samples: int
-    mean: NDArray[np.float64]
-    scatter: float
-
-    def told(self) -> dict[str, Any]:
-        """Return the same, JSON-ready."""
-        return {
-            "first_ns": self.first_ns,
-            "last_ns": self.last_ns,
-            "samples": self.samples,
-            "mean_rad_s": self.mean.tolist(),
-            "scatter_rad_s": self.scatter,
-        }
+    mean_rad_s: NDArray[np.float64]
+    scatter_rad_s: float
 
 
-def quietest(windows: NDArray[np.void]) -> Rest | None:
-    """Return the longest quiet stretch, or None where no window holds two finite samples.
+def longest_rest(windows: NDArray[np.void]) -> Rest | None:
+    """Return the longest quiet period, or None where no window holds two finite samples.
 
     The quietest window is the one whose rates scatter least about their mean; the rest is the
     longest run of neighbouring windows that scatter at most :data:`REST_FACTOR` times as much.
@@ -79,8 +69,8 @@ def quietest(windows: NDArray[np.void]) -> Rest | None:
         first_ns=int(rest["first_ns"][0]),
         last_ns=int(rest["last_ns"][-1]),
         samples=int(whole["count"][0]),
-        mean=whole["total"][0] / whole["count"][0],
-        scatter=float(_scatter(whole)[0]),
+        mean_rad_s=whole["total"][0] / whole["count"][0],
+        scatter_rad_s=float(_scatter(whole)[0]),
     )
 
 
@@ -142,7 +132,7 @@ def _scatter(windows: NDArray[np.void]) -> NDArray[np.float64]:
 
 
 def _longest_run(quiet: NDArray[np.bool_], adjacent: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the longest stretch of quiet windows without a hole between them."""
+    """Return the longest run of quiet windows without a hole between them."""
     joined = quiet[1:] & quiet[:-1] & adjacent
     starts = np.flatnonzero(quiet & ~np.append(False, joined))
     stops = np.flatnonzero(quiet & ~np.append(joined, False)) + 1

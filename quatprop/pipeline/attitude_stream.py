@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from quatprop.conditioning import clipping_remarks, condition
 from quatprop.containers.remote import without_secret
 from quatprop.errors import NoSamplesError
@@ -82,8 +80,7 @@ class AttitudeStream:
         batches, self._conditioned = condition(
             source.batches, settings.conditioning, UNITS[source.unit]
         )
-        mount = self._conditioned["mount"] and np.array(self._conditioned["mount"])
-        recording = Recording(log, source, settings.selection, mount)
+        recording = Recording(log, source, settings.selection, self._conditioned.mount)
         self._q0, self._batches = starting(settings.q0, recording, batches)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._segments = Segments(
@@ -107,7 +104,7 @@ class AttitudeStream:
         NoSamplesError
             There are none.
         """
-        used = self._checks.passing(self._batches)
+        used = self._checks.observe(self._batches)
         if self._observer is not None:
             used = self._observer.rates(used)
         attitudes = self._segments.attitudes(used, sensitivity=self._sensitivity)
@@ -117,7 +114,7 @@ class AttitudeStream:
             self._rows += len(series)
             yield series
         if not self.samples:
-            raise NoSamplesError(self._path, self._source.name, self._conditioned["outside"])
+            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside)
 
     def report(
         self, *, layout: str | None = None, fingerprint: Mapping[str, Any] | None = None

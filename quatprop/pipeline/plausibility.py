@@ -1,8 +1,7 @@
-"""What looks wrong with rates, said and never mended.
+"""Plausibility of rates: what looks wrong is reported, never corrected.
 
-Rates that are in the wrong unit, frozen, or cut off by the sensor's range give a perfectly good
-series of the wrong attitudes. Nothing here changes a sample; each finding is one sentence with
-the way out.
+Rates in the wrong unit, frozen, or clipped by the sensor's range give a series of wrong attitudes
+that looks right. Nothing here changes a sample; each finding is one sentence with the way out.
 """
 
 from __future__ import annotations
@@ -19,7 +18,8 @@ from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
-from quatprop.times import utc_text
+from quatprop.text import Setting, Text
+from quatprop.times import NS_PER_S, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -35,41 +35,43 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 WIDEST_RANGE = math.radians(4000.0)
-"""rad/s: gyroscopes that are sold do not measure more."""
+"""rad/s: no common gyroscope measures more."""
 
 SMALLEST_RANGE = math.radians(125.0)
-"""rad/s: the narrowest range of common gyroscopes; smaller extremes are no saturation."""
+"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
 
 SATURATED_RUN = 3
-"""So many neighbouring samples at the very same extreme are no coincidence."""
+"""This many neighbouring samples at exactly the same extreme are no coincidence."""
 
 FROZEN_SAMPLES = 100
-"""So many equal rates come from no sensor that works: it would have noise."""
+"""This many equal rates come from no working sensor: it would have noise."""
 
 STEP_LIMIT = math.radians(30.0)
-"""rad: a body that turns further between two samples is sampled too slowly for any method."""
+"""rad: a larger rotation between two samples is too large for any integration rule."""
 
 COMPARED_SAMPLES = 20_000
-"""Rates are held against the log's own orientation over so many samples from its beginning."""
+"""Rates are compared with the log's own orientation over so many samples from its beginning."""
 
 COMPARED_SPAN_NS = 1_000_000_000
 """Rotations are compared over this time: long enough for noise, short enough for drift."""
 
 MOVING = math.radians(1.0)
-"""rad: an orientation that turns less than this in that time does not tell."""
+"""rad: an orientation that rotates less than this in that time shows nothing."""
 
 OFF_SCALE = 20.0
 """A factor beyond this between rates and orientation is a unit (180/pi = 57.3), not a drift."""
 
-
 OTHER_CLOCK_NS = 3_600_000_000_000
-"""Stamps further from the time of recording are of another clock, not late."""
+"""Stamps further from the time of recording are of another clock, not delayed."""
+
+_COLUMN = 16_384
+"""Samples checked together."""
 
 _NONE = np.empty(0, dtype=np.int64)
 
 
 class RateChecks:
-    """Looks at rates as they pass.
+    """Checks rates as they pass.
 
     The findings do not depend on where batches end.
     """
@@ -77,141 +79,163 @@ class RateChecks:
     def __init__(self) -> None:
         self._highest = np.full(3, -np.inf)
         self._lowest = np.full(3, np.inf)
-        self._runs = np.zeros((2, 3), dtype=np.int64)
+        self._saturated = np.zeros((2, 3), dtype=np.bool_)
         self._samples = 0
-        self._before: Float64 = np.empty((0, 3))
+        self._columns = np.empty((3, _COLUMN))
+        self._filled = 0
 
-    def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the batches as they are, having looked at them."""
+    def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the batches unchanged, and check them."""
         for batch in batches:
-            self._look(batch.rate)
+            self._add(batch.rate)
             yield batch
 
-    def _look(self, rate: Float64) -> None:
+    def _add(self, rate: Float64) -> None:
+        """Gather rates in contiguous columns, and check them when the columns are full."""
         self._samples += len(rate)
-        # Runs may go on from the batch before.
-        rows = np.concatenate([self._before, rate])
-        self._before = rows[1 - SATURATED_RUN :]
-        for side, extreme in enumerate((np.fmax, np.fmin)):
-            reached = extreme.reduce(rows, axis=0)
-            known = (self._highest, self._lowest)[side]
-            beyond = extreme(reached, known) != known
-            self._runs[side][beyond] = 0
-            known[beyond] = reached[beyond]
-            for axis in np.flatnonzero(reached == known):
-                self._runs[side, axis] += _runs(rows[:, axis] == known[axis])
+        start = 0
+        while start < len(rate):
+            stop = min(len(rate), start + _COLUMN - self._filled)
+            filled = self._filled + stop - start
+            self._columns[:, self._filled : filled] = rate[start:stop].T
+            self._filled, start = filled, stop
+            if filled == _COLUMN:
+                self._check()
 
-    def remarks(self, median_dt_ns: int | None) -> list[str]:
-        """Return one sentence for each finding.
+    def _check(self) -> None:
+        columns = self._columns[:, : self._filled]
+        for side, extreme in enumerate((np.fmax, np.fmin)):
+            reached = extreme.reduce(columns, axis=1)
+            limit = (self._highest, self._lowest)[side]
+            beyond = extreme(reached, limit) != limit
+            self._saturated[side, beyond] = False
+            limit[beyond] = reached[beyond]
+            for axis in np.flatnonzero((reached == limit) & (np.abs(limit) >= SMALLEST_RANGE)):
+                self._saturated[side, axis] |= _has_run(columns[axis] == limit[axis])
+        # A run may continue in the samples that come next.
+        last = columns[:, 1 - SATURATED_RUN :].copy()
+        self._filled = last.shape[1]
+        self._columns[:, : self._filled] = last
+
+    def remarks(self, median_dt_ns: int | None) -> list[Text]:
+        """Return a sentence for each finding.
 
         Parameters
         ----------
         median_dt_ns
             The usual interval between samples, ns.
         """
+        if self._filled:
+            self._check()
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
         if largest == 0.0 and not self._lowest.any():
-            return ["every rate is zero: is this the right topic?"]
-        said = []
+            return [Text("every rate is zero: is this the right topic?")]
+        remarks = []
         if largest > WIDEST_RANGE:
-            said.append(
-                f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in deg/s, "
-                "say --rate-unit deg/s"
+            remarks.append(
+                Text(
+                    f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
+                    "deg/s, use ",
+                    Setting("rate_unit", "deg/s"),
+                )
             )
-        elif median_dt_ns is not None and largest * median_dt_ns * 1e-9 > STEP_LIMIT:
-            said.append(
-                f"the body turns up to {math.degrees(largest * median_dt_ns * 1e-9):.3g} deg "
-                "between two samples: sampled too slowly for this motion"
+        elif median_dt_ns is not None and largest * median_dt_ns > STEP_LIMIT * NS_PER_S:
+            step = math.degrees(largest * median_dt_ns / NS_PER_S)
+            remarks.append(
+                Text(
+                    f"the body rotates by up to {step:.3g} deg between two samples: the sample "
+                    "rate is too low for this motion"
+                )
             )
         if (self._highest == self._lowest).all():
             if self._samples >= FROZEN_SAMPLES:
                 rate = self._highest.tolist()
-                said.append(f"every rate is the same, {rate} rad/s: frozen, or simulated?")
-            return said
-        said += list(self._saturation())
-        return said
+                remarks.append(Text(f"every rate is the same, {rate} rad/s: frozen, or simulated?"))
+            return remarks
+        return [*remarks, *self._saturation()]
 
-    def _saturation(self) -> Iterator[str]:
+    def _saturation(self) -> Iterator[Text]:
         moving = self._highest != self._lowest
-        for sign, values, runs in zip("+-", (self._highest, self._lowest), self._runs, strict=True):
-            for axis in np.flatnonzero(moving & (runs > 0) & (np.abs(values) >= SMALLEST_RANGE)):
-                yield (
-                    f"axis {sign}{'xyz'[axis]} stays at its extreme of {values[axis]:.6g} rad/s "
-                    f"over {SATURATED_RUN} samples and more: saturated, so what was beyond is lost"
+        for sign, limit, saturated in zip(
+            "+-", (self._highest, self._lowest), self._saturated, strict=True
+        ):
+            for axis in np.flatnonzero(moving & saturated):
+                yield Text(
+                    f"axis {sign}{'xyz'[axis]} stays at its extreme of {limit[axis]:.6g} rad/s "
+                    f"for {SATURATED_RUN} samples or more: saturated, so larger rates are missing"
                 )
 
 
-def _runs(hit: NDArray[np.bool_]) -> int:
-    """Return how many samples end a run of at least :data:`SATURATED_RUN` hits."""
-    if len(hit) < SATURATED_RUN:
-        return 0
-    window = np.lib.stride_tricks.sliding_window_view(hit, SATURATED_RUN)
-    return int(window.all(axis=1).sum())
+def _has_run(hit: NDArray[np.bool_]) -> bool:
+    """Tell whether :data:`SATURATED_RUN` neighbouring samples are hits."""
+    run = hit
+    for shift in range(1, SATURATED_RUN):
+        run = run[:-1] & hit[shift:]
+    return bool(run.any())
 
 
-def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str]:
-    """Return what stamps and orientation beside the rates tell; see the two functions below."""
-    return [*stamp_remarks(source), *orientation_remarks(log, source)]
-
-
-def stamp_remarks(source: RateSignal) -> list[str]:
-    """Return what is remarkable about header stamps beside the times of recording.
-
-    Only the beginning of the log is read.
-    """
-    if source.clock != "header":
-        return []
-    stamped, logged = next(source.stamps(), (_NONE, _NONE))
-    zeros = int(np.count_nonzero(stamped == 0))
-    way_out = "; for the time of recording choose --clock log"
-    if zeros:
-        return [f"{zeros} of the first {len(stamped)} header stamps are zero{way_out}"]
-    if not logged.any():
-        return []
-    if abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
-        return []
-    begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
-    said = f"header stamps begin at {begin} and the recording at {recorded}: another clock"
-    return [said + way_out]
-
-
-def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str]:
-    """Return what the orientation beside the rates tells, if the log has one.
-
-    Only the beginning of the log is read.
+def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:
+    """Return remarks on the stamps and the orientation beside the rates.
 
     Parameters
     ----------
     log
-        An open log that can be read again.
+        An open log that can be read again; only its beginning is read.
     source
         The rates.
     """
+    return [*stamp_remarks(source), *orientation_remarks(log, source)]
+
+
+def stamp_remarks(source: RateSignal) -> list[Text]:
+    """Return remarks on header stamps, compared with the times of recording."""
+    if source.clock != "header":
+        return []
+    stamped, logged = next(source.stamps(), (_NONE, _NONE))
+    zeros = int(np.count_nonzero(stamped == 0))
+    way_out = Text("; for the time of recording choose ", Setting("clock", "log"))
+    if zeros:
+        return [Text(f"{zeros} of the first {len(stamped)} header stamps are zero", way_out)]
+    if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
+        return []
+    begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
+    return [
+        Text(
+            f"header stamps begin at {begin} and the recording at {recorded}: another clock",
+            way_out,
+        )
+    ]
+
+
+def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:
+    """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = None if is_table(log) else source.name
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
-        remark = against_orientation(source.batches(), check.apply(own.rows()))
+        remark = against_orientation(source.batches(), check.apply(_beginning(own.rows())))
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
-    said = [] if remark is None else [remark]
+    remarks = [] if remark is None else [remark]
     counts = check.counts
     if counts.zero or counts.not_unit:
-        said.append(
-            f"the log's own orientation is no rotation in {counts.zero + counts.not_unit} of "
-            f"{counts.read} samples looked at ({counts.zero} are zero, {counts.not_unit} off unit "
-            f"length by up to {counts.worst:.3g}); it is not used"
+        remarks.append(
+            Text(
+                f"the log's own orientation is invalid in {counts.zero + counts.not_unit} of the "
+                f"first {counts.read} samples ({counts.zero} are zero, {counts.not_unit} off unit "
+                f"length by up to {counts.worst:.3g}); it is not used"
+            )
         )
-    return said
+    return remarks
 
 
 def against_orientation(
     rates: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries]
-) -> str | None:
-    """Return a sentence if the rates turn much less or more than the log's own orientation.
+) -> Text | None:
+    """Return a remark if the rates rotate much less or more than the log's own orientation.
 
     Parameters
     ----------
@@ -222,46 +246,51 @@ def against_orientation(
 
     Returns
     -------
-    str or None
-        None where they agree, where nothing moves, or where there is too little to tell.
+    Text or None
+        None where they agree, where nothing moves, or where there is too little to compare.
     """
-    gyro_ns, rate = _beginning((batch.t_ns, batch.rate) for batch in rates)
-    own_ns, own = _beginning((batch.t_ns, batch.wxyz) for batch in orientations)
+    gyro_ns, rate = _joined((batch.t_ns, batch.rate) for batch in rates)
+    own_ns, own = _joined((batch.t_ns, batch.wxyz) for batch in orientations)
     stamps, places, own_places = np.intersect1d(gyro_ns, own_ns, return_indices=True)
     if len(stamps) < 2 or not np.isfinite(rate).all() or (np.diff(gyro_ns) < 0).any():  # noqa: PLR2004  # two ends
         return None
     after = np.searchsorted(stamps, stamps + COMPARED_SPAN_NS)
     begins = np.flatnonzero(after < len(stamps))
     ends = after[begins]
-    propagated = attitudes(gyro_ns, rate)[places]
-    turned = geodesic_angle(propagated[begins], propagated[ends])
-    own_turned = geodesic_angle(own[own_places][begins], own[own_places][ends])
-    by_rates, by_orientation = _rms(turned), _rms(own_turned)
+    propagated, own = attitudes(gyro_ns, rate)[places], own[own_places]
+    by_rates = _rms(geodesic_angle(propagated[begins], propagated[ends]))
+    by_orientation = _rms(geodesic_angle(own[begins], own[ends]))
     if by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
-        return (
-            f"the log's own orientation turns {by_orientation / max(by_rates, 1e-9):.3g} times as "
-            "far as its rates: were they scaled by pi/180 once too often?"
+        return Text(
+            f"the log's own orientation rotates {by_orientation / max(by_rates, 1e-9):.3g} times "
+            "as far as its rates: were they scaled by pi/180 once too often?"
         )
     # An orientation that stands still was never estimated: many drivers leave it at identity.
     if by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
-        return (
-            f"the rates turn {by_rates / max(by_orientation, 1e-9):.3g} times as far as the log's "
-            "own orientation: if they are in deg/s, say --rate-unit deg/s"
+        return Text(
+            f"the rates rotate {by_rates / max(by_orientation, 1e-9):.3g} times as far as the "
+            "log's own orientation: if they are in deg/s, use ",
+            Setting("rate_unit", "deg/s"),
         )
     return None
 
 
-def _beginning(batches: Iterable[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
-    stamps: list[Int64] = []
-    values: list[Float64] = []
-    for t_ns, rows in batches:
-        stamps.append(t_ns)
-        values.append(rows)
-        if sum(map(len, stamps)) >= COMPARED_SAMPLES:
-            break
-    if not stamps:
+def _beginning(batches: Iterable[tuple[Int64, Float64]]) -> Iterator[tuple[Int64, Float64]]:
+    """Yield batches until they hold :data:`COMPARED_SAMPLES` rows."""
+    rows = 0
+    for t_ns, values in batches:
+        yield t_ns, values
+        rows += len(t_ns)
+        if rows >= COMPARED_SAMPLES:
+            return
+
+
+def _joined(batches: Iterable[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
+    """Return the stamps and rows at the beginning of a stream."""
+    parts = list(_beginning(batches))
+    if not parts:
         return np.zeros(0, np.int64), np.zeros((0, 3))
-    return np.concatenate(stamps), np.concatenate(values)
+    return np.concatenate([t_ns for t_ns, _ in parts]), np.concatenate([rows for _, rows in parts])
 
 
 def _rms(angles: Float64) -> float:

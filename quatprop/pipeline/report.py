@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.conditioning import ConditioningReport
     from quatprop.containers.base import Loss
     from quatprop.text import Text
     from quatprop.timeline import Policy
@@ -156,7 +157,7 @@ class RunReport:
     counts: Counts
     losses: tuple[Loss, ...]
     remarks: tuple[str | Text, ...]
-    conditioning: Any
+    conditioning: ConditioningReport
     result: ResultReport
     seconds: float | None = None
 

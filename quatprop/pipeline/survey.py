@@ -169,7 +169,7 @@ def _unread(error: LogError, name: str | None = None) -> Facts:
 def _measured(source: RateSignal, path: str) -> Facts:
     timeline = Timeline(OBSERVE, path)
     watch = RateChecks()
-    deque(timeline.apply(watch.passing(source.batches())), maxlen=0)
+    deque(timeline.apply(watch.observe(source.batches())), maxlen=0)
     counts = timeline.counts
     return {
         "source": source.name,

@@ -203,10 +203,10 @@ def _see_rates(
     sketch, watch = RateSketch(source.unit, UNITS[source.unit]), RateChecks()
     timeline = Timeline(OBSERVE, path)
     counts = timeline.counts
-    for _ in timeline.apply(sketch.passing(watch.passing(batches))):
+    for _ in timeline.apply(sketch.passing(watch.observe(batches))):
         tick(counts.used)
     if not counts.used:
-        raise NoSamplesError(path, source.name, done["outside"])
+        raise NoSamplesError(path, source.name, done.outside)
     findings = watch.remarks(counts.median_dt_ns)
     if path != "-":
         findings += log_remarks(log, source)

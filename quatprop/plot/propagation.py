@@ -146,5 +146,5 @@ def _done(report: RunReport) -> Iterator[tuple[str, str]]:
     for name, value in as_json(report.policy).items():
         yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
     for name, words in CONDITIONING.items():
-        if (value := report.conditioning[name]) is not None:
+        if (value := as_json(getattr(report.conditioning, name))) is not None:
             yield words, str(value)
