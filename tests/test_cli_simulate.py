@@ -50,7 +50,7 @@ def test_the_command_writes_to_stdout():
         (["--start", "noon"], "'noon' is not a time"),
         (
             ["--samples", "5", "--duration", "1s"],
-            "--samples and --duration say the same thing; give one of them",
+            "--samples and --duration exclude each other; give one of them",
         ),
         (["--motion", "coning", "--axis", "1,0,0"], "--axis goes with --motion spin"),
         (["--angle", "5"], "--angle goes with --motion coning or tumbling"),

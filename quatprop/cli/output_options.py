@@ -61,7 +61,7 @@ OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OP
 
 
 def message(chosen: dict[str, Any]) -> Message | None:
-    """Take what attitudes are written as out of a command's options; None if nothing was said."""
+    """Take the message options out of a command's options; None where none was given."""
     kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
     if kind is None and topic is None and frames is None:
         return None
@@ -72,14 +72,14 @@ def message(chosen: dict[str, Any]) -> Message | None:
 
 
 def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:
-    """Take where attitudes go out of a command's options: a file of their own, or a copy.
+    """Take the destination out of a command's options: a file of attitudes, or a copy of the log.
 
     Parameters
     ----------
     chosen
         The options.
     own
-        How the file of its own is named, for errors.
+        How the file of attitudes is named, for errors.
     """
     output, into = chosen.pop("output"), chosen.pop("into")
     if (output is None) == (into is None):

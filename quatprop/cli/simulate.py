@@ -21,13 +21,13 @@ SHAPED_BY = {
     "spin_frequency": ("tumbling",),
     "walk": ("random-walk",),
 }
-"""Which motions an option shapes."""
+"""The motions that each option belongs to."""
 
 DEFAULT_DURATION_NS = 20_000_000_000
 
 
 def _exact(_context: click.Context, _option: click.Parameter, text: str) -> Fraction:
-    """Return a number kept exact: 0.1 is one tenth."""
+    """Return an exact number: 0.1 is one tenth."""
     try:
         return Fraction(text)
     except (ValueError, ZeroDivisionError):
@@ -190,11 +190,11 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside
 
-    _refuse_idle(options["motion"])
+    _refuse_unused(options["motion"])
     if not 0 < options["sample_rate"] <= MAX_FREQUENCY:
         raise click.BadParameter("a rate is above 0 and at most 1e9 Hz", param_hint="'--rate'")
     if options["samples"] is not None and options["duration"] is not None:
-        raise click.UsageError("--samples and --duration say the same thing; give one of them")
+        raise click.UsageError("--samples and --duration exclude each other; give one of them")
     samples = options["samples"] or samples_in(
         options["duration"] or DEFAULT_DURATION_NS, options["sample_rate"]
     )
@@ -227,8 +227,8 @@ def command(out: str, **options: Any) -> None:
         click.echo(f"{out}: {samples:,} samples of {options['motion']}{beside}", err=True)
 
 
-def _refuse_idle(motion: str) -> None:
-    """Refuse options that shape another motion than the one that is asked for."""
+def _refuse_unused(motion: str) -> None:
+    """Refuse options of other motions than the chosen one."""
     source = click.get_current_context().get_parameter_source
     for name, motions in SHAPED_BY.items():
         if motion not in motions and source(name) is not click.core.ParameterSource.DEFAULT:

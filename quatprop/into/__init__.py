@@ -87,7 +87,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
         raise UsageError(
             Setting("into"), " copies the log in its own format; leave ", Setting("to"), " out"
         )
-    suffixes = tuple(suffix for known in WRITERS.values() for suffix in known.suffixes if suffix)
+    suffixes = tuple(suffix for form in WRITERS.values() for suffix in form.suffixes if suffix)
     name = target.lower()
     compressed = name.endswith((".gz", ".zst", ".zstd", ".lz4", ".bz2"))
     if compressed or (name.endswith(suffixes) and kind_of(target) != kind):

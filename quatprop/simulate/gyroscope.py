@@ -1,4 +1,4 @@
-"""A motion as a gyroscope samples it: stamps, noise, bias; and the truth at the same stamps."""
+"""A motion sampled by a gyroscope: stamps, noise, bias; and the truth at the same stamps."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from quatprop.simulate.motion import Motion
 
 START_NS = 1_700_000_000_000_000_000
-"""First stamp unless told: 2023-11-14T22:13:20Z. Fixed, so that logs come out alike."""
+"""Default first stamp: 2023-11-14T22:13:20Z. Fixed, so that logs are reproducible."""
 
 BATCH = 1 << 16
 """Samples made at a time."""
@@ -34,7 +34,7 @@ the last place between machines."""
 
 @dataclass(frozen=True, slots=True)
 class Gyroscope:
-    """How samples are taken.
+    """A gyroscope and how long it samples.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Gyroscope:
         Samples a second, Hz. Sample k is taken at the whole ns at or before ``k / sample_rate``,
         and its stamp is true.
     samples
-        How many.
+        Number of samples.
     start_ns
         First stamp, ns.
     noise
@@ -86,14 +86,14 @@ class Gyroscope:
 def record(
     motion: Motion, gyroscope: Gyroscope, q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
 ) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
-    """Yield what the gyroscope says and what is true, batch after batch.
+    """Yield the measured rates and the true attitudes, batch after batch.
 
     Parameters
     ----------
     motion
-        What the body does.
+        The motion of the body.
     gyroscope
-        How it is sampled.
+        The gyroscope that samples it.
     q0
         True attitude at the first sample, body -> reference, wxyz; made unit length.
 
@@ -105,7 +105,7 @@ def record(
     Raises
     ------
     UsageError
-        q0 is no attitude.
+        q0 is not an attitude.
     """
     if not 0 < np.linalg.norm(q0) < np.inf:
         raise UsageError("q0 must be four finite numbers W,X,Y,Z, not all zero")
@@ -126,7 +126,7 @@ def record(
 
 
 def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
-    """Return how many samples are taken before a duration has passed, at least one.
+    """Return the number of samples in a duration, at least one.
 
     Examples
     --------

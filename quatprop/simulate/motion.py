@@ -5,7 +5,7 @@ body -> reference, so that ``q' = 1/2 q w_B`` (source article, equation 12); rat
 the body frame, in rad/s. The attitude at time zero is the identity: the reference frame is the
 body frame at the first sample.
 
-Nothing here comes from the propagation that these motions are there to test.
+Nothing here is shared with the propagation that these motions test.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What the motions can be told; each takes what concerns it.
+    """The parameters of the motions; each uses its own.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class Shape:
 
 
 def motion_named(name: str, shape: Shape) -> Motion:
-    """Return the motion of that name.
+    """Return a motion by name.
 
     Raises
     ------
     UsageError
-        There is none, or it cannot have that shape.
+        There is none, or a parameter is out of range.
     """
     if name not in MOTIONS:
         raise UsageError(f"no motion {quoted(name)}; choose one of {listed(MOTIONS)}")
@@ -128,18 +128,17 @@ def spin(axis: tuple[float, float, float], frequency: Fraction) -> Motion:
 def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -> Motion:
     """Return a regular precession: ``q = Rz(f) Rx(n) Rz(s)``, f and s growing steadily.
 
-    The body's z axis keeps the angle n to a fixed axis, goes round it with ``f' = 2 pi
-    frequency`` and the body turns about it with ``s' = 2 pi spin_frequency``. The Euler angles
+    The body's z axis is at the angle n to a fixed axis and rotates about it at ``f' = 2 pi
+    frequency``; the body rotates about its z axis at ``s' = 2 pi spin_frequency``. The Euler angles
     3-1-3 give, with c and s_n cosine and sine of n/2::
 
         q = [c cos((f+s)/2), s_n cos((f-s)/2), s_n sin((f-s)/2), c sin((f+s)/2)]
         w_B = [f' sin(n) sin(s), f' sin(n) cos(s), f' cos(n) + s']
 
-    Two motions of the textbooks are of this kind. A free symmetric body tumbles so when its
-    transverse and axial moments of inertia are as ``A / C = 1 + s' / (f' cos n)``. And with
-    ``s' = -f'`` it is classical coning: the body axis goes round a cone of half-angle n while the
-    body does not turn about it, and the z rate ``-f' (1 - cos n)`` is what gyroscopes at rest
-    about that axis are known to show.
+    Two textbook motions are of this kind. A free symmetric body tumbles so when the ratio of its
+    transverse and axial moments of inertia is ``A / C = 1 + s' / (f' cos n)``. And with
+    ``s' = -f'`` it is classical coning: the body axis describes a cone of half-angle n while the
+    body does not rotate about it, and gyroscopes measure the z rate ``-f' (1 - cos n)``.
 
     Parameters
     ----------
@@ -161,7 +160,7 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
     precessing = 2 * math.pi * float(frequency)
     axial = precessing * full_cosine + 2 * math.pi * float(spin_frequency)
     transverse = precessing * full_sine
-    # The attitude starts at Rx(n): the conjugate in front makes it the reference.
+    # The formula starts at Rx(n): its conjugate on the left makes the start the identity.
     begin = np.array([half_cosine, -half_sine, 0.0, 0.0])
 
     def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:
@@ -186,7 +185,7 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
 
 
 class RandomWalk:
-    """A rate that wanders, constant from each sample to the next.
+    """A rate that is a random walk, constant from each sample to the next.
 
     The attitude is the product of the exact steps (source article, equation 36) in extended
     precision where the machine has it.
@@ -207,10 +206,12 @@ class RandomWalk:
         self._wxyz = np.array([1, 0, 0, 0], np.longdouble)
 
     def __call__(self, elapsed_ns: Int64) -> tuple[Float64, Float64]:
-        """Return rate and attitude; times go on from the last call."""
+        """Return rate and attitude; times continue from the last call."""
         dt = np.diff(elapsed_ns, prepend=self._elapsed_ns) / NS_PER_S
-        wander = self._random.standard_normal((len(dt), 3)) * (self._walk * np.sqrt(dt))[:, None]
-        rate = np.cumsum(np.vstack((self._rate, wander)), axis=0)
+        increments = (
+            self._random.standard_normal((len(dt), 3)) * (self._walk * np.sqrt(dt))[:, None]
+        )
+        rate = np.cumsum(np.vstack((self._rate, increments)), axis=0)
         steps = step(rate[:-1].astype(np.longdouble) * dt[:, None])
         steps[0] = hamilton(self._wxyz, steps[0])
         wxyz = running_product(steps)

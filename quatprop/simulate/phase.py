@@ -1,10 +1,10 @@
-"""Angles that stay exact for any duration, and their sines to the same bit on every machine.
+"""Angles that are exact for any duration, and sines that are the same on every machine.
 
 The phase ``f t`` of a rational frequency and an integer time is a ratio of integers, so whole
-turns are removed without rounding: after a day the phase is as good as in the first second.
-What is left, an eighth of a turn at most, goes through a polynomial of IEEE additions and
-multiplications. Those round alike everywhere; the sines of math libraries do not (they differ
-between processors in the last place), and sample logs must come out alike, byte for byte.
+turns are removed without rounding: after a day the phase is as accurate as in the first second.
+The remainder, at most an eighth of a turn, goes through a polynomial of IEEE additions and
+multiplications. Those round the same everywhere; the sines of math libraries do not (they differ
+between processors in the last place), and sample logs must be reproducible to the byte.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Hamilton products of the truth, in whatever precision their factors have.
+"""Hamilton products for the truth, in the precision of their factors.
 
-Not those of :mod:`quatprop.kinematics.quaternion`: a truth that shares code with what it is to
-judge would share its mistakes.
+Separate from :mod:`quatprop.kinematics.quaternion`: a truth that shares code with the propagation
+would share its mistakes.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 def hamilton(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     """Return ``left right``, wxyz, ij = k; shapes ``(..., 4)`` broadcast.
 
-    Written out, because sums by the libraries of linear algebra round differently on different
-    processors.
+    Written out, because linear algebra libraries round sums differently on different processors.
 
     Examples
     --------

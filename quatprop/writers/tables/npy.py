@@ -122,7 +122,7 @@ class NpzTable(TableWriter):
             body.close()
 
 
-def _header(dtype: np.dtype[Any], count: int) -> dict[str, Any]:
+def _header(dtype: np.dtype[Any], count: int) -> dict[str, object]:
     return {
         "descr": np.lib.format.dtype_to_descr(dtype),
         "fortran_order": False,

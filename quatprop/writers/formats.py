@@ -1,0 +1,197 @@
+"""The formats of output: one row each, with what the format can hold and keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop.errors import OutputError, UsageError
+from quatprop.text import Setting, quoted
+from quatprop.writers.targets import is_stdout, is_stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import Any
+
+    from quatprop.conventions.layout import Layout
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """One row of :data:`WRITERS`.
+
+    Parameters
+    ----------
+    suffixes
+        File name endings that mean this format; ``""`` is a name without one.
+    opener
+        ``module:class`` of the writer, imported when it is needed. It is called with the target
+        and, for columns, their names; for messages, a topic and a compression.
+    columns
+        Whether it is a table of any columns.
+    encodings
+        Encodings of the messages that it holds; empty where it holds none.
+    layout
+        The layout that the format's own definition prescribes; None where there is a choice.
+    is_text
+        Whether it may go to stdout.
+    comments
+        Whether it has comments, in which the provenance can be kept.
+    keeps_provenance
+        Whether it has a place of its own for the provenance, besides comments.
+    compressions
+        What its content can be compressed with; the first is the default.
+    """
+
+    suffixes: tuple[str, ...]
+    opener: str
+    columns: bool = False
+    encodings: tuple[str, ...] = ()
+    layout: str | None = None
+    is_text: bool = False
+    comments: bool = False
+    keeps_provenance: bool = False
+    compressions: tuple[str, ...] = ("none",)
+
+    def load(self) -> Callable[..., Any]:
+        """Import and return the writer."""
+        module, _, name = self.opener.partition(":")
+        writer: Callable[..., Any] = getattr(import_module(f"quatprop.writers.{module}"), name)
+        return writer
+
+
+def _text(suffixes: tuple[str, ...], opener: str, **options: Any) -> Format:
+    """Return a format of text."""
+    return Format(suffixes, opener, is_text=True, **options)
+
+
+def _messages(
+    suffixes: tuple[str, ...], opener: str, encodings: tuple[str, ...], *compressions: str
+) -> Format:
+    """Return a format of messages, whose quaternions are x, y, z, w."""
+    return Format(
+        suffixes,
+        opener,
+        encodings=encodings,
+        layout="scalar-last",
+        keeps_provenance=True,
+        compressions=compressions,
+    )
+
+
+WRITERS: Mapping[str, Format] = {
+    "csv": _text((".csv",), "tables.csv:CsvTable", columns=True, comments=True),
+    "tsv": _text((".tsv",), "tables.csv:TsvTable", columns=True, comments=True),
+    "jsonl": _text((".jsonl", ".ndjson"), "tables.jsonl:JsonLinesTable", columns=True),
+    "parquet": Format(
+        (".parquet", ".pq"),
+        "tables.parquet:ParquetTable",
+        columns=True,
+        keeps_provenance=True,
+        compressions=("zstd",),
+    ),
+    "feather": Format(
+        (".feather", ".arrow"), "tables.feather:FeatherTable", columns=True, keeps_provenance=True
+    ),
+    "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
+    "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
+    "tum": _text((".tum",), "tables.tum:TumTable", layout="scalar-last", comments=True),
+    "euroc": _text((), "tables.euroc:EurocTable", layout="scalar-first", comments=True),
+    "mcap": _messages(
+        (".mcap",), "mcap.writer:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
+    ),
+    "bag": _messages((".bag",), "rosbag1.writer:BagWriter", ("ros1",), "none", "lz4", "bz2"),
+    "rosbag2": _messages(("",), "rosbag2.writer:SqliteBagWriter", ("cdr",), "none"),
+    "rosbag2-mcap": _messages((), "rosbag2.writer:McapBagWriter", ("cdr",), "zstd", "none"),
+}
+"""Every kind of file that can be written; the keys are the choices of the setting ``to``."""
+
+GENERAL_KINDS = tuple(kind for kind, form in WRITERS.items() if form.columns or form.encodings)
+"""The kinds that can hold other series than attitudes."""
+
+DEFAULT_LAYOUT = "scalar-first"
+
+
+def layout_of(kind: str, layout: str | None = None) -> Layout:
+    """Return the layout in which a kind of file is written.
+
+    Parameters
+    ----------
+    kind
+        A key of :data:`WRITERS`.
+    layout
+        The layout asked for; None where none was.
+
+    Raises
+    ------
+    UsageError
+        The layout is unknown, or the format's definition prescribes the other one.
+
+    Examples
+    --------
+    >>> layout_of("csv").name, layout_of("tum").name
+    ('scalar-first', 'scalar-last')
+    """
+    from quatprop.conventions.layout import layout_named
+
+    prescribed = WRITERS[kind].layout
+    if layout is None:
+        return layout_named(prescribed or DEFAULT_LAYOUT)
+    order = layout_named(layout)
+    if prescribed is not None and order.name != prescribed:
+        raise UsageError(
+            f"{kind} is {prescribed} by its own definition, not {order.name}; leave ",
+            Setting("layout"),
+            " out",
+        )
+    return order
+
+
+def kind_of(target: Path | str, kind: str | None = None) -> str:
+    """Return the kind of file to write: the given one, or that of the target's suffix.
+
+    Raises
+    ------
+    OutputError
+        The kind or the suffix is unknown.
+
+    Examples
+    --------
+    >>> kind_of("attitude.parquet")
+    'parquet'
+    """
+    if kind is not None:
+        if kind not in WRITERS:
+            raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(WRITERS)}")
+        return kind
+    if is_stdout(target) or is_stream(target):
+        return "csv"
+    suffix = Path(target).suffix.lower()
+    for name, form in WRITERS.items():
+        if suffix in form.suffixes:
+            return name
+    suffixes = ", ".join(s for form in WRITERS.values() for s in form.suffixes if s)
+    raise OutputError(
+        target,
+        f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
+        "folder, or say ",
+        Setting("to", "|".join(WRITERS)),
+    )
+
+
+def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
+    """Return whether a file keeps its provenance, in a comment or in a place of its own.
+
+    Parameters
+    ----------
+    target, kind, comment
+        As for :func:`open_writer`.
+
+    Examples
+    --------
+    >>> keeps_provenance("attitude.csv"), keeps_provenance("attitude.parquet")
+    (False, True)
+    """
+    return comment or WRITERS[kind_of(target, kind)].keeps_provenance
