@@ -1,18 +1,23 @@
 """Many logs at a time: on this machine, on a cluster, and what goes wrong with some of them."""
 
+import hashlib
 import json
+import os
 import subprocess
 import sys
 from concurrent.futures import Future
 from dataclasses import replace
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
+from quatprop import __version__
 from quatprop.batch import run as batch
-from quatprop.batch.run import below_shared, on_a_cluster, outputs, propagated
+from quatprop.batch.logs import LogSearch, output_paths, shard
+from quatprop.batch.manifest import Manifest
+from quatprop.batch.run import BatchTask, on_a_cluster, propagate_log, propagate_on_worker
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
@@ -36,6 +41,16 @@ def log(path, rate=1.0, samples=5):
     rows = [f"{100_000_000 * k},0,0,{rate}\n" for k in range(samples)]
     path.write_text(HEADER + "".join(rows))
     return path
+
+
+def task(path, output, name):
+    """Return the task of a log."""
+    return BatchTask(Job(str(path), OutputSettings(str(output))), name)
+
+
+def outputs_in(folder):
+    """Return the names of the outputs, without the manifest."""
+    return sorted(path.name for path in folder.glob("*.parquet") if path.stem != "manifest")
 
 
 @pytest.mark.parametrize("processes", [1, 2])
@@ -64,7 +79,7 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
         f"Error: {bad}: no body rates found; its columns are '0', '1'; "
         "name the columns with --rate-cols and --time-col\n"
     )
-    assert [path.name for path in (tmp_path / "out").glob("*.parquet")] == ["good.parquet"]
+    assert outputs_in(tmp_path / "out") == ["good.parquet"]
 
 
 @pytest.mark.parametrize(
@@ -85,20 +100,19 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
 def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
     """Errors that are none of a log, too, are those of one log of many."""
 
-    def fails(job):
+    def fails(job, **options):
         if job.log.endswith("bad.csv"):
             raise error
-        return run_job(job)
+        return run_job(job, **options)
 
     monkeypatch.delenv(TRACEBACK, raising=False)
     run_job = batch.run
     monkeypatch.setattr(batch, "run", fails)
     bad, good = (str(log(tmp_path / name)) for name in ("bad.csv", "good.csv"))
-    outcomes = [
-        propagated(Job(name, OutputSettings(str(tmp_path / "out.csv")))) for name in (bad, good)
-    ]
-    assert str(outcomes[0].error).startswith(sentence.format(log=bad))
-    assert not outcomes[1].error
+    tasks = [task(name, tmp_path / "out.csv", "out.csv") for name in (bad, good)]
+    results = [propagate_log(task) for task in tasks]
+    assert str(results[0].error).startswith(sentence.format(log=bad))
+    assert not results[1].error
     # One log is propagated in this process.
     done = run(bad, "-o", tmp_path / "out")
     assert done.exit_code == 2
@@ -107,12 +121,11 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
 
 def test_an_output_below_a_file_is_told(tmp_path):
     """Where the folder of an output cannot be made, its log says so, and the others are done."""
-    first = log(tmp_path / "runs" / "1" / "imu.csv")
-    second = log(tmp_path / "runs" / "2" / "imu.csv")
+    first, _ = (log(tmp_path / "runs" / name / "imu.csv") for name in "12")
     out = tmp_path / "out"
     out.mkdir()
     (out / "1").write_text("in the way")
-    done = run(first, second, "-o", out, "-j", "1")
+    done = run(tmp_path / "runs", "-o", out, "-j", "1")
     assert done.exit_code == 2
     assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
     assert (out / "2" / "imu.parquet").exists()
@@ -127,34 +140,137 @@ def test_lost_data_of_any_log_is_code_3(tmp_path):
     assert "lost: line 7: it has 2 columns instead of 4" in done.stderr
 
 
-def test_logs_of_the_same_name_keep_their_folders(tmp_path):
-    """A folder for each run is how recordings are kept."""
-    logs = [log(tmp_path / run_ / "imu.csv") for run_ in ("monday", "tuesday")]
-    assert run(*logs, "-o", tmp_path / "out", "-q").exit_code == 0
-    found = sorted((tmp_path / "out").rglob("*.parquet"))
-    assert found == [tmp_path / "out" / day / "imu.parquet" for day in ("monday", "tuesday")]
+# Which logs there are, and the names of their outputs.
 
 
-def test_packed_logs_lose_both_suffixes(tmp_path):
-    """A log is named without its packing; a folder by its whole name."""
+def names(*given, root=None, output=""):
+    """Return the names of the outputs of what was found."""
+    search = LogSearch(root, output)
+    for name in given:
+        search.add(str(name))
+    return [log.name for log in search.logs]
+
+
+def test_a_folder_is_searched_for_logs(tmp_path):
+    """Bag folders are one log; what is no log is counted; the outputs are no logs."""
+    for name in ("b/imu.csv", "b/c/imu.csv", "a.MCAP", "x.bag.zst", "rec.bag.active", "b/.imu.csv"):
+        log(tmp_path / name)
+    log(tmp_path / "ride" / "metadata.yaml")
+    log(tmp_path / "ride" / "ride_0.db3")
+    log(tmp_path / ".git" / "x.csv")
+    log(tmp_path / "out" / "a.parquet")
+    (tmp_path / "README").write_text("text")
+    (tmp_path / "unnamed").write_bytes(b"\x89MCAP0\r\n")
+    search = LogSearch(output=str(tmp_path / "out"))
+    search.add(str(tmp_path))
+    assert [found.name for found in search.logs] == [
+        "a", "rec", "unnamed", "x", "b/imu", "b/c/imu", "ride",
+    ]  # fmt: skip
+    assert search.other_files == 2  # one of them hidden
+    assert names(tmp_path / "ride") == ["ride"]
+    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "c/imu"]
+
+
+def test_patterns_are_expanded(tmp_path):
+    """As a shell that knows ** does it; names are paths below the fixed part."""
+    for name in ("mon/1/imu.csv", "mon/2/imu.csv", "tue/imu.csv", "tue/gps.csv", "a[1].csv"):
+        log(tmp_path / name)
+    assert names(tmp_path / "*" / "*" / "imu.csv") == ["mon/1/imu", "mon/2/imu"]
+    assert names(tmp_path / "**" / "imu.csv") == ["mon/1/imu", "mon/2/imu", "tue/imu"]
+    assert names(tmp_path / "mon" / "**") == ["1/imu", "2/imu"]
+    assert names(tmp_path / "t*") == ["tue/gps", "tue/imu"]
+    assert names(tmp_path / "a[1].csv") == ["a[1]"]
+    with pytest.raises(UsageError, match=r"nothing matches '.*nothing\*'; check the pattern"):
+        names(tmp_path / "nothing*")
+
+
+def test_a_root_keeps_folders_in_names(tmp_path):
+    """A log that is not below the root is refused."""
+    first, second = log(tmp_path / "mon" / "imu.csv"), log(tmp_path / "tue" / "imu.csv")
+    assert names(first, second) == ["imu", "imu"]
+    assert names(first, second, root=tmp_path) == ["mon/imu", "tue/imu"]
+    assert names(tmp_path / "mon", root=tmp_path) == ["mon/imu"]
+    with pytest.raises(UsageError, match=r"does not lie in '.*mon'; choose another root"):
+        names(first, second, root=tmp_path / "mon")
+
+
+def test_a_name_depends_on_its_own_log_alone(tmp_path):
+    """The same log has the same name in a folder, a pattern, and in any part of them."""
+    for day in "abcdef":
+        log(tmp_path / day / "imu.csv")
+    every = names(tmp_path)
+    assert every == names(tmp_path / "*" / "imu.csv") == [f"{day}/imu" for day in "abcdef"]
+    search = LogSearch()
+    search.add(str(tmp_path))
+    parts = [shard(search.logs, f"{part}/4") for part in (1, 2, 3, 4)]
+    assert sorted(found.name for part in parts for found in part) == every
+    assert [len(part) for part in parts] == [2, 2, 1, 1]
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "1", "-1/2", "a/b", "1/0"])
+def test_a_part_is_one_of_n(text):
+    """Anything else is refused."""
+    with pytest.raises(UsageError, match=r"is not I/N, from 1/N to N/N, for shard"):
+        shard([], text)
+
+
+def test_compressed_logs_lose_both_suffixes(tmp_path):
+    """A folder is named by its whole name, a file without the suffixes of its format."""
     (tmp_path / "bag.v2").mkdir()
-    logs = [str(tmp_path / "a.mcap.zst"), str(tmp_path / "bag.v2"), str(tmp_path / "b.bag")]
-    names = [path.name for path in outputs(logs, Path("out"), ".npy")]
-    assert names == ["a.npy", "bag.v2.npy", "b.npy"]
-
-
-def test_logs_of_the_same_name_may_be_on_several_drives():
-    """Of paths that have no folder in common, all folders are kept, but not the drive."""
-    places = [PureWindowsPath(name) for name in ("C:/runs/1/imu.bag", "D:/runs/2/imu.bag")]
-    assert [path.as_posix() for path in below_shared(places)] == ["1", "2"]
-    places = [PureWindowsPath(name) for name in ("C:/a/imu.bag", "D:/b/c/imu.bag")]
-    assert [path.as_posix() for path in below_shared(places)] == ["a", "b/c"]
+    log(tmp_path / "bag.v2" / "metadata.yaml")
+    paths = [tmp_path / name for name in ("a.mcap.zst", "bag.v2", "b.bag")]
+    assert names(*paths) == ["a", "bag.v2", "b"]
 
 
 def test_addresses_give_names_without_what_opens_them():
     """What an address says of its store is no part of a file's name."""
-    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/b.bag.zst?a=b.c"]
-    assert outputs(logs, Path("out"), ".npy") == [Path("out/a.npy"), Path("out/b.npy")]
+    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
+    assert names(*logs) == ["a", "b"]
+    assert names(*logs, root="s3://logs") == ["a", "d/b"]
+
+
+def test_logs_of_a_pattern_keep_their_folders(tmp_path):
+    """A folder for each run is how recordings are kept."""
+    for day in ("monday", "tuesday"):
+        log(tmp_path / day / "imu.csv")
+    assert run(tmp_path / "*" / "imu.csv", "-o", tmp_path / "out", "-q").exit_code == 0
+    found = sorted((tmp_path / "out").rglob("imu.parquet"))
+    assert found == [tmp_path / "out" / day / "imu.parquet" for day in ("monday", "tuesday")]
+
+
+def test_logs_can_be_listed(tmp_path):
+    """In a file or on stdin, one a line, beside others."""
+    logs = [log(tmp_path / f"{name}.csv") for name in "abc"]
+    (tmp_path / "list").write_text(f"{logs[0]}\n\n{logs[1]}\n")
+    done = run(logs[2], "--list", tmp_path / "list", "-o", tmp_path / "out", "-j", "1")
+    assert done.stderr.splitlines()[-1] == "3 of 3 logs done, 15 samples"
+    arguments = ["batch", "--list", "-", "-o", str(tmp_path / "two")]
+    done = CliRunner().invoke(cli, arguments, input=f"{logs[0]}\n{logs[1]}")
+    assert done.stderr.splitlines()[-1] == "2 of 2 logs done, 10 samples"
+    assert "there are no logs; name files, folders or patterns" in run("-o", "x").stderr
+
+
+def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
+    """They are counted; one that is named is an error."""
+    log(tmp_path / "in" / "imu.csv")
+    gps = tmp_path / "in" / "gps.csv"
+    gps.write_text("t,lat,lon\n0,1,2\n")
+    (tmp_path / "in" / "note.md").write_text("words")
+    done = run(tmp_path / "in", "-o", tmp_path / "out", "-j", "1")
+    assert (done.exit_code, done.stderr.splitlines()[-1]) == (
+        0,
+        "1 of 1 logs done, 5 samples; ignored 1 table without body rates and 1 other file",
+    )  # fmt: skip
+    assert entries(tmp_path / "out")["gps.parquet"]["state"] == "no rates"
+    assert run(gps, "-o", tmp_path / "out").exit_code == 2
+
+
+def test_a_folder_of_logs_takes_no_outputs(tmp_path):
+    """The outputs would be logs of the next run."""
+    log(tmp_path / "a.csv")
+    done = run(tmp_path, "-o", tmp_path)
+    assert done.exit_code == 2
+    assert f"outputs in '{tmp_path}' would lie among the logs; choose --output" in done.stderr
 
 
 def test_keys_in_addresses_are_not_shown(tmp_path):
@@ -168,19 +284,29 @@ def test_keys_in_addresses_are_not_shown(tmp_path):
 
 
 def test_two_logs_never_share_an_output(tmp_path):
-    """Neither one log twice nor two that differ in their suffix alone."""
+    """They are refused before anything runs; one log that is named twice is one."""
     one, other = log(tmp_path / "a.csv"), log(tmp_path / "a.txt")
-    twice = run(one, one, "-o", tmp_path / "out")
-    assert (twice.exit_code, twice.stderr) == (
-        2,
-        f"Error: '{one}' is named 2 times; name each log once\n",
+    out = tmp_path / "out"
+    done = run(one, other, "-o", out)
+    assert done.exit_code == 2
+    assert done.stderr == (
+        f"Error: '{one}' and '{other}' would both be written to '{out / 'a.parquet'}'; keep their "
+        "folders in the names with --root DIR, a folder above both, or write to another folder\n"
     )
-    assert not (tmp_path / "out").exists()
-    assert run(one, other, "-o", tmp_path / "out", "-q").exit_code == 0
-    assert sorted(path.name for path in (tmp_path / "out").glob("*.parquet")) == [
-        "a.csv.parquet",
-        "a.txt.parquet",
-    ]
+    assert not out.exists()
+    assert run(one, tmp_path / "." / "a.csv", "-o", out, "-q").exit_code == 0
+    assert len(entries(out)) == 1
+
+
+def test_an_output_of_another_log_is_not_replaced(tmp_path):
+    """One log at a time, too: the manifest knows whose output it is."""
+    one, other = log(tmp_path / "1" / "imu.csv"), log(tmp_path / "2" / "imu.csv")
+    assert run(one, "-o", tmp_path / "out").exit_code == 0
+    done = run(other, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert f"was made from '{one}', not from '{other}'; keep their folders" in done.stderr
+    assert run(other, "-o", tmp_path / "out", "--root", tmp_path).exit_code == 0
+    assert run(one, "-o", tmp_path / "out").exit_code == 0
 
 
 def test_outputs_do_not_replace_logs(tmp_path):
@@ -195,16 +321,86 @@ def test_outputs_do_not_replace_other_logs(tmp_path):
     """Nor may the output of one log have the name of another log."""
     first, other = log(tmp_path / "x" / "a.csv"), log(tmp_path / "out" / "x" / "a.csv", 2)
     before = other.read_bytes()
-    done = run(first, other, "-o", tmp_path / "out", "--to", "csv")
+    options = ("-o", tmp_path / "out", "--to", "csv", "--root", tmp_path)
+    done = run(first, other, *options)
     assert done.exit_code == 2
     assert done.stderr.endswith(f"{other}: this is an input of the run; choose another output\n")
     assert other.read_bytes() == before
 
 
-def test_names_that_differ_in_case_only_keep_their_folders():
+def test_names_that_differ_in_case_only_are_refused(tmp_path):
     """On many disks they are one name."""
-    placed = outputs(["1/IMU.bag", "2/imu.bag"], Path("out"), ".npy")
-    assert placed == [Path("out/1/IMU.npy"), Path("out/2/imu.npy")]
+    search = LogSearch()
+    for name in ("1/IMU.bag", "2/imu.bag"):
+        search.add(str(tmp_path / name))
+    with pytest.raises(UsageError, match=r"would both be written to 'out/imu\.npy'"):
+        output_paths(search.logs, "out", ".npy")
+
+
+# The manifest.
+
+
+def entries(folder):
+    """Return the entries of a manifest."""
+    return Manifest(str(folder)).entries()
+
+
+def test_the_manifest_has_a_line_for_each_log(tmp_path):
+    """With what was read, done, written and lost; manifest.parquet is the same as a table."""
+    good, torn = log(tmp_path / "in" / "good.csv"), log(tmp_path / "in" / "torn.csv")
+    torn.write_text(torn.read_text() + "500000000,0\n")
+    (tmp_path / "in" / "bad.csv").write_text("")
+    out = tmp_path / "out"
+    assert run(tmp_path / "in", "-o", out, "--method", "mean", "-j", "1").exit_code == 2
+    found = entries(out)
+    assert {name: entry["state"] for name, entry in found.items()} == {
+        "good.parquet": "done", "torn.parquet": "data lost", "bad.parquet": "failed",
+    }  # fmt: skip
+    entry = found["good.parquet"]
+    assert {key: entry[key] for key in ("log", "samples", "rows", "span_s", "method", "error")} == {
+        "log": str(good), "samples": 5, "rows": 5, "span_s": 0.4, "method": "mean", "error": None,
+    }  # fmt: skip
+    assert entry["final_wxyz"] == pytest.approx([0.9800665778, 0, 0, 0.1986693308])
+    for name in ("log", "output"):
+        path = good if name == "log" else out / "good.parquet"
+        assert entry[f"{name}_bytes"] == path.stat().st_size
+        assert entry[f"{name}_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert found["torn.parquet"]["losses"] == ["line 7: it has 2 columns instead of 4"]
+    assert found["bad.parquet"]["error"].endswith("the file is empty; was the recording closed?")
+    table = pyarrow.parquet.read_table(out / "manifest.parquet").to_pylist()
+    assert [row["output"] for row in table] == sorted(found)
+    assert [{**row} for row in table] == [found[row["output"]] for row in table]
+
+
+def test_a_line_that_was_cut_is_ignored(tmp_path):
+    """A kill costs the line that was being written, and no other."""
+    logs, out = [log(tmp_path / f"{name}.csv") for name in "ab"], tmp_path / "out"
+    run(logs[0], "-o", out)
+    manifest = out / "manifest.jsonl"
+    line = manifest.read_bytes()
+    manifest.write_bytes(line + line[:100])
+    run(logs[1], "-o", out)
+    assert list(entries(out)) == ["a.parquet", "b.parquet"]
+    assert manifest.read_bytes().startswith(line + line[:100] + b"\n{")
+    done = run(*logs, "-o", out, "--skip-existing")
+    assert done.stderr == "nothing to do: all 2 outputs are up to date\n"
+
+
+def test_several_batches_write_to_one_folder(tmp_path):
+    """As the machines of an array job do: each its part, all of them in one manifest."""
+    for number in range(20):
+        log(tmp_path / "in" / f"{number}.csv")
+    out = tmp_path / "out"
+    shards = [
+        subprocess.Popen([INSTALLED, "batch", tmp_path / "in", "-o", out, "-q", "-j", "2",
+                          "--shard", f"{part}/3"])
+        for part in (1, 2, 3)
+    ]  # fmt: skip
+    assert [part.wait() for part in shards] == [0, 0, 0]
+    assert len(outputs_in(out)) == 20
+    assert len((out / "manifest.jsonl").read_text().splitlines()) == 20
+    assert len(entries(out)) == 20
+    assert pyarrow.parquet.read_table(out / "manifest.parquet").num_rows == 20
 
 
 def test_what_is_there_can_be_skipped(tmp_path):
@@ -214,7 +410,7 @@ def test_what_is_there_can_be_skipped(tmp_path):
     before = (tmp_path / "out" / "a.parquet").stat().st_mtime_ns
     done = run(*logs, "-o", tmp_path / "out", "--skip-existing")
     assert done.stderr.splitlines()[-1] == (
-        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are as they would be"
+        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are up to date"
     )
     assert (tmp_path / "out" / "a.parquet").stat().st_mtime_ns == before
 
@@ -233,7 +429,7 @@ def test_what_would_be_otherwise_is_not_skipped(tmp_path):
     assert skipped("--method", "mean")
     log(path, rate=3.0, samples=7)
     assert not skipped("--method", "mean")
-    (out / ".quatprop-batch.json").write_text("nonsense")
+    (out / "manifest.jsonl").write_text("nonsense")
     assert not skipped("--method", "mean")
     (out / "a.parquet").unlink()
     assert not skipped("--method", "mean")
@@ -243,13 +439,14 @@ def test_a_log_that_changes_while_it_is_read_is_not_the_one_that_was(tmp_path, m
     """What was noted is the log before the run, so the next run does it again."""
     path, out = log(tmp_path / "a.csv"), tmp_path / "out"
 
-    def changing(job):
-        outcome = propagated(job)
+    def changing(job, **options):
+        report = run_job(job, **options)
         log(path, rate=5.0, samples=9)
-        return outcome
+        return report
 
+    run_job = batch.run
     with monkeypatch.context() as patched:
-        patched.setattr(batch, "propagated", changing)
+        patched.setattr(batch, "run", changing)
         run(path, "-o", out, "-j", 1, "-q")
     done = run(path, "-o", out, "--skip-existing")
     assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 9 samples"
@@ -261,9 +458,9 @@ def test_a_log_at_an_address_is_never_skipped(tmp_path):
     for _ in range(2):
         done = run(path.as_uri(), "-o", out, "--skip-existing")
         assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"
-    run(path, "-o", out, "-q")
-    done = run(path, "-o", out, "--skip-existing")
-    assert done.stderr == "nothing to do: all 1 outputs are as they would be\n"
+    run(path, "-o", tmp_path / "two", "-q")
+    done = run(path, "-o", tmp_path / "two", "--skip-existing")
+    assert done.stderr == "nothing to do: all 1 outputs are up to date\n"
 
 
 def test_the_folder_of_outputs_is_no_file(tmp_path):
@@ -339,7 +536,8 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     assert names == EVERY_LOG.keys() | {f"--{name}" for name in ONE_LOG}
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--output", "--to", "--quiet", "--json", "--dask",
-                                      "--skip-existing"}  # fmt: skip
+                                      "--skip-existing", "--list", "--root", "--shard",
+                                      "--retries"}  # fmt: skip
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)
@@ -373,15 +571,15 @@ def test_the_installed_command_runs_processes(tmp_path):
     command = [INSTALLED, "batch", *logs, "-o", tmp_path / "out", "-j", "2"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert len(list((tmp_path / "out").glob("*.parquet"))) == 3
+    assert len(outputs_in(tmp_path / "out")) == 3
 
 
 def test_a_cluster_that_is_not_there(tmp_path):
     """The address is named."""
     pytest.importorskip("distributed")
-    job = Job(str(log(tmp_path / "a.csv")), OutputSettings(str(tmp_path / "a.npy")))
+    far = task(log(tmp_path / "a.csv"), tmp_path / "a.npy", "a.npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
-        list(on_a_cluster([job], "nonsense"))
+        list(on_a_cluster([far], "nonsense", Manifest(str(tmp_path))))
 
 
 def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
@@ -394,20 +592,30 @@ def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
 
         __enter__ = __exit__ = __init__
 
-        def map(self, _work, jobs, **_):
-            futures = [Future() for _ in jobs]
-            futures[0].set_exception(ModuleNotFoundError("No module named 'quatprop'"))
-            futures[1].set_exception(distributed.client.FutureCancelledError("b", "lost"))
-            return futures
+        def submit(self, _work, task, *_, **__):
+            future = Future()
+            error = distributed.client.FutureCancelledError("b", "lost")
+            if task.name == "a":
+                error = ModuleNotFoundError("No module named 'quatprop'")
+            future.set_exception(error)
+            return future
 
     monkeypatch.setattr(distributed, "Client", Client)
     monkeypatch.setattr(Client, "__enter__", lambda self: self)
-    jobs = [Job(name, OutputSettings(str(tmp_path / name))) for name in ("a", "b")]
-    errors = [outcome.error for outcome in on_a_cluster(jobs, "here")]
-    assert errors[0] == (
-        "a: the cluster did not do it (ModuleNotFoundError: No module named 'quatprop')"
+    tasks = [task(name, tmp_path / name, name) for name in ("a", "b")]
+    manifest = Manifest(str(tmp_path))
+    errors = [str(result.error) for _, result in on_a_cluster(tasks, "here", manifest)]
+    assert errors[0] == "a: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
+    assert errors[1].startswith("b: the cluster failed (FutureCancelledError: ")
+    assert {entry["state"] for entry in entries(tmp_path).values()} == {"failed"}
+
+
+def test_a_worker_of_another_version_is_refused(tmp_path):
+    """Its outputs would be those of another version."""
+    result = propagate_on_worker(task("a.csv", tmp_path / "a.csv", "a.csv"), "0.0.1")
+    assert result.error == (
+        f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
     )
-    assert errors[1].startswith("b: the cluster did not do it (FutureCancelledError: ")
 
 
 CLUSTER = """
@@ -442,3 +650,39 @@ def test_a_cluster_gives_the_same_files(tmp_path):
     for path in logs:
         far, near = (tmp_path / where / path.name for where in ("far", "near"))
         assert far.read_bytes() == near.read_bytes()
+
+
+HOOK = """
+import multiprocessing, os, sys
+def kill(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("crash.csv"):
+        if multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), 9)
+sys.addaudithook(kill)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
+    """All others are done, and the batch says which was killed, at once and at the end."""
+    (tmp_path / "sitecustomize.py").write_text(HOOK)
+    for number in range(9):
+        log(tmp_path / "in" / f"{number}.csv")
+    log(tmp_path / "in" / "crash.csv")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}",
+    }
+    command = [sys.executable, "-m", "quatprop", "batch", tmp_path / "in", "-o", tmp_path / "out"]
+    done = subprocess.run(
+        [*command, "-j", processes], capture_output=True, text=True, check=False, env=environment
+    )
+    assert done.returncode == 2, done.stderr
+    reason = f"{tmp_path / 'in' / 'crash.csv'}: the process that ran it was killed; is there enough"
+    assert f"\nError: {reason}" in done.stderr
+    assert done.stderr.splitlines()[-3:-1] == ["1 failed:", done.stderr.splitlines()[-2]]
+    assert done.stderr.splitlines()[-2].startswith(f"  {reason}")
+    assert done.stderr.splitlines()[-1] == "9 of 10 logs done, 45 samples"
+    states = [entry["state"] for entry in entries(tmp_path / "out").values()]
+    assert sorted(states) == ["done"] * 9 + ["failed"]

@@ -2,246 +2,248 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import time
-from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from functools import partial
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
+from quatprop.batch.logs import OTHER_OUTPUT, output_paths
+from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
 from quatprop.containers.remote import is_address, without_secret
-from quatprop.errors import QuatpropError, UsageError
-from quatprop.parallel import KILLED, in_order, map_processes
-from quatprop.pipeline.job import run
+from quatprop.errors import NoRatesError, QuatpropError, UnknownFormatError, UsageError
+from quatprop.parallel import KILLED, map_processes
+from quatprop.pipeline.job import Job, run
+from quatprop.provenance import fingerprint
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
-from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Iterable, Sequence
 
-    from quatprop.pipeline.job import Job
+    from distributed import Future
+
+    from quatprop.batch.logs import FoundLog
+    from quatprop.batch.manifest import Manifest
     from quatprop.pipeline.report import RunReport
+
+AHEAD = 1000
+"""Logs that are submitted to a cluster before the first of them is done."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of one log.
+class BatchTask:
+    """One log of a batch.
+
+    Parameters
+    ----------
+    job
+        How it is propagated, and where its output goes.
+    name
+        Path of the output in the folder of the batch.
+    maybe
+        As for :class:`quatprop.batch.logs.FoundLog`.
+    """
+
+    job: Job
+    name: str
+    maybe: bool = False
+
+    @property
+    def log(self) -> str:
+        """The log as it may be shown."""
+        return without_secret(self.job.log)
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """The result of one log.
 
     Parameters
     ----------
     log, output
-        What was read, and where its attitudes are.
+        The log, and where its attitudes are.
+    entry
+        What the manifest records.
     error
-        Why there are none, in a sentence; ``""`` where there are.
+        Why there are no attitudes; empty where there are.
     report
-        That of :func:`quatprop.pipeline.job.run`; empty where there are no attitudes.
-    seconds
-        How long it took.
+        The report of the run; None where there are no attitudes.
     """
 
     log: str
     output: str
+    entry: ManifestEntry
     error: str | Text = ""
     report: RunReport | None = None
-    seconds: float = 0.0
-
-    @property
-    def data_lost(self) -> bool:
-        """Whether something of the log was lost on the way."""
-        return bool(self.report and self.report.data_lost)
 
 
-def outputs(logs: Sequence[str], folder: Path, suffix: str) -> list[Path]:
-    """Return where the attitudes of each log go.
+def plan(
+    logs: Sequence[FoundLog], job: Job, folder: str, suffix: str, manifest: Manifest
+) -> list[BatchTask]:
+    """Return a task for each log.
 
     Parameters
     ----------
     logs
-        Paths of logs.
-    folder
-        Where all outputs are.
-    suffix
-        Of every output, with its dot; empty for folders.
-
-    Returns
-    -------
-    list of Path
-        ``folder/NAME.suffix`` where all logs have different names. Where some have the same, as
-        in a folder for each run, the folders below the one that all logs share are kept; logs
-        that differ in their own suffix alone keep that, too.
+        The logs.
+    job
+        The settings, which all logs share; its paths are ignored.
+    folder, suffix
+        As for :func:`quatprop.batch.logs.output_paths`.
+    manifest
+        The manifest in that folder.
 
     Raises
     ------
     UsageError
-        A log is named twice.
-
-    Examples
-    --------
-    >>> [path.as_posix() for path in outputs(["a/imu.bag", "b/gyro.csv"], Path("out"), ".npy")]
-    ['out/imu.npy', 'out/gyro.npy']
-    >>> [path.as_posix() for path in outputs(["a/imu.bag", "b/imu.bag"], Path("out"), ".npy")]
-    ['out/a/imu.npy', 'out/b/imu.npy']
-    >>> [path.as_posix() for path in outputs(["imu.bag", "imu.csv"], Path("out"), ".npy")]
-    ['out/imu.bag.npy', 'out/imu.csv.npy']
+        An output is, or would be, that of two logs.
+    OutputError
+        An output would replace a log.
     """
-    # Links stay as they are named.
-    places = [Path(os.path.abspath(_object(log))) for log in logs]  # noqa: PTH100
-    for place, count in Counter(places).items():
-        if count > 1:
-            raise UsageError(f"{quoted(place)} is named {count} times; name each log once")
-    names = [Path(_stem(place)) for place in places]
-    if any(_clashes(names)):
-        folders = below_shared(places)
-        names = [folder / _stem(place) for folder, place in zip(folders, places, strict=True)]
-    names = [
-        name.with_name(place.name) if clashes else name
-        for name, place, clashes in zip(names, places, _clashes(names), strict=True)
-    ]
-    return [folder / f"{name}{suffix}" for name in names]
+    paths = output_paths(logs, folder, suffix)
+    inputs = [*(log.path for log in logs), *job.settings.inputs]
+    refuse_overlap(inputs, [*paths, *manifest.files])
+    owners = manifest.entries()
+    tasks = []
+    for log, path in zip(logs, paths, strict=True):
+        name = f"{log.name}{suffix}".replace(os.sep, "/")
+        owner = owners[name]["log"] if name in owners else log_name(log.path)
+        if owner != log_name(log.path):
+            raise UsageError(
+                f"{quoted(path)} was made from {quoted(owner)}, not from "
+                f"{quoted(log_name(log.path))}; ",
+                OTHER_OUTPUT,
+            )
+        output = replace(job.output, path=path)
+        tasks.append(BatchTask(replace(job, log=log.path, output=output), name, log.maybe))
+    return tasks
 
 
-def _clashes(names: Sequence[Path]) -> list[bool]:
-    """Tell of each name whether another is the same, on systems that do not look at case, too."""
-    counts = Counter(str(name).lower() for name in names)
-    return [counts[str(name).lower()] > 1 for name in names]
+def outdated(tasks: Iterable[BatchTask], manifest: Manifest) -> list[BatchTask]:
+    """Return the tasks whose outputs are not there, or were made from something else."""
+    entries = manifest.entries()
+
+    def is_current(task: BatchTask) -> bool:
+        entry = entries.get(task.name)
+        if entry is None or entry["state"] not in COMPLETE or entry.get("origin") is None:
+            return False
+        if not os.path.exists(task.job.output.path):  # noqa: PTH110  # one of many
+            return False
+        return bool(entry["origin"] == origin_digest(task.job, options_digest(task.job)))
+
+    return [task for task in tasks if not is_current(task)]
 
 
-def below_shared(places: Sequence[PurePath]) -> list[Path]:
-    """Return the folders of paths, from the one on that all of them share; without drives."""
-    folders = [place.parent.relative_to(place.anchor).parts for place in places]
-    shared = len(os.path.commonprefix(folders))  # noqa: RUF071  # tuples, folder by folder
-    return [Path(*folder[shared:]) for folder in folders]
-
-
-def _object(log: str) -> str:
-    """Return a path, or an address without what it says of its store."""
-    return without_secret(log).partition("?")[0] if is_address(log) else log
-
-
-def _stem(place: Path) -> str:
-    """Return the name of a log without its suffixes: those of its packing, too."""
-    if place.is_dir():
-        return place.name
-    packed = place.suffix.lower() in {".gz", ".zst", ".zstd", ".lz4", ".bz2", ".active"}
-    return Path(place.stem).stem if packed else place.stem
-
-
-class BatchManifest:
-    """What is known of the outputs in a folder: which log and which options they came from.
-
-    Parameters
-    ----------
-    folder
-        Where the outputs are.
-    """
-
-    NAME = ".quatprop-batch.json"
-
-    def __init__(self, folder: Path) -> None:
-        self._place = folder / self.NAME
-        try:
-            known = json.loads(self._place.read_text())
-            self._known = dict(known) if isinstance(known, dict) else {}
-        except (OSError, ValueError):
-            self._known = {}
-
-    def is_fresh(self, job: Job) -> bool:
-        """Tell whether an output is there that came from this log, as it is, by these options."""
-        known = self._known.get(self._key(job))
-        return Path(job.output.path).exists() and known is not None and known == origin(job)
-
-    def note(self, job: Job, came_from: str | None) -> None:
-        """Note that an output was made, and from what: its :func:`origin` before it was."""
-        if came_from is None:
-            self._known.pop(self._key(job), None)
-        else:
-            self._known[self._key(job)] = came_from
-
-    def write(self) -> None:
-        """Keep what is known beside the outputs."""
-        if self._known:
-            output = OutputFile(self._place)
-            output.stream.write(json.dumps(self._known, indent=1).encode())
-            output.commit()
-
-    def _key(self, job: Job) -> str:
-        return Path(os.path.relpath(job.output.path, self._place.parent)).as_posix()
-
-
-def origin(job: Job) -> str | None:
-    """Return a digest of what an output comes from: version, options, and the files it reads.
-
-    None for what may change unseen, as a log in an object store.
-    """
-    if is_address(job.log):
-        return None
-    read = [Path(name) for name in (job.log, *job.settings.inputs)]
-    parts = [part for place in read for part in (sorted(place.glob("*")) or [place])]
-    files = []
-    for part in parts:
-        with suppress(OSError):
-            found = part.stat()
-            files.append((part.name, found.st_size, found.st_mtime_ns))
-    log = os.path.abspath(job.log)  # noqa: PTH100  # links stay what they are
-    made_from = (__version__, log, job.settings, replace(job.output, path=""), files)
-    return hashlib.sha256(repr(made_from).encode()).hexdigest()
-
-
-def propagated(job: Job) -> Outcome:
-    """Propagate one log; what goes wrong is its outcome."""
+def propagate_log(task: BatchTask) -> BatchResult:
+    """Propagate one log; an error becomes its result."""
     began = time.perf_counter()
+    # Before the log is read: if it changes meanwhile, the next batch propagates it again.
+    options = options_digest(task.job)
+    origin = origin_digest(task.job, options)
     try:
-        Path(job.output.path).parent.mkdir(parents=True, exist_ok=True)
-        report = run(job)
+        Path(task.job.output.path).parent.mkdir(parents=True, exist_ok=True)
+        report = run(task.job, summary=False)
     except QuatpropError as error:
-        return _failed(job, error.text, time.perf_counter() - began)
+        no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
+        result = _failed(task, error.text, "no rates" if no_log else "failed")
     except Exception as error:
-        if (sentence := as_user_error(error)) is None:
+        if (user_error := as_user_error(error)) is None:
             raise
-        return _failed(job, _about(job, str(sentence)), time.perf_counter() - began)
-    log = without_secret(job.log)
-    return Outcome(log, job.output.path, "", report, time.perf_counter() - began)
+        result = _failed(task, Text(f"{plain(task.log)}: ", user_error.text))
+    else:
+        entry = _entry_of(task, report)
+        result = BatchResult(task.log, task.job.output.path, entry, report=report)
+    seconds = time.perf_counter() - began
+    entry = replace(result.entry, seconds=seconds, options=options, origin=origin)
+    return replace(result, entry=entry)
 
 
-def _failed(job: Job, error: str | Text, seconds: float = 0.0) -> Outcome:
-    return Outcome(without_secret(job.log), job.output.path, error, None, seconds)
+def _entry_of(task: BatchTask, report: RunReport) -> ManifestEntry:
+    log, result = report.source.fingerprint, report.result
+    if log["sha256"] is None and not is_address(task.job.log):
+        log = fingerprint(task.job.log)
+    output = fingerprint(task.job.output.path)
+    return ManifestEntry(
+        state="data lost" if report.data_lost else "done",
+        log=log_name(task.job.log),
+        output=task.name,
+        samples=result.samples,
+        rows=result.rows,
+        span_s=result.span_s,
+        sample_rate_hz=result.sample_rate_hz,
+        method=report.convention.method,
+        final_wxyz=tuple(map(float, result.final_wxyz)),
+        remarks=tuple(map(str, report.remarks)),
+        losses=tuple(f"{loss.place}: {loss.reason}" for loss in report.losses),
+        log_bytes=log["bytes"],
+        log_sha256=log["sha256"],
+        output_bytes=output["bytes"],
+        output_sha256=output["sha256"],
+    )
 
 
-def _about(job: Job, words: str) -> str:
-    return f"{plain(without_secret(job.log))}: {words}"
+def _failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
+    entry = ManifestEntry(state, log_name(task.job.log), task.name, error=str(error))
+    return BatchResult(task.log, task.job.output.path, entry, error)
 
 
-def on_this_machine(jobs: Sequence[Job], processes: int) -> Iterator[Outcome]:
-    """Yield what comes of each log, in their order.
+def _killed(task: BatchTask) -> BatchResult:
+    return _failed(task, f"{plain(task.log)}: {KILLED}")
+
+
+def propagate_and_record(task: BatchTask, manifest: Manifest) -> BatchResult:
+    """Propagate one log, and record it at once: nothing complete is done again after a kill."""
+    result = propagate_log(task)
+    manifest.append(result.entry)
+    return result
+
+
+def on_this_machine(
+    tasks: Sequence[BatchTask], processes: int, manifest: Manifest, retries: int = 0
+) -> Generator[tuple[int, BatchResult]]:
+    """Yield the index and the result of each log as soon as it is done.
 
     Parameters
     ----------
-    jobs
+    tasks
         One for each log.
     processes
-        How many at a time.
+        Number of logs at a time.
+    manifest
+        Where results are recorded.
+    retries
+        How often a log is tried again whose process was killed.
     """
-    return in_order(map_processes(propagated, jobs, processes, _killed, isolated=True))
+
+    def on_killed(task: BatchTask) -> BatchResult:
+        result = _killed(task)
+        manifest.append(result.entry)
+        return result
+
+    work = partial(propagate_and_record, manifest=manifest)
+    return map_processes(work, tasks, processes, on_killed, isolated=True, retries=retries)
 
 
-def _killed(job: Job) -> Outcome:
-    return _failed(job, _about(job, KILLED))
-
-
-def on_a_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
-    """Yield what comes of each log, in their order, propagated by the workers of a Dask cluster.
+def on_a_cluster(
+    tasks: Sequence[BatchTask], scheduler: str, manifest: Manifest, retries: int = 0
+) -> Generator[tuple[int, BatchResult]]:
+    """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
 
     Parameters
     ----------
-    jobs
-        One for each log; the workers have to see the same paths, and have quatprop installed.
+    tasks
+        One for each log; the workers must see the same paths, and have the same quatprop.
     scheduler
         Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``.
+    manifest
+        Where results are recorded.
+    retries
+        How often a log is tried again whose worker raised an error.
 
     Raises
     ------
@@ -263,13 +265,49 @@ def on_a_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
             f"no Dask scheduler answers at {quoted(scheduler)} ({error}); check the address"
         ) from error
     with client:
-        futures = client.map(propagated, jobs, pure=False)
-        for job, future in zip(jobs, futures, strict=True):
+        waiting = enumerate(tasks)
+        futures: dict[int, Future[BatchResult]] = {}
+
+        def submit(count: int) -> None:
+            for index, task in islice(waiting, count):
+                futures[index] = client.submit(
+                    propagate_on_worker, _absolute(task), __version__, pure=False, retries=retries
+                )
+
+        submit(AHEAD)
+        for index, task in enumerate(tasks):
             try:
-                yield future.result()
+                result = futures.pop(index).result()
+                result = replace(result, log=task.log, output=task.job.output.path)
             except KilledWorker:
-                reason = "the workers that ran it were killed; have they enough memory?"
-                yield _failed(job, _about(job, reason))
+                reason = "the workers that ran it were killed; do they have enough memory?"
+                result = _failed(task, f"{plain(task.log)}: {reason}")
             except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
-                reason = f"the cluster did not do it ({type(error).__name__}: {plain(error)})"
-                yield _failed(job, _about(job, reason))
+                reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
+                result = _failed(task, f"{plain(task.log)}: {reason}")
+            submit(1)
+            manifest.append(result.entry)
+            yield index, result
+
+
+def propagate_on_worker(task: BatchTask, version: str) -> BatchResult:
+    """Propagate one log in a worker, which must have the same version of quatprop."""
+    if version != __version__:
+        reason = f"its worker has quatprop {__version__}, not {version}; install the same version"
+        return _failed(task, f"{plain(task.log)}: {reason}")
+    return propagate_log(task)
+
+
+def _absolute(task: BatchTask) -> BatchTask:
+    """Return a task whose paths do not depend on the current folder."""
+    job, settings = task.job, task.job.settings
+    if settings.q0.source in settings.inputs:
+        source = _absolute_path(settings.q0.source)
+        settings = replace(settings, q0=replace(settings.q0, source=source))
+    settings = replace(settings, at=settings.at and _absolute_path(settings.at))
+    output = replace(job.output, path=_absolute_path(job.output.path))
+    return replace(task, job=Job(_absolute_path(job.log), output, settings))
+
+
+def _absolute_path(path: str) -> str:
+    return path if is_address(path) else os.path.abspath(path)  # noqa: PTH100

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+import time
+from collections import Counter
+from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli import propagate
 from quatprop.cli.options import quiet_option
-from quatprop.provenance import as_json as to_json
 from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Generator, Iterable
 
-    from quatprop.batch.run import BatchManifest, Outcome
-    from quatprop.pipeline.job import Job
+    from quatprop.batch.logs import LogSearch
+    from quatprop.batch.manifest import Manifest
+    from quatprop.batch.run import BatchResult, BatchTask
+    from quatprop.pipeline.report import RunReport
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -28,14 +33,14 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 
 
 @click.command(no_args_is_help=True)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.argument("names", metavar="LOG|DIR|GLOB...", nargs=-1)
 @click.option(
     "-o",
     "--output",
     "folder",
     metavar="DIR",
     required=True,
-    help="Where the attitude series go, each under the name of its log.",
+    help="Where the attitude series go, each under the name of its log, and the manifest.",
 )
 @click.option(
     "--to",
@@ -43,6 +48,24 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
     default="parquet",
     show_default=True,
     help="Format of the outputs.",
+)
+@click.option(
+    "--list",
+    "list_file",
+    metavar="FILE|-",
+    help="Also take names from FILE or stdin, one a line.  [default: none]",
+)
+@click.option(
+    "--root",
+    metavar="DIR",
+    help="Outputs keep the path of their log below DIR.  [default: the folder that is searched, "
+    "the fixed part of a GLOB, and for a LOG its own folder]",
+)
+@click.option(
+    "--shard",
+    metavar="I/N",
+    help="Only the I-th of N parts of the logs, I from 1, as for array jobs; every part must be "
+    "given the same names.  [default: all]",
 )
 @click.option(
     "-j",
@@ -54,145 +77,191 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 @click.option(
     "--dask",
     metavar="ADDRESS",
-    help="Let the workers of the Dask cluster with its scheduler there do it; they have to see the "
+    help="Use the workers of the Dask cluster whose scheduler has this address; they must see the "
     "same paths.  [default: this machine]",
 )
 @click.option(
     "--skip-existing",
     is_flag=True,
-    help="Leave out logs whose output is there, as after an interruption, if it was made by the "
-    "same version from the log as it is (size and time), with the same options.",
+    help="Leave out logs whose output is up to date: made by the same version, with the same "
+    "options, from the log as it is (size and time).",
+)
+@click.option(
+    "--retries",
+    type=click.IntRange(min=0),
+    metavar="N",
+    default=0,
+    show_default=True,
+    help="Try a log again, up to N times, whose process was killed.",
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout: the report of each log.")
 @quiet_option
-def command(logs: tuple[str, ...], **chosen: Any) -> None:
+def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    A log that cannot be used does not stop the others. All the options below that propagate has
-    hold for every log. Where logs have the same name, the folders they are in are kept.
+    Folders are searched for logs; quoted patterns are expanded, ** included. A log that cannot be
+    used does not stop the others. DIR/manifest.jsonl records each log as soon as it has ended. The
+    options of propagate below hold for every log.
 
     \b
-    quatprop batch logs/*.mcap -o attitudes --method coning
-    quatprop batch runs/*/imu.bag -o attitudes --to csv -j 4
+    quatprop batch recordings -o attitudes --method coning
+    quatprop batch 'runs/*/imu.bag' -o attitudes --to csv -j 4
 
     Exit code 0: all done; 2: a log could not be used; 3: all done, but with data lost.
     """
-    from pathlib import Path
+    from quatprop.batch.manifest import Manifest
+    from quatprop.batch.run import outdated, plan
 
-    from quatprop.batch.run import BatchManifest
-
-    own = {name: chosen.pop(name) for name in ("folder", "processes", "dask", "skip_existing")}
-    as_json, quiet = chosen.pop("as_json"), chosen.pop("quiet")
-    if own["dask"] and own["processes"]:
+    own = ("folder", "processes", "dask", "skip_existing", "list_file", "root", "shard", "retries")
+    batch = {name: options.pop(name) for name in own}
+    as_json, quiet, folder = options.pop("as_json"), options.pop("quiet"), batch["folder"]
+    if batch["dask"] and batch["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
-    folder = Path(own["folder"])
-    if folder.exists() and not folder.is_dir():
-        raise click.UsageError(f"-o {own['folder']} is a file; name a folder for the outputs")
-    jobs = _jobs(logs, folder, chosen)
-    made = BatchManifest(folder)
-    wanted = [job for job in jobs if not (own["skip_existing"] and made.is_fresh(job))]
-    try:
-        found = _noted(_outcomes(wanted, own["processes"], own["dask"]), wanted, made)
-        done = _said(found, wanted, quiet=quiet)
-    finally:
-        made.write()
+    if Path(folder).is_file():
+        raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
+    search = _search(names, batch)
+    manifest = Manifest(folder)
+    suffix = next((s for s in WRITERS[options["to"]].suffixes if s), "")
+    paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
+    job = propagate.job_of({**options, **paths})
+    planned = plan(search.logs, job, folder, suffix, manifest)
+    tasks = outdated(planned, manifest) if batch["skip_existing"] else planned
+    if tasks:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    with closing(_results(tasks, batch, manifest)) as results:
+        shown = _Shown(tasks, quiet=quiet, keeps=as_json)
+        for index, result in results:
+            shown.add(index, result)
+    if tasks:
+        manifest.write_table()
     if as_json:
-        click.echo(json.dumps(to_json([_report(outcome) for outcome in done]), indent=2))
+        click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     if not quiet:
-        click.echo(_tally(done, len(jobs) - len(wanted)), err=True)
-    if any(outcome.error for outcome in done):
+        shown.finish(skipped=len(planned) - len(tasks), other_files=search.other_files)
+    if shown.states["failed"]:
         raise click.exceptions.Exit(2)
-    if any(outcome.data_lost for outcome in done):
+    if shown.states["data lost"]:
         raise click.exceptions.Exit(3)
 
 
 command.params += SHARED
 
 
-def _jobs(logs: Sequence[str], folder: Path, chosen: dict[str, Any]) -> list[Job]:
-    """Return one job for each log, with outputs that replace nothing that is read."""
-    from quatprop.batch.run import outputs
-    from quatprop.writers.targets import refuse_overlap
+def _search(names: Iterable[str], batch: dict[str, Any]) -> LogSearch:
+    """Return the logs of all names, or of one part of them."""
+    from quatprop.batch.logs import LogSearch, shard
 
-    if "-" in logs:
-        raise click.UsageError("stdin is one log; give it to quatprop propagate")
-    suffix = next((s for s in WRITERS[chosen["to"]].suffixes if s), "")
-    places = [str(place) for place in outputs(logs, folder, suffix)]
-    refuse_overlap(logs, places)
-    one_log = {"report": None, "into": None}
-    return [
-        propagate.job_of({**chosen, **one_log, "log": log, "output": place})
-        for log, place in zip(logs, places, strict=True)
-    ]
+    listed: list[str] = []
+    if batch["list_file"] is not None:
+        with click.open_file(
+            batch["list_file"], encoding="utf-8", errors="surrogateescape"
+        ) as file:
+            listed = [name for line in file if (name := line.rstrip("\r\n"))]
+    search = LogSearch(batch["root"], batch["folder"])
+    for name in (*names, *listed):
+        search.add(name)
+    if not search.logs:
+        raise click.UsageError("there are no logs; name files, folders or patterns, or use --list")
+    if batch["shard"]:
+        search.logs = shard(search.logs, batch["shard"])
+    return search
 
 
-def _outcomes(jobs: list[Job], processes: int | None, dask: str | None) -> Iterator[Outcome]:
+def _results(
+    tasks: list[BatchTask], batch: dict[str, Any], manifest: Manifest
+) -> Generator[tuple[int, BatchResult]]:
     from quatprop.batch.run import on_a_cluster, on_this_machine
 
-    if dask is not None:
-        return on_a_cluster(jobs, dask)
-    return on_this_machine(jobs, processes or os.cpu_count() or 1)
+    if batch["dask"] is not None:
+        return on_a_cluster(tasks, batch["dask"], manifest, batch["retries"])
+    processes = batch["processes"] or os.cpu_count() or 1
+    return on_this_machine(tasks, processes, manifest, batch["retries"])
 
 
-def _noted(found: Iterator[Outcome], jobs: list[Job], made: BatchManifest) -> Iterator[Outcome]:
-    """Pass outcomes on, and note which outputs were made, and from what."""
-    from quatprop.batch.run import origin
+class _Shown:
+    """Shows results as they come; what is kept of them does not grow with their number."""
 
-    # Looked at before anything runs: a log that changes meanwhile is not the one that was read.
-    before = [origin(job) for job in jobs]
-    for job, came_from, outcome in zip(jobs, before, found, strict=True):
-        if not outcome.error:
-            made.note(job, came_from)
-        yield outcome
+    def __init__(self, tasks: list[BatchTask], *, quiet: bool, keeps: bool) -> None:
+        from quatprop.text import plain
+
+        self.states: Counter[str] = Counter()
+        self.reports: dict[int, Any] = {}
+        self._errors: list[str] = []
+        self._samples = 0
+        self._total, self._quiet, self._keeps = len(tasks), quiet, keeps
+        self._width = max((len(plain(task.log)) for task in tasks), default=0)
+        self._began = time.monotonic()
+        self._terminal = sys.stderr is not None and sys.stderr.isatty() and not quiet
+
+    def add(self, index: int, result: BatchResult) -> None:
+        """Show the result of a log; errors also when asked to be quiet."""
+        from quatprop.cli.spelling import spelled
+
+        self.states[result.entry.state] += 1
+        self._samples += result.entry.samples or 0
+        if self._keeps:
+            self.reports[index] = _report(result)
+        clear = "\r\033[K" if self._terminal else ""
+        if result.entry.state == "failed":
+            self._errors.append(spelled(result.error))
+            click.echo(f"{clear}Error: {self._errors[-1]}", err=True)
+        elif not self._quiet and result.report is not None:
+            click.echo(clear + _line(result, result.report, self._width), err=True)
+        if self._terminal:
+            click.echo(clear + self._progress(), err=True, nl=False)
+
+    def _progress(self) -> str:
+        from quatprop.times import duration_text
+
+        done = self.states.total()
+        seconds = max(time.monotonic() - self._began, 1e-9)
+        left = duration_text(round(seconds / done * (self._total - done)) * 1_000_000_000)
+        return f"{done:,} of {self._total:,} logs, {done / seconds:.3g} a second, {left} left"
+
+    def finish(self, skipped: int, other_files: int) -> None:
+        """Show the errors again, which may have scrolled away, and the totals."""
+        if self._terminal:
+            click.echo("\r\033[K", err=True, nl=False)
+        if self._errors and self._total > 1:
+            click.echo(f"{len(self._errors)} failed:", err=True)
+            for error in self._errors:
+                click.echo(f"  {error}", err=True)
+        if not self._total:
+            click.echo(f"nothing to do: all {skipped} outputs are up to date", err=True)
+            return
+        tables = self.states["no rates"]
+        logs = self._total - tables
+        text = f"{logs - self.states['failed']} of {logs} logs done, {self._samples:,} samples"
+        if skipped:
+            text += f"; {skipped} skipped, as their outputs are up to date"
+        counts = ((tables, "table", " without body rates"), (other_files, "other file", ""))
+        ignored = [f"{n} {what}{'s' * (n > 1)}{which}" for n, what, which in counts if n]
+        click.echo(text + "; ignored " * bool(ignored) + " and ".join(ignored), err=True)
 
 
-def _said(found: Iterator[Outcome], jobs: list[Job], *, quiet: bool) -> list[Outcome]:
-    """Say what comes of each log as soon as it is known; errors also when asked to be quiet."""
-    from quatprop.cli.spelling import spelled
-    from quatprop.text import plain
-
-    width = max((len(plain(job.log)) for job in jobs), default=0)
-    done = []
-    for outcome in found:
-        done.append(outcome)
-        if outcome.error:
-            click.echo(f"Error: {spelled(outcome.error)}", err=True)
-        elif not quiet:
-            click.echo(_line(outcome, width), err=True)
-    return done
-
-
-def _line(outcome: Outcome, width: int) -> str:
-    """Return what came of one log in a line, and what is to be said of it beneath."""
+def _line(result: BatchResult, report: RunReport, width: int) -> str:
+    """Return the result of one log in a line, and its warnings and losses below."""
     from quatprop.cli.spelling import spelled
     from quatprop.cli.summary import loss_lines
     from quatprop.text import plain
     from quatprop.times import duration_text
 
-    if (report := outcome.report) is None:
-        return plain(outcome.log)
     counts = report.counts
-    figures = f"{counts.used:>12,} samples over {duration_text(counts.span_ns):<10}"
-    lines = [f"{plain(outcome.log):<{width}}  {figures}  -> {plain(outcome.output)}"]
+    samples = f"{counts.used:>12,} samples over {duration_text(counts.span_ns):<10}"
+    lines = [f"{plain(result.log):<{width}}  {samples}  -> {plain(result.output)}"]
     lines += [f"  warning: {spelled(remark)}" for remark in report.remarks]
-    return "\n".join(lines + [f"  {said}" for said in loss_lines(report.losses)])
+    return "\n".join(lines + [f"  {line}" for line in loss_lines(report.losses)])
 
 
-def _tally(done: list[Outcome], skipped: int) -> str:
-    if not done:
-        return f"nothing to do: all {skipped} outputs are as they would be"
-    failed = sum(bool(outcome.error) for outcome in done)
-    said = f"{len(done) - failed} of {len(done)} logs done"
-    samples = sum(outcome.report.counts.used for outcome in done if outcome.report)
-    said += f", {samples:,} samples"
-    return said + (f"; {skipped} skipped, as their outputs are as they would be" if skipped else "")
+def _report(result: BatchResult) -> Any:
+    from quatprop.provenance import as_json
 
-
-def _report(outcome: Outcome) -> dict[str, Any]:
-    return {
-        "log": outcome.log,
-        "output": outcome.output,
-        "error": str(outcome.error) or None,
-        "seconds": outcome.seconds,
-        "report": outcome.report and outcome.report.as_json(),
-    }
+    return as_json(
+        {
+            "log": result.log,
+            "output": result.output,
+            "error": str(result.error) or None,
+            "seconds": result.entry.seconds,
+            "report": result.report and result.report.as_json(),
+        }
+    )

@@ -1,0 +1,183 @@
+"""The manifest of a batch: one line of JSON for each log, appended as soon as the log has ended.
+
+Several batches may write to one folder at once, and each may be killed at any time: a line is
+written at once and under a lock, and a line that was cut is ignored. The last line about an output
+is the valid one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop import __version__
+from quatprop.containers.remote import is_address, without_secret
+from quatprop.provenance import as_json
+from quatprop.writers.atomic import OutputFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from typing import Any
+
+    from quatprop.pipeline.job import Job
+
+COMPLETE = {"done", "data lost"}
+"""States of logs whose output is complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class ManifestEntry:
+    """What a batch records of a log.
+
+    Parameters
+    ----------
+    state
+        ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
+        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``.
+    log
+        Absolute path or address.
+    output
+        Path of the output in the folder of the manifest.
+    samples, rows, span_s, sample_rate_hz, method, final_wxyz
+        As in the report; None where there is no output.
+    remarks, losses
+        As in the report.
+    error
+        Why there is no output.
+    seconds
+        Duration, s.
+    log_bytes, log_sha256, output_bytes, output_sha256
+        Sizes and digests; None where there are none.
+    quatprop
+        The version.
+    options
+        Digest of all settings but the paths.
+    origin
+        Digest of the version, the settings, and names, sizes and times of all files that are read;
+        None for what may change unnoticed, as in an object store.
+    """
+
+    state: str
+    log: str
+    output: str
+    samples: int | None = None
+    rows: int | None = None
+    span_s: float | None = None
+    sample_rate_hz: float | None = None
+    method: str | None = None
+    final_wxyz: tuple[float, ...] | None = None
+    remarks: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
+    error: str | None = None
+    seconds: float = 0.0
+    log_bytes: int | None = None
+    log_sha256: str | None = None
+    output_bytes: int | None = None
+    output_sha256: str | None = None
+    quatprop: str = __version__
+    options: str = ""
+    origin: str | None = None
+
+
+class Manifest:
+    """The manifest in the folder of a batch's outputs.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Attributes
+    ----------
+    files
+        The manifest and its table.
+    """
+
+    NAME = "manifest.jsonl"
+
+    def __init__(self, folder: str) -> None:
+        self._path = Path(folder, self.NAME)
+        self._table = self._path.with_suffix(".parquet")
+        self.files = (str(self._path), str(self._table))
+
+    def entries(self) -> dict[str, Mapping[str, Any]]:
+        """Return the valid entry of each output, by its path in the folder."""
+        return {entry["output"]: entry for entry in self._read()}
+
+    def _read(self) -> Iterator[Mapping[str, Any]]:
+        with suppress(FileNotFoundError), self._path.open("rb") as stream:
+            for line in stream:
+                with suppress(ValueError):
+                    entry = json.loads(line)
+                    if isinstance(entry, dict) and {"log", "output", "state"} <= entry.keys():
+                        yield entry
+
+    def append(self, entry: ManifestEntry) -> None:
+        """Append an entry."""
+        text = json.dumps(as_json(entry), ensure_ascii=False).encode(errors="surrogateescape")
+        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        try:
+            with suppress(ImportError, OSError):  # Windows, or a file system without locks
+                import fcntl
+
+                fcntl.lockf(descriptor, fcntl.LOCK_EX)
+            cut = False
+            if os.fstat(descriptor).st_size:
+                os.lseek(descriptor, -1, os.SEEK_END)
+                cut = os.read(descriptor, 1) != b"\n"  # by a kill
+            os.write(descriptor, (b"\n" if cut else b"") + text + b"\n")
+        finally:
+            os.close(descriptor)
+
+    def write_table(self) -> None:
+        """Write the valid entries as ``manifest.parquet``, in the order of the outputs."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        text, count, number = pa.string(), pa.int64(), pa.float64()
+        types = {
+            "samples": count, "rows": count, "span_s": number, "sample_rate_hz": number,
+            "final_wxyz": pa.list_(number), "remarks": pa.list_(text), "losses": pa.list_(text),
+            "seconds": number, "log_bytes": count, "output_bytes": count,
+        }  # fmt: skip
+        names = ManifestEntry.__dataclass_fields__
+        schema = pa.schema([(name, types.get(name, text)) for name in names])
+        rows = [entry for _, entry in sorted(self.entries().items())]
+        output = OutputFile(self._table)
+        try:
+            pq.write_table(pa.Table.from_pylist(rows, schema), output.stream)
+            output.commit()
+        finally:
+            output.discard()
+
+
+def options_digest(job: Job) -> str:
+    """Return a digest of all settings of a job but its paths."""
+    return hashlib.sha256(repr((job.settings, replace(job.output, path=""))).encode()).hexdigest()
+
+
+def origin_digest(job: Job, options: str) -> str | None:
+    """Return a digest of what an output is made from: version, settings, and the files it reads.
+
+    None for what may change unnoticed, as a log in an object store.
+    """
+    if is_address(job.log):
+        return None
+    files = []
+    for name in (job.log, *job.settings.inputs):
+        place = Path(name)
+        for file in sorted(place.iterdir()) if place.is_dir() else [place]:
+            with suppress(OSError):
+                status = file.stat()
+                files.append((file.name, status.st_size, status.st_mtime_ns))
+    return hashlib.sha256(repr((__version__, options, files)).encode()).hexdigest()
+
+
+def log_name(log: str) -> str:
+    """Return how the manifest names a log: by an absolute path, or an address without secrets."""
+    return without_secret(log) if is_address(log) else os.path.abspath(log)  # noqa: PTH100
