@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison import Settings, angle_rad, compare
+from quatprop.comparison.compare import compare
+from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparison_settings
 from quatprop.errors import ComparisonError, UsageError
 from quatprop.series import BLOCK, AttitudeSeries
 
@@ -61,10 +62,10 @@ STEPS = (TRUE[:-1].inv() * TRUE[1:]).as_rotvec()
 def test_a_series_has_no_error_against_itself():
     """All figures are zero to rounding, and nothing is to be explained."""
     found = compare(A, A)
-    assert found.figures.max < 1e-15
+    assert found.error_rad.max < 1e-15
     assert abs(found.drift_deg_h) < 1e-9
-    assert len(found.pairs) == SAMPLES
-    assert (found.cause, found.remarks, found.exceeded) == (None, (), None)
+    assert found.association.matched == SAMPLES
+    assert (found.likely_cause, found.remarks, found.first_exceeding) == (None, (), None)
 
 
 @pytest.mark.parametrize(
@@ -73,30 +74,36 @@ def test_a_series_has_no_error_against_itself():
 def test_a_constant_rotation_is_its_angle_everywhere(turned, cause):
     """Every figure of the error is the angle, the drift is none, and the frame is named."""
     found = compare(A, series(turned))
-    figures = found.figures
-    for value in (figures.max, figures.rms, figures.mean, figures.median, figures.p95):
+    statistics = found.error_rad
+    for value in (
+        statistics.max,
+        statistics.rms,
+        statistics.mean,
+        statistics.median,
+        statistics.p95,
+    ):
         assert value == pytest.approx(TURN_RAD, abs=EXACT)
-    assert figures.final == pytest.approx(TURN_RAD, abs=EXACT)
+    assert statistics.final == pytest.approx(TURN_RAD, abs=EXACT)
     assert found.drift_deg_h == pytest.approx(0.0, abs=1e-6)
-    assert found.cause.name == cause
-    assert f"{np.degrees(TURN_RAD):.6g} deg" in found.cause.sentence
+    assert found.likely_cause.name == cause
+    assert f"{np.degrees(TURN_RAD):.6g} deg" in str(found.likely_cause.sentence)
 
 
 @pytest.mark.parametrize("align", ["first", "mean"])
 def test_another_reference_frame_can_be_aligned(align):
     """The first sample and the mean both find the rotation that was put in."""
-    found = compare(A, series(TURN * TRUE), Settings(align=align))
-    assert found.figures.max < EXACT
-    assert (rotations(found.alignment.reference) * TURN).magnitude() < EXACT
+    found = compare(A, series(TURN * TRUE), ComparisonSettings(align=align))
+    assert found.error_rad.max < EXACT
+    assert (rotations(found.alignment.reference_wxyz) * TURN).magnitude() < EXACT
 
 
 def test_two_frames_can_be_aligned():
     """Mounting and reference rotation are both found from the motion."""
     reference = Rotation.from_rotvec([0.3, 2.0, 0.1])
-    found = compare(A, series(reference * TRUE * TURN), Settings(align="mount"))
-    assert found.figures.max < EXACT
-    assert (rotations(found.alignment.mount) * TURN).magnitude() < EXACT
-    assert (rotations(found.alignment.reference) * reference).magnitude() < EXACT
+    found = compare(A, series(reference * TRUE * TURN), ComparisonSettings(align="mount"))
+    assert found.error_rad.max < EXACT
+    assert (rotations(found.alignment.mount_wxyz) * TURN).magnitude() < EXACT
+    assert (rotations(found.alignment.reference_wxyz) * reference).magnitude() < EXACT
     assert found.alignment.mounting.std_rad < EXACT
 
 
@@ -106,10 +113,10 @@ def test_a_ramp_is_its_drift(left, frame):
     ramp = Rotation.from_rotvec(np.radians(100) / 3600 * SECONDS[:, None] * [[0.6, 0, 0.8]])
     found = compare(A, series(ramp * TRUE if left else TRUE * ramp))
     assert found.drift_deg_h == pytest.approx(100, abs=1e-6)
-    assert found.figures.final == pytest.approx(np.radians(100) / 3600 * SECONDS[-1], abs=EXACT)
+    assert found.error_rad.final == pytest.approx(np.radians(100) / 3600 * SECONDS[-1], abs=EXACT)
     assert found.worst.index == SAMPLES - 1
-    assert found.cause.name == "drift"
-    assert found.cause.sentence == (
+    assert found.likely_cause.name == "drift"
+    assert str(found.likely_cause.sentence) == (
         f"B drifts away at a steady 100 deg/h about an axis fixed in the {frame} frame"
     )
 
@@ -128,22 +135,22 @@ def test_numbers_taken_for_others_are_recognised(misread, cause):
     """A conjugate (or JPL numbers) and both wrong layouts are named; their error is the angle."""
     found = compare(A, AttitudeSeries(T_NS, np.ascontiguousarray(misread)))
     errors = (TRUE.inv() * rotations(misread)).magnitude()
-    assert found.figures.max == pytest.approx(errors.max(), abs=EXACT)
-    assert found.figures.rms == pytest.approx(np.sqrt((errors**2).mean()), abs=EXACT)
-    assert found.cause.name == cause
-    assert found.cause.rms_after < EXACT
+    assert found.error_rad.max == pytest.approx(errors.max(), abs=EXACT)
+    assert found.error_rad.rms == pytest.approx(np.sqrt((errors**2).mean()), abs=EXACT)
+    assert found.likely_cause.name == cause
+    assert found.likely_cause.rms_after < EXACT
 
 
 def test_a_conjugate_in_another_reference_frame_is_recognised():
     """The misreading is named together with the frame, though neither explains it alone."""
     found = compare(A, series((TURN * TRUE).inv()))
-    assert found.cause.name == "conjugate and reference frame"
+    assert found.likely_cause.name == "conjugate and reference frame"
 
 
 def test_signs_are_no_error():
     """Where B is -A there is no error, and it is said so."""
     sign = np.where(np.arange(SAMPLES) % 3, 1.0, -1.0)
-    found = compare(A, AttitudeSeries(T_NS, A.wxyz * sign[:, None]), Settings(tolerance=1e-12))
+    found = compare(A, AttitudeSeries(T_NS, A.wxyz * sign[:, None]), ComparisonSettings(tol=1e-12))
     assert found.passed
     (remark,) = found.remarks
     assert remark.startswith("B has the opposite sign in 667 of 2000 samples: q and -q are the")
@@ -153,38 +160,38 @@ def test_one_bad_sample_is_found():
     """It is the worst, its error is what was put in, and the first above the tolerance."""
     wxyz = A.wxyz.copy()
     wxyz[77] = (TRUE[77] * Rotation.from_rotvec([0.02, 0, 0])).as_quat(scalar_first=True)
-    found = compare(A, AttitudeSeries(T_NS, wxyz), Settings(tolerance=1e-3))
-    assert found.worst == found.exceeded
+    found = compare(A, AttitudeSeries(T_NS, wxyz), ComparisonSettings(tol=1e-3))
+    assert found.worst == found.first_exceeding
     assert (found.worst.index, found.worst.t_ns) == (77, T_NS[77])
     assert found.worst.error_rad == pytest.approx(0.02, abs=EXACT)
-    assert found.figures.median < EXACT
-    assert found.cause.name == "isolated samples"
-    assert found.cause.sentence.startswith("1 of 2000 samples carry the error")
+    assert found.error_rad.median < EXACT
+    assert found.likely_cause.name == "isolated samples"
+    assert str(found.likely_cause.sentence).startswith("1 of 2000 samples carry the error")
 
 
 def test_a_known_time_shift_is_taken_out_exactly():
     """With the offset that was put in, stamps are equal again and nothing is interpolated."""
     late = AttitudeSeries(T_NS + 7_300_000, A.wxyz)
-    found = compare(A, late, Settings(time_offset=-7_300_000))
-    assert found.pairs.match == "exact"
-    assert found.figures.max < 1e-15
+    found = compare(A, late, ComparisonSettings(time_offset=-7_300_000))
+    assert found.association.match == "exact"
+    assert found.error_rad.max < 1e-15
 
 
 @pytest.mark.parametrize("epoch", [0, 12_345_678_901_234_567])
 def test_a_time_shift_is_found(epoch):
     """Correlating angular speeds finds the offset of two clocks to a millionth of a sample."""
     late = AttitudeSeries(T_NS + 7_300_000 + epoch, A.wxyz)
-    found = compare(A, late, Settings(time_offset="auto"))
-    assert found.offset_ns == pytest.approx(-7_300_000 - epoch, abs=10)
-    assert found.offset.correlation > 0.999999
-    assert found.figures.max < 1e-6
+    found = compare(A, late, ComparisonSettings(time_offset="auto"))
+    assert found.time_offset.added_to_b_ns == pytest.approx(-7_300_000 - epoch, abs=10)
+    assert found.time_offset.found.correlation > 0.999999
+    assert found.error_rad.max < 1e-6
 
 
 def test_an_unknown_time_shift_is_named():
     """A series that is late is said to be, with how much."""
     found = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz))
-    assert found.cause.name == "time offset"
-    assert found.cause.sentence == "B is 50 ms late; --time-offset auto takes it out"
+    assert found.likely_cause.name == "time offset"
+    assert str(found.likely_cause.sentence) == "B is 50 ms late; time_offset='auto' takes it out"
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():
@@ -192,11 +199,11 @@ def test_the_offset_of_two_frames_and_rates_is_found():
     t_s = SECONDS[::3] + 0.004
     other = Rotation.from_rotvec([0.3, 2.0, 0.1]) * motion(t_s) * TURN
     coarse = AttitudeSeries(T_NS[::3], other.as_quat(scalar_first=True).round(6))
-    found = compare(A, coarse, Settings(align="mount", time_offset="auto"))
-    assert found.pairs.at == "B"
-    assert found.offset_ns == pytest.approx(4_000_000, abs=100_000)
-    assert (rotations(found.alignment.mount) * TURN).magnitude() < 1e-4
-    assert found.figures.max < 2e-3
+    found = compare(A, coarse, ComparisonSettings(align="mount", time_offset="auto"))
+    assert found.association.at == "B"
+    assert found.time_offset.added_to_b_ns == pytest.approx(4_000_000, abs=100_000)
+    assert (rotations(found.alignment.mount_wxyz) * TURN).magnitude() < 1e-4
+    assert found.error_rad.max < 2e-3
 
 
 @pytest.mark.parametrize(
@@ -219,27 +226,27 @@ def test_the_offset_of_two_frames_and_rates_is_found():
 def test_wrong_propagation_is_recognised(wrong, cause, words):
     """The wrong side, a missing factor, degrees for radians, and a gyroscope's bias are named."""
     found = compare(A, series(wrong))
-    assert found.cause.name == cause
-    assert words in found.cause.sentence
-    assert found.cause.rms_after < EXACT
+    assert found.likely_cause.name == cause
+    assert words in str(found.likely_cause.sentence)
+    assert found.likely_cause.rms_after < EXACT
 
 
 def test_noise_has_no_cause():
     """Errors without a pattern are not explained away."""
     noise = Rotation.from_rotvec(np.random.default_rng(1).normal(size=(SAMPLES, 3)) * 0.01)
-    assert compare(A, series(TRUE * noise)).cause is None
+    assert compare(A, series(TRUE * noise)).likely_cause is None
 
 
 def test_an_error_within_the_tolerance_is_not_explained():
     """Causes are looked for where the comparison fails or nothing was asked of it."""
-    found = compare(A, series(TURN * TRUE), Settings(tolerance=1.0))
-    assert (found.passed, found.cause) == (True, None)
+    found = compare(A, series(TURN * TRUE), ComparisonSettings(tol=1.0))
+    assert (found.passed, found.likely_cause) == (True, None)
 
 
 def test_windows_see_neither_frames_nor_drift_before_them():
     """Over a window of 1 s an error that grows by 0.01 rad/s is 0.01 rad, wherever it stands."""
     ramp = Rotation.from_rotvec(0.01 * SECONDS[:, None] * [[0, 0, 1]])
-    found = compare(A, series(TURN * TRUE * ramp), Settings(window_ns=1_000_000_000))
+    found = compare(A, series(TURN * TRUE * ramp), ComparisonSettings(window=1_000_000_000))
     assert found.window.count == SAMPLES - 100
     assert found.window.rms_rad <= found.window.max_rad
     # The axis of the ramp is turned by the body's own turn over the window.
@@ -254,15 +261,15 @@ def test_a_window_must_fit():
     """A window that is longer than the recording is refused."""
     with pytest.raises(
         ComparisonError,
-        match=r"^no two pairs are 60 s apart: they span 19.99 s; choose a shorter --window$",
+        match=r"^no two pairs are 60 s apart: they span 19.99 s; choose a shorter window$",
     ):
-        compare(A, A, Settings(window_ns=60_000_000_000))
+        compare(A, A, ComparisonSettings(window=60_000_000_000))
 
 
 def test_the_report_is_json():
     """The report of everything goes into JSON and back without a change."""
-    settings = Settings(
-        align="mount", time_offset="auto", window_ns=10**9, tolerance=1e-9, match="interpolate"
+    settings = ComparisonSettings(
+        align="mount", time_offset="auto", window=10**9, tol=1e-9, match="interpolate"
     )
     report = compare(A, series(TRUE.inv()), settings).report()
     assert json.loads(json.dumps(report, allow_nan=False)) == report
@@ -294,16 +301,16 @@ def test_stamps_are_put_in_order():
     order[[10, 11]] = [11, 10]
     order[20] = 19
     found = compare(A, AttitudeSeries(T_NS[order], A.wxyz[order]))
-    assert found.figures.max < 1e-15
-    assert len(found.pairs) == SAMPLES - 1
+    assert found.error_rad.max < 1e-15
+    assert found.association.matched == SAMPLES - 1
     (remark,) = found.remarks
-    assert remark.startswith("B was put in order of time: its stamps step back 1 times, and 1 rep")
+    assert remark.startswith("B was sorted by time: its timestamps step back 1 times, and 1 repeat")
 
 
 def test_other_lengths_are_normalised_and_said():
     """Quaternions of length 2 are the same attitudes."""
     found = compare(A, AttitudeSeries(T_NS, 2 * A.wxyz))
-    assert found.figures.max < 1e-15
+    assert found.error_rad.max < 1e-15
     assert found.remarks == ("B is not of unit length, by up to 1; normalised",)
 
 
@@ -327,9 +334,9 @@ def test_an_angle_without_a_unit_is_refused(text):
 def test_unknown_ways_are_refused():
     """Alignments and matches that do not exist are refused with those that do."""
     with pytest.raises(UsageError, match=r"^no alignment 'best'; choose one of 'none', 'first'"):
-        compare(A, A, Settings(align="best"))
+        compare(A, A, ComparisonSettings(align="best"))
     with pytest.raises(UsageError, match=r"^no match 'fuzzy'; choose one of 'exact', 'nearest'"):
-        compare(A, A, Settings(match="fuzzy"))
+        compare(A, A, ComparisonSettings(match="fuzzy"))
 
 
 def test_long_series_are_compared_to_their_ends():
@@ -341,6 +348,33 @@ def test_long_series_are_compared_to_their_ends():
         other[row] = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
     t_ns = np.arange(rows)
     found = compare(AttitudeSeries(t_ns, wxyz), AttitudeSeries(t_ns, other))
-    assert np.flatnonzero(found.error).tolist() == [0, BLOCK, rows - 1]
-    assert found.error[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
+    assert np.flatnonzero(found.errors).tolist() == [0, BLOCK, rows - 1]
+    assert found.errors[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
     assert found.remarks[-1].startswith(f"B has the opposite sign in {rows - 3} of {rows} samples")
+
+
+def test_settings_are_read_from_texts_and_numbers():
+    """A script, a suite and the command line may write the same setting in their own way."""
+    numbers = {"tol": np.radians(0.1), "time_offset": -12_000_000, "max_dt": 3, "window": 10**9}
+    texts = {"tol": "0.1deg", "time_offset": "-12ms", "max_dt": "3ns", "window": "1s"}
+    assert comparison_settings(**texts) == ComparisonSettings(**numbers)
+    assert comparison_settings(**numbers) == ComparisonSettings(**numbers)
+    auto = comparison_settings(time_offset="auto", tol=None)
+    assert auto == ComparisonSettings(time_offset="auto")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("align", "best", "'best' is not one of 'none', 'first', 'mean', 'mount'"),
+        ("match", "fuzzy", "'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
+        ("min_matched", 101, "'101' is not a percentage from 0 to 100"),
+        ("max_dt", "soon", "'soon' is not a duration; write a number with a unit, such as 20ms"),
+        ("size", 1, "there is no setting 'size'; choose from 'tol', 'align', 'time_offset'"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(name, value, sentence):
+    """The sentence says what could be written instead."""
+    with pytest.raises(UsageError) as error:
+        comparison_settings(**{name: value})
+    assert str(error.value).startswith(sentence)

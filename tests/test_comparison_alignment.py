@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison.alignment import align, find_mounting, from_matrix, mean_rotation
+from quatprop.comparison.alignment import align, find_mounting, mean_rotation
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 
@@ -43,22 +43,13 @@ def test_the_mean_is_that_of_scipy(seed):
 
 
 @given(SEEDS)
-def test_matrices_become_quaternions(seed):
-    """Every rotation matrix gives its quaternion, half turns too."""
-    rotation = random(1, seed)[0]
-    assert geodesic_angle(from_matrix(rotation.as_matrix()), wxyz(rotation)) < 1e-14
-    half_turn = Rotation.from_rotvec(np.pi * rotation.apply([1, 0, 0]))
-    assert geodesic_angle(from_matrix(half_turn.as_matrix()), wxyz(half_turn)) < 1e-7
-
-
-@given(SEEDS)
 def test_any_mounting_is_recovered(seed):
     """From a motion about all axes, mounting and reference are exact whatever they are."""
     reference, mount = random(2, seed)
     true = wander(200, seed + 1)
     found = align("mount", wxyz(reference * true * mount), wxyz(true))
-    assert geodesic_angle(found.mount, wxyz(mount)) < 1e-12
-    assert geodesic_angle(found.reference, wxyz(reference)) < 1e-12
+    assert geodesic_angle(found.mount_wxyz, wxyz(mount)) < 1e-12
+    assert geodesic_angle(found.reference_wxyz, wxyz(reference)) < 1e-12
     assert geodesic_angle(found.apply(wxyz(true)), wxyz(reference * true * mount)).max() < 1e-12
 
 
@@ -92,7 +83,7 @@ def test_one_axis_is_refused(noise):
     yaw = np.cumsum(rng.normal(size=3000) * 0.03)
     turns = Rotation.from_rotvec(yaw[:, None] * [[0, 0, 1]])
     a, b = (turns * Rotation.from_rotvec(rng.normal(size=(3000, 3)) * noise) for _ in range(2))
-    with pytest.raises(ComparisonError, match=r"axis only.*; choose --align mean, or a longer"):
+    with pytest.raises(ComparisonError, match=r"axis only.*; choose align='mean', or a longer"):
         align("mount", wxyz(a), wxyz(b))
 
 

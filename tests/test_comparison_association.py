@@ -109,8 +109,8 @@ def test_too_few_pairs_are_refused_with_both_spans():
     with pytest.raises(
         ComparisonError,
         match=r"^only 0 of 99 samples in the common time have a partner \(exact\) and at least 50 "
-        r"must; A is from 0 to 990 ns and B from 5 to 995 ns; see --time-offset, --match, --max-dt "
-        r"and --min-matched$",
+        r"must; A is from 0 to 990 ns and B from 5 to 995 ns; see time_offset, match, max_dt "
+        r"and min_matched$",
     ):
         associate(a, b, match="exact")
 
@@ -121,7 +121,7 @@ def test_other_clocks_are_refused():
     with pytest.raises(
         ComparisonError,
         match=r"^A and B have no time in common: A is from 0 to 90 ns and B from 1000 to 1090 ns; "
-        r"see --time-offset$",
+        r"see time_offset$",
     ):
         associate(a, b)
     assert associate(a, shifted(b, -1000)).match == "exact"

@@ -57,7 +57,7 @@ LAYERS = (
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "formats"},
-    {"signals"},
+    {"signals", "rendering"},
     {"writers"},
     {"into", "simulate"},
     {"comparison", "pipeline"},

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
-from quatprop.plot.files import View, see
-from quatprop.plot.picture import instant_text, picture
+from quatprop.plot.files import View, view_file
+from quatprop.plot.picture import picture
+from quatprop.rendering import instant_text
 
 T0 = 1_700_000_000_000_000_000
 STEP = 10_000_000
@@ -68,8 +69,7 @@ def rates(tmp_path):
 
 def figure_of(*paths, **view):
     """Return the figure of files, its axes and the picture."""
-    seen = [see(str(path), View(**view)) for path in paths]
-    drawn = picture([one.part for one in seen], title="t", facts=(), notes=())
+    drawn = picture([view_file(str(path), View(**view)).plotted for path in paths], "t")
     figure = draw.figure(drawn)
     return figure, figure.axes, drawn
 
@@ -101,8 +101,8 @@ def test_other_suffixes_are_refused_with_what_is_possible(turning, tmp_path):
     code, _, said = run("plot", turning, "-o", tmp_path / "a.jpg")
     assert code == 2
     assert said == (
-        f"Error: {tmp_path / 'a.jpg'}: the suffix does not tell the kind of picture; use .png, "
-        ".svg or .pdf, or .html for a report\n"
+        f"Error: {tmp_path / 'a.jpg'}: the suffix is not one of a picture; use .png, .svg "
+        "or .pdf, or .html for a report\n"
     )
     code, _, said = run("plot", turning, "-o", "-")
     assert said == "Error: -: a picture goes to a file; name one that ends in .png\n"
@@ -160,7 +160,7 @@ def test_pictures_are_drawn_without_pyplot(turning, tmp_path):
 
 def test_rates_are_rows_with_units_and_a_spike_stands_out(rates):
     """Each axis of the gyroscope is a row in the unit of the log; one sample of 2.5 is drawn."""
-    view = {"rates": see_selection(), "show": "rates"}
+    view = {"rates": rate_selection(), "show": "rates"}
     _, axes, _ = figure_of(rates, **view)
     assert [one.get_ylabel() for one in axes] == [f"rate {axis}\nrad/s" for axis in "xyz"]
     assert axes[-1].get_xlabel() == "time since 2023-11-14 22:13:20 UTC, s"
@@ -170,7 +170,7 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates):
     assert seconds[np.nanargmax(values)] == pytest.approx(1.23)
 
 
-def see_selection():
+def rate_selection():
     """Return what the columns of the rates here are."""
     from quatprop.selection import RateSelection
 
@@ -230,7 +230,7 @@ def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     code, _, said = run("plot", path, "-o", tmp_path / "a.png")
     assert code == 0
     assert said.splitlines()[1] == (
-        "warning: 10 rows are no attitude (zero, absent or not finite): not drawn"
+        "warning: 10 invalid quaternions (zero, absent or not finite): not drawn"
     )
 
 

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from quatprop.check.lock import Pin
-    from quatprop.comparison import Settings
+    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.pipeline.job import Job
     from quatprop.signals.attitude_input import AttitudeInput
 
@@ -48,7 +48,7 @@ class Case:
 
     name: str
     job: Job
-    settings: Settings
+    settings: ComparisonSettings
     reference: str | None
     external: AttitudeInput | None
     options: Mapping[str, str]

@@ -8,13 +8,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from quatprop.check.spelling import sentence
-from quatprop.comparison import compare
+from quatprop.check.spelling import sentence, spelled
+from quatprop.comparison.compare import compare
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
-from quatprop.provenance import as_json
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.times import duration_text
 
@@ -115,26 +114,27 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     ComparisonError
         They cannot be compared with these settings.
     """
-    limit = math.inf if case.settings.tolerance is None else case.settings.tolerance
+    limit = math.inf if case.settings.tol is None else case.settings.tol
     if len(a) == len(b) == 1 and a.t_ns[0] == b.t_ns[0]:
         # A comparison needs two pairs; a log of one sample has one attitude.
         error = float(geodesic_angle(a.wxyz[0], b.wxyz[0]))
         failure = "" if error <= limit else "the only attitude is above the tolerance"
         return CaseComparison(error, "at the only sample", failure)
     result = compare(a, b, case.settings)
-    first_ns = int(result.pairs.t_ns[0])
+    first_ns = result.association.first_ns
     failure = ""
-    if result.exceeded is not None:
+    if result.first_exceeding is not None:
         failure = (
-            f"above the tolerance, first at {_since(result.exceeded.t_ns, first_ns)} "
-            f"({result.exceeded.t_ns} ns)"
+            f"above the tolerance, first at {_since(result.first_exceeding.t_ns, first_ns)} "
+            f"({result.first_exceeding.t_ns} ns)"
         )
+    cause = result.likely_cause
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure=failure,
-        cause=f"{result.cause.sentence} ({result.cause.name})" if result.cause else "",
-        report=as_json(result.report()),
+        cause=f"{spelled(cause.sentence)} ({cause.name})" if cause else "",
+        report=result.report(),
     )
 
 
@@ -177,7 +177,7 @@ def error_text(case: Case, comparison: CaseComparison) -> str:
         return ""
     error, *limit = (
         angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (comparison.error_rad, case.settings.tolerance)
+        for angle in (comparison.error_rad, case.settings.tol)
         if angle is not None
     )
     return f"{' of '.join([error, *limit])} {comparison.where}"

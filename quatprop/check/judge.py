@@ -157,7 +157,7 @@ def _refuse(case: Case, *reason: str | Setting | Text) -> NoReturn:
 
 def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
     """Return how the last attitude differs, which the reference may lack."""
-    tolerance = case.settings.tolerance
+    tolerance = case.settings.tol
     if not case.strict or case.settings.align != "none" or tolerance is None:
         return ""
     error = float(geodesic_angle(np.array(pin.final_wxyz), np.array(run.final_wxyz)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.text import Text
+
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
     from quatprop.text import Setting
@@ -31,3 +33,8 @@ def key(setting: Setting, side: str = "") -> str:
 def sentence(error: QuatpropError) -> str:
     """Return the sentence of an error, with keys in place of the settings it mentions."""
     return error.text.spelled(partial(key, side=error.side))
+
+
+def spelled(text: str | Text) -> str:
+    """Return a remark, with keys in place of the settings it mentions."""
+    return text.spelled(key) if isinstance(text, Text) else text

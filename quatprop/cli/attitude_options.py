@@ -10,6 +10,8 @@ from quatprop.cli.types import names
 from quatprop.settings import CLOCKS, KINDS, LAYOUTS, TIME_UNITS
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from quatprop.cli.options import Option
     from quatprop.selection import AttitudeSelection
 
@@ -162,10 +164,10 @@ def attitude_options(side: str, suffix: str = "") -> list[Option]:
     ]
 
 
-def attitude_selection(chosen: dict[str, Any], suffix: str = "") -> AttitudeSelection:
-    """Take the keywords that choose attitudes, but the kind, out of a command's options."""
+def attitude_selection(chosen: Mapping[str, Any], suffix: str = "") -> AttitudeSelection:
+    """Return which attitudes to read, from the options of a command."""
     from quatprop.selection import AttitudeSelection
 
     return AttitudeSelection(
-        **{key: chosen.pop(key + suffix) for key in ATTITUDE_OPTIONS if key != "kind"}
+        **{key: chosen[key + suffix] for key in ATTITUDE_OPTIONS if key != "kind"}
     )

@@ -242,7 +242,7 @@ class _Shown:
 def _line(result: BatchResult, report: RunReport, width: int) -> str:
     """Return the result of one log in a line, and its warnings and losses below."""
     from quatprop.cli.spelling import spelled
-    from quatprop.cli.summary import loss_lines
+    from quatprop.rendering import loss_lines
     from quatprop.text import plain
     from quatprop.times import duration_text
 

@@ -159,17 +159,13 @@ class _Parser:
         if external and against != log:
             self.inputs["reference-log"] = against
         chosen = dict(self._parsed(compare.command, COMPARE, ["--", "A", "B"]).params)
-        for name in ("a", "b", "as_json", "quiet", "plot"):
-            chosen.pop(name, None)
-        unsound = {"drop": chosen.pop("on_invalid") == "drop", "normalize": chosen.pop("normalize")}
-        compare.reading_of("A", "a", chosen, unsound)
-        reading = compare.reading_of(against, "b", chosen, unsound)
+        external_input = compare.input_of(against, "b", chosen)
         return Case(
             name=self.table.name,
             job=job,
             settings=compare.settings_of(self._with_tolerance(chosen, external=external)),
             reference=reference,
-            external=reading if external else None,
+            external=external_input if external else None,
             options=self._said(job_context),
             inputs=self.inputs,
             strict=not {"time-offset", "match", "max-dt"} & values.keys(),
@@ -202,10 +198,10 @@ class _Parser:
         return None
 
     def _with_tolerance(self, chosen: dict[str, Any], *, external: bool) -> dict[str, Any]:
-        if chosen["tolerance"] is None:
+        if chosen["tol"] is None:
             if external:
                 raise self._error('no tolerance; say tol = "0.5deg" or the like', "tol")
-            chosen["tolerance"] = ANGLE.convert(DEFAULT_TOLERANCE, None, None)
+            chosen["tol"] = ANGLE.convert(DEFAULT_TOLERANCE, None, None)
         return chosen
 
     def _path(self, key: str, *, required: bool = False) -> str:

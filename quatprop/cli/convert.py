@@ -80,25 +80,33 @@ def command(**chosen: Any) -> None:
     from quatprop.containers.base import Loss
     from quatprop.conventions import Meaning
     from quatprop.conversion import Conversion, convert
+    from quatprop.rendering import loss_lines
 
     quiet = chosen.pop("quiet")
     unit, representation = chosen.pop("euler_unit"), chosen.pop("representation")
     if unit is not None and representation != "euler-zyx":
         raise click.UsageError("--euler-unit is for --as euler-zyx")
     job = Conversion(
-        selection=attitude_selection(chosen),
-        meaning=Meaning(chosen.pop("convention"), chosen.pop("direction")),
-        representation=EULER_DEGREES.get((representation, unit), representation),
-        drop=chosen.pop("on_invalid") == "drop",
-        message=message(chosen),
+        log=chosen["log"],
         **destination(chosen, "OUT"),
-        **chosen,
+        kind=chosen["kind"],
+        to=chosen["to"],
+        selection=attitude_selection(chosen),
+        layout=chosen["layout"],
+        meaning=Meaning(chosen["convention"], chosen["direction"]),
+        sign=chosen["sign"],
+        representation=EULER_DEGREES.get((representation, unit), representation),
+        normalize=chosen["normalize"],
+        drop=chosen["on_invalid"] == "drop",
+        message=message(chosen),
+        comment=chosen["comment"],
+        report=chosen["report"],
     )
     with words.progress(quiet=quiet) as tick:
         report = convert(job, tick)
     step = report["conversions"][-1]
     if not quiet:
-        losses = words.loss_lines([Loss(**loss) for loss in step["losses"]])
+        losses = loss_lines([Loss(**loss) for loss in step["losses"]])
         click.echo("\n".join([_summary(job.output, step), *losses]), err=True)
     if step["losses"] or step["counts"]["read"] != step["counts"]["used"]:
         raise click.exceptions.Exit(3)

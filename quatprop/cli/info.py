@@ -9,9 +9,9 @@ import click
 
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.spelling import sentence, spelled
-from quatprop.cli.summary import loss_lines
 from quatprop.containers.base import Loss
 from quatprop.provenance import as_json as to_json
+from quatprop.rendering import loss_lines
 from quatprop.text import plain
 
 TIMED = {

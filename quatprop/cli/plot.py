@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from quatprop.cli.attitude_options import ATTITUDE_OPTIONS, attitude_options, attitude_selection
-from quatprop.cli.compare import ALIGNMENTS
+from quatprop.cli.compare import settings_of
 from quatprop.cli.options import (
     SELECTION_OPTIONS,
     quiet_option,
@@ -17,6 +17,11 @@ from quatprop.cli.options import (
 )
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import ANGLE, DURATION, TIME, TIME_OFFSET
+from quatprop.comparison.settings import ALIGNMENTS
+from quatprop.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 OF_SAMPLES = ("kind", "topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
 """Options that rates and attitudes share."""
@@ -63,7 +68,6 @@ OWN_OPTIONS = [
 )
 @click.option(
     "--tol",
-    "tolerance",
     type=ANGLE,
     help="With --reference: draw this tolerance, such as 0.1deg, and mark the first sample above "
     "it; the exit code stays 0.  [default: none]",
@@ -73,7 +77,7 @@ OWN_OPTIONS = [
     type=click.Choice(ALIGNMENTS),
     default="none",
     show_default=True,
-    help="With --reference: what it is turned by first; as for compare.",
+    help="With --reference: how it is rotated first; as for compare.",
 )
 @click.option(
     "--time-offset",
@@ -84,16 +88,15 @@ OWN_OPTIONS = [
 )
 @click.option(
     "--max-dt",
-    "max_dt_ns",
     type=DURATION,
-    help="With --reference: how far apart samples that belong together may be; as for compare.  "
+    help="With --reference: largest distance in time of matched samples; as for compare.  "
     "[default: half the median interval to the nearest, 10 to interpolate]",
 )
 @quiet_option
 @with_options(SELECTION_OPTIONS)
 @with_options(OWN_OPTIONS)
 @with_options(attitude_options("REF", "-ref"))
-def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
+def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
@@ -104,60 +107,51 @@ def command(files: tuple[str, ...], quiet: bool, **chosen: Any) -> None:
     quatprop plot old.parquet new.parquet -o attitude.svg
     quatprop plot attitude.csv -o report.html --reference truth.csv --tol 0.1deg
     """
-    from quatprop.cli import summary as words
-    from quatprop.comparison import Settings
+    from quatprop.cli import summary
     from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
     from quatprop.signals.attitude_input import AttitudeInput
-    from quatprop.text import plain
 
-    reference, kind_ref = chosen.pop("reference"), chosen.pop("kind_ref")
+    reference = chosen["reference"]
     _refuse_idle(reference)
     refuse_stdin_twice(*files, reference)
-    show = _shown(chosen)
-    of_reference = attitude_selection(chosen, "_ref")
-    keys = ("tolerance", "align", "time_offset", "max_dt_ns")
-    settings = Settings(**{key: chosen.pop(key) for key in keys})
-    attitudes = attitude_selection(
-        {**{key: chosen[key] for key in OF_SAMPLES if key != "kind"}, **_own(chosen)}
-    )
+    against = None
+    if reference is not None:
+        selected = attitude_selection(chosen, "_ref")
+        against = AttitudeInput(reference, chosen["kind_ref"], selected, drop=True, side="ref")
     job = Plot(
-        files,
-        chosen.pop("output"),
-        View(
-            kind=chosen.pop("kind"),
-            show=show,
-            rates=selection(chosen),
-            attitudes=attitudes,
-            **chosen,
+        files=files,
+        output=chosen["output"],
+        view=View(
+            kind=chosen["kind"],
+            show=_show(chosen),
+            rates=selection(dict(chosen)),
+            attitudes=attitude_selection(chosen),
+            components=chosen["components"],
+            start=chosen["start"],
+            end=chosen["end"],
         ),
-        reference and AttitudeInput(reference, kind_ref, of_reference, drop=True, side="ref"),
-        settings,
+        reference=against,
+        settings=settings_of(chosen),
     )
-    with words.progress(quiet=quiet) as tick:
-        report = plot(job, tick)
+    with summary.progress(quiet=quiet) as tick:
+        drawn = plot(job, tick, spelled)
     if not quiet:
-        lines = [plain(line) for line in report["lines"]]
-        lines += [f"warning: {spelled(warning)}" for warning in report["warnings"]]
-        click.echo("\n".join(lines), err=True)
-    if report["data_lost"]:
+        lines = [*drawn.lines, *(f"warning: {warning}" for warning in drawn.warnings)]
+        click.echo("\n".join(map(plain, lines)), err=True)
+    if drawn.data_lost:
         raise click.exceptions.Exit(3)
 
 
-def _shown(chosen: dict[str, Any]) -> str | None:
-    """Take out what is to be shown: whoever says which attitudes wants attitudes."""
-    show: str | None = chosen.pop("show")
+def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
+    """Return what to draw: an option about attitudes asks for attitudes."""
+    show: Literal["rates", "attitude"] | None = chosen["show"]
     for key, (name, _) in {"components": ("--components", {}), **ATTITUDE_OPTIONS}.items():
         if key not in OF_SAMPLES and chosen[key]:
             if show == "rates":
                 raise click.UsageError(f"{name} goes with --show attitude")
             return "attitude"
     return show
-
-
-def _own(chosen: dict[str, Any]) -> dict[str, Any]:
-    """Take the options that only attitudes have out of a command's."""
-    return {key: chosen.pop(key) for key in ATTITUDE_OPTIONS if key not in OF_SAMPLES}
 
 
 def _refuse_idle(reference: str | None) -> None:

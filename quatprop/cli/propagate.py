@@ -173,12 +173,14 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
     """Return the picture of a job in the making; None in it where no picture is wanted."""
     if plot is None:
         return nullcontext()
+    from quatprop.cli.spelling import spelled
     from quatprop.plot.propagation import PropagationPicture
 
     settings, output = job.settings, job.output
     resampled = settings.rate is not None or settings.at is not None
     inputs = [job.log, *settings.inputs]
-    return PropagationPicture(plot, inputs, [output.path, output.report], resampled=resampled)
+    outputs = [output.path, output.report]
+    return PropagationPicture(plot, inputs, outputs, resampled=resampled, spell=spelled)
 
 
 def job_of(chosen: dict[str, Any]) -> Job:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from contextlib import contextmanager
@@ -12,18 +11,16 @@ import click
 
 from quatprop.cli.spelling import spelled
 from quatprop.provenance import as_json
+from quatprop.rendering import degrees_text, lines_of, loss_lines, quaternion_text, source_text
 from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.conditioning.static_detection import Rest
-    from quatprop.containers.base import Loss
     from quatprop.pipeline.report import RunReport
-
-MAX_LOSSES = 20
-"""Losses that are listed one by one."""
+    from quatprop.rendering import Row
 
 PROGRESS_EVERY_S = 0.2
 """How often the progress line changes; nothing shows before the first interval is over."""
@@ -59,25 +56,16 @@ def summary(report: RunReport, *, verbose: bool) -> str:
     verbose
         Also state conventions, policies and timings.
     """
-    lines = [f"{name:<11} {value}" for name, value in _facts(report)]
-    if verbose:
-        lines += [f"{name:<11} {value}" for name, value in _conventions(report)]
+    rows = [*_facts(report), *(_conventions(report) if verbose else ())]
+    lines = lines_of(rows, width=11)
     lines += [f"warning: {spelled(remark)}" for remark in report.remarks]
     return "\n".join(lines + loss_lines(report.losses))
 
 
-def loss_lines(losses: Sequence[Loss]) -> list[str]:
-    """Return a line for each loss in a damaged log, or for the first of many."""
-    lines = [f"lost: {plain(loss.place)}: {plain(loss.reason)}" for loss in losses[:MAX_LOSSES]]
-    if (more := len(losses) - len(lines)) > 0:
-        lines.append(f"lost: {more} more, which the JSON report lists")
-    return lines
-
-
-def _facts(report: RunReport) -> Iterator[tuple[str, str]]:
+def _facts(report: RunReport) -> Iterator[Row]:
     source, counts, result = report.source, report.counts, report.result
     convention = report.convention
-    name = " ".join(plain(text) for text in (source.name, source.type) if text)
+    name = source_text(source.name, source.type)
     yield "source", f"{plain(source.path)} ({source.kind}): {name}"
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
@@ -85,22 +73,18 @@ def _facts(report: RunReport) -> Iterator[tuple[str, str]]:
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
     if convention.q0_from != "given":
-        yield "q0", f"{_numbers(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+        yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     other = "start" if convention.method == "coning" else "coning"
     if result.method_sensitivity_rad is not None:
-        difference = f"{math.degrees(result.method_sensitivity_rad):.3g} deg"
+        difference = degrees_text(result.method_sensitivity_rad, 3)
         yield "sensitivity", f"{difference} between the final attitudes of this method and {other}"
-    yield "final", _numbers(result.final_wxyz)
+    yield "final", quaternion_text(result.final_wxyz)
     rotation = (
-        f"{math.degrees(result.net_rotation_rad):.6g} deg from q0 to the final attitude, "
-        f"{math.degrees(result.path_angle_rad):.6g} deg traversed, "
-        f"at most {math.degrees(counts.max_rate):.6g} deg/s"
+        f"{degrees_text(result.net_rotation_rad)} from q0 to the final attitude, "
+        f"{degrees_text(result.path_angle_rad)} traversed, "
+        f"at most {degrees_text(counts.max_rate)}/s"
     )
     yield "rotation", rotation
-
-
-def _numbers(wxyz: Iterable[float]) -> str:
-    return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
 def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
@@ -126,7 +110,7 @@ def _samples(report: RunReport) -> str:
     return text
 
 
-def _conventions(report: RunReport) -> Iterator[tuple[str, str]]:
+def _conventions(report: RunReport) -> Iterator[Row]:
     convention = report.convention
     yield "quaternion", convention.quaternion
     yield "product", convention.product

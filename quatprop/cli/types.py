@@ -8,6 +8,7 @@ import click
 
 from quatprop import settings
 from quatprop.cli.spelling import sentence
+from quatprop.comparison.settings import COMPARE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,20 +54,7 @@ def numbers(names: str) -> Parsed:
     return Parsed(settings.numbers(names), names)
 
 
-def _time_offset(value: object) -> object:
-    if value == "auto" or isinstance(value, int):
-        return value
-    text = str(value)
-    return (-1 if text.startswith("-") else 1) * settings.duration(text.lstrip("+-"))
-
-
-def _angle(value: object) -> float:
-    from quatprop.comparison import angle_rad
-
-    return value if isinstance(value, float) else angle_rad(str(value))
-
-
 DURATION = Parsed(settings.duration, "DUR")
 TIME = Parsed(settings.moment, "TIME")
-TIME_OFFSET = Parsed(_time_offset, "DUR|auto")
-ANGLE = Parsed(_angle, "ANGLE")
+TIME_OFFSET = Parsed(COMPARE["time_offset"], "DUR|auto")
+ANGLE = Parsed(COMPARE["tol"], "ANGLE")

@@ -1,4 +1,4 @@
-"""What two attitude series differ by and are not to be blamed for: frames.
+"""Alignment of frames: constant rotations by which two attitude series may differ.
 
 A and B may be relative to different reference frames, and be attitudes of different body frames
 that are fixed to each other: q_A = r q_B m. Here r turns coordinates of B's reference into
@@ -8,31 +8,30 @@ right.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.settings import ALIGNMENTS
+from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
-from quatprop.text import listed, quoted
+from quatprop.text import Setting, Text, listed, quoted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Float64 = NDArray[np.float64]
 
-ALIGNMENTS = ("none", "first", "mean", "mount")
-"""How B may be turned before it is compared."""
-
 MIN_MOTIONS = 10
-"""Fewer relative rotations do not make a mounting believable."""
+"""Least relative rotations from which a mounting is estimated."""
 
 MAX_MOTIONS = 20_000
-"""About so many are taken from a long recording."""
+"""Relative rotations taken from a long recording, about."""
 
 MIN_TURN = np.radians(0.1)
-"""RMS relative rotation, rad, below which there is no motion that could show a mounting."""
+"""RMS relative rotation, rad, below which the motion shows no mounting."""
 
 MAX_TURN = np.radians(150.0)
 """Larger relative rotations are left out: near half a turn their axes change sign."""
@@ -41,25 +40,25 @@ MIN_EXCITATION = 0.02
 """Least rotation about the second axis, as a share of that about the first."""
 
 MAX_STD = np.radians(5.0)
-"""Standard deviation, rad, above which a mounting is none."""
+"""Standard deviation, rad, above which a mounting is refused."""
 
-WAY_OUT = "choose --align mean, or a longer part of the recording"
+WAY_OUT = Text("choose ", Setting("align", "mean"), ", or a longer part of the recording")
 """What to do where the motion shows no mounting."""
 
 
 @dataclass(frozen=True, slots=True)
-class Mounting:
-    """How a mounting was found from relative rotations, and how well.
+class MountingFit:
+    """How a mounting was estimated from relative rotations, and how well.
 
     Parameters
     ----------
     motions
-        How many relative rotations.
+        Number of relative rotations.
     turn_rad
         Their RMS angle, rad.
     singular_values
         Roots of the singular values of the fit: RMS sin(angle/2) about the three principal axes
-        that A and B have in common, largest first. Two have to be well above zero.
+        common to A and B, largest first. Two have to be well above zero.
     std_rad
         Standard deviation of the mounting about its least certain axis, rad, from the residual.
     """
@@ -78,22 +77,29 @@ class Alignment:
     ----------
     name
         One of :data:`ALIGNMENTS`.
-    reference
-        r, wxyz, shape ``(4,)``: B's reference -> A's reference, multiplied on the left.
-    mount
-        m, wxyz, shape ``(4,)``: A's body -> B's body, multiplied on the right.
+    reference_wxyz, reference_rad
+        r, shape ``(4,)``: B's reference -> A's reference, multiplied on the left; its angle, rad.
+    mount_wxyz, mount_rad
+        m, shape ``(4,)``: A's body -> B's body, multiplied on the right; its angle, rad.
     mounting
-        How m was found, where it was.
+        How m was estimated, where it was.
     """
 
     name: str
-    reference: Float64
-    mount: Float64
-    mounting: Mounting | None = None
+    reference_wxyz: Float64
+    reference_rad: float = field(init=False)
+    mount_wxyz: Float64 = field(default_factory=IDENTITY.copy)
+    mount_rad: float = field(init=False)
+    mounting: MountingFit | None = None
+
+    def __post_init__(self) -> None:
+        angles = geodesic_angle(IDENTITY, [self.reference_wxyz, self.mount_wxyz])
+        object.__setattr__(self, "reference_rad", float(angles[0]))
+        object.__setattr__(self, "mount_rad", float(angles[1]))
 
     def apply(self, b: Float64) -> Float64:
         """Return r q_B m for attitudes wxyz, shape ``(N, 4)``."""
-        return multiply(multiply(self.reference, b), self.mount)
+        return multiply(multiply(self.reference_wxyz, b), self.mount_wxyz)
 
 
 def align(name: str, a: Float64, b: Float64) -> Alignment:
@@ -116,15 +122,15 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     """
     match name:
         case "none":
-            return Alignment(name, IDENTITY, IDENTITY)
+            return Alignment(name, IDENTITY)
         case "first":
-            return Alignment(name, multiply(a[0], conjugate(b[0])), IDENTITY)
+            return Alignment(name, multiply(a[0], conjugate(b[0])))
         case "mean":
-            return Alignment(name, mean_rotation(multiply(a, conjugate(b))), IDENTITY)
+            return Alignment(name, mean_rotation(multiply(a, conjugate(b))))
         case "mount":
-            mount, mounting = find_mounting(a, b)
+            mount, fit = find_mounting(a, b)
             reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
-            return Alignment(name, reference, mount, mounting)
+            return Alignment(name, reference, mount_wxyz=mount, mounting=fit)
         case _:
             raise UsageError(f"no alignment {quoted(name)}; choose one of {listed(ALIGNMENTS)}")
 
@@ -152,8 +158,8 @@ def mean_rotation(q: Float64) -> Float64:
     return np.asarray(mean * np.copysign(1.0, mean[0]))
 
 
-def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
-    """Solve the hand-eye problem: how body A sits in body B, from rotations both went through.
+def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
+    """Solve the hand-eye problem: how body A is mounted in body B, from motion.
 
     With q_A = r q_B m, rotations from sample i to j are a = m* b m: the same angle about axes
     that m turns into each other, whatever r is. Their vector parts are fitted by least squares.
@@ -167,7 +173,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
     -------
     mount : ndarray
         m, wxyz, shape ``(4,)``: A's body -> B's body.
-    mounting : Mounting
+    fit : MountingFit
         How well it is known.
 
     Raises
@@ -181,7 +187,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
     Kabsch's solution by singular values.
     """
-    found: tuple[Float64, Mounting] | None = None
+    found: tuple[Float64, MountingFit] | None = None
     for stride in _strides(len(a)):
         mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
         if found is None or mounting.std_rad < found[1].std_rad:
@@ -189,7 +195,8 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, Mounting]:
     if found is None:
         raise ComparisonError(
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
-            f"attitudes; {WAY_OUT}"
+            f"attitudes; ",
+            WAY_OUT,
         )
     _refuse_unexcited(found[1])
     return found
@@ -203,19 +210,19 @@ def _strides(samples: int) -> list[int]:
     return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
 
 
-def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, Mounting]:
+def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
     """Return the mounting from relative rotations, of which so many do not overlap."""
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:
-        return IDENTITY, Mounting(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
+        return IDENTITY, MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
     mount, excited = _kabsch(x, y)
     # Overlapping rotations repeat each other.
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
     singular_values = np.sqrt(excited).tolist()
-    return mount, Mounting(len(x), _rms_angle(in_a[usable]), singular_values, float(std))
+    return mount, MountingFit(len(x), _rms_angle(in_a[usable]), singular_values, float(std))
 
 
 def _relative(q: Float64, stride: int) -> Float64:
@@ -238,44 +245,27 @@ def _kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """
     left, excited, right = np.linalg.svd(y.T @ x / len(x))
     flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
-    return from_matrix((left * flip) @ right), excited
+    return from_matrices(((left * flip) @ right).reshape(1, 9))[0], excited
 
 
-def from_matrix(matrix: Float64) -> Float64:
-    """Return the quaternion of a rotation matrix, wxyz with w >= 0, shape ``(4,)``.
-
-    References
-    ----------
-    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", J. Guidance
-    23(6), 2000: an eigenvector, good for every angle and nearest to what is not quite orthogonal.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = matrix
-    symmetric = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    _, vectors = np.linalg.eigh(symmetric)
-    return np.asarray(vectors[:, -1] * np.copysign(1.0, vectors[0, -1]))
-
-
-def _refuse_unexcited(mounting: Mounting) -> None:
+def _refuse_unexcited(mounting: MountingFit) -> None:
     first, second, _ = mounting.singular_values
     if mounting.turn_rad < MIN_TURN:
         raise ComparisonError(
             f"the body turns by {np.degrees(mounting.turn_rad):.2g} deg only, which shows no "
-            f"mounting; {WAY_OUT}"
+            "mounting; ",
+            WAY_OUT,
         )
     if second < MIN_EXCITATION * first:
         raise ComparisonError(
             f"the body turns about one axis only (about the second by {second / first:.2%} of the "
-            f"first), so the mounting about it cannot be told; {WAY_OUT}"
+            "first), so the mounting about it cannot be determined; ",
+            WAY_OUT,
         )
     if mounting.std_rad > MAX_STD:
         raise ComparisonError(
-            f"the mounting cannot be told better than to {np.degrees(mounting.std_rad):.2g} deg: A "
-            f"and B hardly turn together, or about one axis only; {WAY_OUT}"
+            "the mounting cannot be determined better than to "
+            f"{np.degrees(mounting.std_rad):.2g} deg: A and B hardly turn together, or about one "
+            "axis only; ",
+            WAY_OUT,
         )

@@ -1,4 +1,4 @@
-"""Which attitudes of two series belong together in time, and attitudes between samples."""
+"""Match the attitudes of two series in time; attitudes between samples."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from quatprop.comparison.settings import MATCHES
 from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
-from quatprop.text import listed, quoted
+from quatprop.text import Setting, Text, listed, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -22,11 +23,8 @@ if TYPE_CHECKING:
 
 Side = Literal["A", "B"]
 
-MATCHES = ("exact", "nearest", "interpolate")
-"""How attitudes can be brought together: equal stamps, the nearest sample, slerp."""
-
 MIN_PAIRS = 2
-"""Fewer pairs have neither a drift nor an alignment that could be judged."""
+"""Least pairs from which a drift and an alignment can be computed."""
 
 GAP_INTERVALS = 10
 """An interval this many times the median one is a gap: nothing is interpolated across it."""
@@ -79,7 +77,7 @@ def associate(
     max_dt_ns: int | None = None,
     min_matched: float = 0.5,
 ) -> Pairs:
-    """Bring two series together in time.
+    """Match two series in time.
 
     The pairs are at the stamps of the series with the longer intervals; the other one is looked
     up or interpolated there.
@@ -102,24 +100,24 @@ def associate(
     ComparisonError
         Fewer than two pairs, or fewer than `min_matched`.
     UsageError
-        No such way to match.
+        There is no such way to match.
     """
     if match is None:
         exact = _exact(a, b)
         if exact.candidates and 2 * len(exact) >= exact.candidates:
-            return _enough(exact, a, b, min_matched)
+            return _require_enough(exact, a, b, min_matched)
         match = "interpolate" if max_dt_ns is None else "nearest"
     if match not in MATCHES:
         raise UsageError(f"no match {quoted(match)}; choose one of {listed(MATCHES)}")
     if match == "exact":
-        return _enough(_exact(a, b), a, b, min_matched)
+        return _require_enough(_exact(a, b), a, b, min_matched)
     at: Side = "B" if interval_ns(b) > interval_ns(a) else "A"
     sparse, dense = (b, a) if at == "B" else (a, b)
     if max_dt_ns is None:
-        max_dt_ns = _reach(dense, match)
+        max_dt_ns = _default_max_dt_ns(dense, match)
     find = _nearest if match == "nearest" else _interpolated
-    index, found = find(dense, sparse.t_ns, max_dt_ns)
-    looked_up, kept = found, sparse.wxyz[index]
+    index, looked_up = find(dense, sparse.t_ns, max_dt_ns)
+    kept = sparse.wxyz[index]
     pairs = Pairs(
         t_ns=sparse.t_ns[index],
         a=kept if at == "A" else looked_up,
@@ -130,7 +128,7 @@ def associate(
         max_dt_ns=max_dt_ns,
         candidates=_candidates(a, b),
     )
-    return _enough(pairs, a, b, min_matched)
+    return _require_enough(pairs, a, b, min_matched)
 
 
 def interval_ns(series: AttitudeSeries) -> int:
@@ -174,8 +172,8 @@ def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
 
 def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
     if np.array_equal(a.t_ns, b.t_ns):
-        every = np.arange(len(a))  # as it is mostly: nothing needs to be sorted or copied
-        return Pairs(a.t_ns, a.wxyz, b.wxyz, every, "A", "exact", 0, len(a))
+        index = np.arange(len(a))  # the usual case: nothing needs to be sorted or copied
+        return Pairs(a.t_ns, a.wxyz, b.wxyz, index, "A", "exact", 0, len(a))
     t_ns, in_a, in_b = np.intersect1d(a.t_ns, b.t_ns, assume_unique=True, return_indices=True)
     return Pairs(t_ns, a.wxyz[in_a], b.wxyz[in_b], in_a, "A", "exact", 0, _candidates(a, b))
 
@@ -208,26 +206,29 @@ def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[I
     return index, slerp(dense, t_ns[index])
 
 
-def _reach(dense: AttitudeSeries, match: str) -> int:
+def _default_max_dt_ns(dense: AttitudeSeries, match: str) -> int:
     interval = interval_ns(dense)
     if interval == FAR:
         return 0
     return GAP_INTERVALS * interval if match == "interpolate" else (interval + 1) // 2
 
 
-def _enough(pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float) -> Pairs:
+def _require_enough(
+    pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float
+) -> Pairs:
     needed = max(MIN_PAIRS, int(np.ceil(min_matched * pairs.candidates)))
     if len(pairs) >= needed:
         return pairs
-    spans = (
-        f"A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from {b.t_ns[0]} to {b.t_ns[-1]} ns; see "
-        "--time-offset"
+    spans = Text(
+        f"A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from {b.t_ns[0]} to {b.t_ns[-1]} ns; see ",
+        Setting("time_offset"),
     )
     if not pairs.candidates:
-        raise ComparisonError(f"A and B have no time in common: {spans}")
+        raise ComparisonError("A and B have no time in common: ", spans)
     within = f" within {duration_text(pairs.max_dt_ns)}" if pairs.max_dt_ns else ""
     raise ComparisonError(
         f"only {len(pairs)} of {pairs.candidates} samples in the common time have a partner "
-        f"({pairs.match}{within}) and at least {needed} must; {spans}, --match, --max-dt and "
-        "--min-matched"
+        f"({pairs.match}{within}) and at least {needed} must; ",
+        Text(spans, ", ", Setting("match"), ", ", Setting("max_dt"), " and "),
+        Setting("min_matched"),
     )

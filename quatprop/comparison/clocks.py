@@ -1,8 +1,8 @@
-"""How far two clocks are apart, from the motion that both series saw.
+"""The offset between the clocks of two series, from the motion that both recorded.
 
 The angular speed of a rigid body is the same in every frame, so it can be correlated before
-anything is aligned. Both series are sampled by slerp at one lattice; a normalised
-cross-correlation over all lags finds the sample, least squares from there the rest.
+anything is aligned. Both series are sampled by slerp at regular times; a normalised
+cross-correlation over all lags gives the offset to a sample, least squares the rest.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from quatprop.comparison.association import interval_ns, slerp
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,35 +25,38 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 MIN_POINTS = 16
-"""Fewer points of a lattice say nothing about a delay."""
+"""Least samples from which a delay is estimated."""
 
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
 
 MAX_FITTED = 100_000
-"""Points of the fit: more do not make it better than the clocks are steady."""
+"""Samples of the fit at most: with more, the clocks' own drift outweighs the noise."""
 
 MIN_CORRELATION = 0.5
-"""Below this the two speeds are not the same motion."""
+"""Below this the two motions are taken to be different."""
 
 MAX_RUNNER_UP = 0.98
-"""A second peak of this share of the first is as good: the motion repeats itself."""
+"""A second peak above this share of the first is as good: the motion repeats itself."""
 
 MIN_VARIATION = 1e-6
-"""Relative spread of a speed that counts as varying: rounding of constant spins is below it."""
+"""Least relative spread of a varying speed; the rounding of constant spins is below it."""
 
-ROUNDS = 20
-"""Fits at most; each lands closer to the peak."""
+MAX_FITS = 20
+"""Fits at most; each is closer to the peak."""
+
+GIVE_OFFSET = Text("give the offset with ", Setting("time_offset", "DUR"))
+"""What to do where no offset can be estimated."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """What has to be added to B's stamps.
+    """The estimated offset between two clocks.
 
     Parameters
     ----------
     ns
-        The offset, ns.
+        What must be added to B's stamps, ns.
     correlation
         Of the angular speeds at that offset, 1 at best.
     runner_up
@@ -89,8 +93,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     for name, speed in (("A", speed_a), ("B", speed_b)):
         if speed.std() <= MIN_VARIATION * speed.mean():
             raise ComparisonError(
-                f"{name} turns at a constant speed, which shows no time offset; say it with "
-                "--time-offset DUR"
+                f"{name} turns at a constant speed, which shows no time offset; ", GIVE_OFFSET
             )
     correlation = _correlations(speed_a, speed_b)
     peak = int(np.argmax(correlation))
@@ -98,13 +101,15 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     if best < MIN_CORRELATION:
         raise ComparisonError(
             f"the angular speeds of A and B correlate at no time offset (at best {best:.2f}); "
-            "either it is not the same motion, or say the offset with --time-offset DUR"
+            "unless the motions differ, ",
+            GIVE_OFFSET,
         )
-    runner_up = _beside(correlation, peak)
+    runner_up = _runner_up(correlation, peak)
     if runner_up > MAX_RUNNER_UP * best:
         raise ComparisonError(
             f"the motion repeats itself: its angular speed correlates {best:.4f} at one time "
-            f"offset and {runner_up:.4f} at another; say the offset with --time-offset DUR"
+            f"offset and {runner_up:.4f} at another; ",
+            GIVE_OFFSET,
         )
     lag = peak - (len(speed_b) - 1)
     coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
@@ -116,20 +121,21 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
     step = max(interval_ns(a), interval_ns(b), max(spans) // MAX_POINTS)
     if min(spans) < MIN_POINTS * step:
         raise ComparisonError(
-            f"a time offset can be found from {MIN_POINTS} intervals or more, and one of the "
-            "series is shorter; say the offset with --time-offset DUR"
+            f"a time offset can be estimated from {MIN_POINTS} intervals or more, and one of the "
+            "series is shorter; ",
+            GIVE_OFFSET,
         )
     return step
 
 
 def _speeds(series: AttitudeSeries, step: int) -> Float64:
     """Return the angles turned over each step of a series, rad."""
-    return _turned(series, int(series.t_ns[0]), int(series.t_ns[-1]), step)
+    return _angles(series, int(series.t_ns[0]), int(series.t_ns[-1]), step)
 
 
-def _turned(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
-    lattice = slerp(series, np.arange(start, stop + 1, step, dtype=np.int64))
-    return geodesic_angle(lattice[:-1], lattice[1:])
+def _angles(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
+    regular = slerp(series, np.arange(start, stop + 1, step, dtype=np.int64))
+    return geodesic_angle(regular[:-1], regular[1:])
 
 
 def _correlations(x: Float64, y: Float64) -> Float64:
@@ -150,7 +156,7 @@ def _correlations(x: Float64, y: Float64) -> Float64:
     power_x = _sums(x**2, x_slice) - sum_x**2 / count
     power_y = _sums(y**2, y_slice) - sum_y**2 / count
     enough = count >= max(MIN_POINTS, min(len(x), len(y)) // 2)
-    varies = (power_x > _least(x)) & (power_y > _least(y))
+    varies = (power_x > _least_power(x)) & (power_y > _least_power(y))
     correlation = np.zeros(len(lags))
     np.divide(
         products - sum_x * sum_y / count,
@@ -166,12 +172,12 @@ def _sums(values: Float64, span: tuple[NDArray[np.int64], NDArray[np.int64]]) ->
     return np.asarray(total[span[1]] - total[span[0]])
 
 
-def _least(values: Float64) -> float:
+def _least_power(values: Float64) -> float:
     """Return the power below which a window does not vary: nothing but rounding is left."""
     return MIN_VARIATION * float((values**2).sum())
 
 
-def _beside(correlation: Float64, peak: int) -> float:
+def _runner_up(correlation: Float64, peak: int) -> float:
     """Return the highest correlation outside the peak, whose feet are the nearest minima."""
     left = peak
     while left > 0 and correlation[left - 1] < correlation[left]:
@@ -191,8 +197,8 @@ def _refined(
     A's speed is fitted by B's, its slope and a constant; the share of the slope is what B has
     still to be moved by.
     """
-    for _ in range(ROUNDS):
-        speed_a, early, here, late = _around(a, b, offset, step)
+    for _ in range(MAX_FITS):
+        speed_a, early, here, late = _speeds_at_offset(a, b, offset, step)
         # Moved to a later time, B shows what it showed before.
         slope = (early - late) / 2
         design = np.stack([here - here.mean(), slope - slope.mean()], axis=1)
@@ -208,14 +214,14 @@ def _refined(
     return ClockOffset(offset, correlation, runner_up, step * float(np.sqrt(variance)))
 
 
-def _around(
+def _speeds_at_offset(
     a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Return the speed of A, and those of B a step ahead of the same times, at them, behind."""
     start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset + step)
     stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset - step, start + MAX_FITTED * step)
-    speed_a = _turned(a, start, stop, step)
-    speed_b = _turned(b, start - offset - step, stop - offset + step, step)
+    speed_a = _angles(a, start, stop, step)
+    speed_b = _angles(b, start - offset - step, stop - offset + step, step)
     points = min(len(speed_a), len(speed_b) - 2)
     behind, here, ahead = (speed_b[shift : shift + points] for shift in range(3))
     return speed_a[:points], ahead, here, behind

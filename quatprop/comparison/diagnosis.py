@@ -1,7 +1,7 @@
-"""What may explain an error.
+"""The likely cause of an error.
 
-A hypothesis is reported only if it leaves less than a tenth of the error; of several that do about
-equally well, the simplest, which is tried first.
+A hypothesis is reported only if less than a tenth of the error remains without its mistake; of
+several that do about equally well, the simplest, which is tried first.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 
 from quatprop.comparison.hypotheses import (
     EXACT,
-    drifting,
-    errors_left,
-    isolated,
-    late,
-    misread,
-    multiplied,
-    turned,
-    with_free_reference,
+    frame_rotations,
+    isolated_samples,
+    misreadings,
+    propagations,
+    remaining_errors,
+    steady_drifts,
+    time_offsets,
+    with_reference_aligned,
 )
 from quatprop.comparison.statistics import rms
 from quatprop.errors import ComparisonError
@@ -32,20 +32,21 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.comparison.association import Pairs
+    from quatprop.text import Text
 
     Float64 = NDArray[np.float64]
 
 FACTOR = 10.0
-"""An explanation leaves at most the error over this."""
+"""Without its likely cause, at most the error over this remains."""
 
 AS_GOOD = 3.0
-"""Explanations within this factor of the best are as good: the simplest is named."""
+"""Hypotheses within this factor of the best are as good: the simplest is reported."""
 
 NO_ERROR = 1e-9
 """RMS error, rad, that needs no explanation."""
 
-EXPLAINED = 100_000
-"""Samples of either series in which causes are looked for."""
+MAX_SAMPLES = 100_000
+"""Samples of either series, from the start, in which causes are looked for."""
 
 MIN_PAIRS = 10
 """Fewer pairs can be explained by almost anything."""
@@ -66,7 +67,7 @@ class Cause:
     """
 
     name: str
-    sentence: str
+    sentence: Text
     rms_before: float
     rms_after: float
 
@@ -74,7 +75,7 @@ class Cause:
 def likely_cause(
     a: AttitudeSeries,
     b: AttitudeSeries,
-    associated: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
+    match: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
     alignment: str,
     error: Float64,
 ) -> Cause | None:
@@ -85,45 +86,45 @@ def likely_cause(
     Parameters
     ----------
     a, b
-        The series as they were read, B in A's clock as far as it is known.
-    associated
-        Brings them together.
+        The series, B in A's clock as far as that is known.
+    match
+        Matches them in time.
     alignment
-        How they were aligned: a name of :data:`quatprop.comparison.alignment.ALIGNMENTS`.
+        How they were aligned: one of :data:`quatprop.comparison.settings.ALIGNMENTS`.
     error
         The errors after that, rad, shape ``(N,)``.
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None
-    for tried in isolated(error):
-        if rms(tried.error) <= rms(error) / FACTOR:
-            return Cause(tried.name, tried.sentence, rms(error), rms(tried.error))
-    a, b = (_first_part(series) for series in _from_the_same_time(a, b))
+    for outliers in isolated_samples(error):
+        if rms(outliers.remaining) <= rms(error) / FACTOR:
+            return Cause(outliers.name, outliers.sentence, rms(error), rms(outliers.remaining))
+    a, b = (_first_samples(series) for series in _from_common_start(a, b))
     try:
-        pairs = associated(a, b)
+        pairs = match(a, b)
     except ComparisonError:
         return None
-    now = errors_left(pairs, alignment, pairs.b)
+    now = remaining_errors(pairs, alignment, pairs.b)
     if len(pairs) < MIN_PAIRS or now is None or (before := rms(now)) <= NO_ERROR:
         return None
-    every = [
-        *misread(pairs, alignment),
-        *turned(pairs, alignment),
-        *multiplied(pairs, alignment),
-        *late(a, b, alignment, associated),
-        *drifting(pairs, alignment),
-        *with_free_reference(pairs, alignment),
+    hypotheses = [
+        *misreadings(pairs, alignment),
+        *frame_rotations(pairs, alignment),
+        *propagations(pairs, alignment),
+        *time_offsets(a, b, alignment, match),
+        *steady_drifts(pairs, alignment),
+        *with_reference_aligned(pairs, alignment),
     ]
-    left = [rms(tried.error) for tried in every]
-    best = min(left, default=before)
+    after = [rms(hypothesis.remaining) for hypothesis in hypotheses]
+    best = min(after, default=before)
     if best > before / FACTOR:
         return None
     limit = min(max(AS_GOOD * best, EXACT), before / FACTOR)
-    tried, after = next(pair for pair in zip(every, left, strict=True) if pair[1] <= limit)
-    return Cause(tried.name, tried.sentence, before, after)
+    chosen = next(place for place, remaining in enumerate(after) if remaining <= limit)
+    return Cause(hypotheses[chosen].name, hypotheses[chosen].sentence, before, after[chosen])
 
 
-def _from_the_same_time(
+def _from_common_start(
     a: AttitudeSeries, b: AttitudeSeries
 ) -> tuple[AttitudeSeries, AttitudeSeries]:
     """Return both series without what one of them has before the other one begins."""
@@ -132,8 +133,8 @@ def _from_the_same_time(
     return _part(a, slice(first_a, None)), _part(b, slice(first_b, None))
 
 
-def _first_part(series: AttitudeSeries) -> AttitudeSeries:
-    return _part(series, slice(EXPLAINED))
+def _first_samples(series: AttitudeSeries) -> AttitudeSeries:
+    return _part(series, slice(MAX_SAMPLES))
 
 
 def _part(series: AttitudeSeries, rows: slice) -> AttitudeSeries:

@@ -1,7 +1,4 @@
-"""What an error may come from: hypotheses, each of which undoes one mistake in B.
-
-Each is tried on the data, and gives the errors that are left.
-"""
+"""Hypotheses about the cause of an error: each undoes one mistake in B, and is tried out."""
 
 from __future__ import annotations
 
@@ -16,6 +13,8 @@ from quatprop.comparison.statistics import NS_PER_S, S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
+from quatprop.rendering import degrees_text
+from quatprop.text import Setting, Text
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -29,20 +28,24 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 CLEAR = 10.0
-"""What is this many times larger than what is left besides is not by chance."""
+"""A quantity this many times larger than the rest is significant."""
 
 EXACT = 1e-12
-"""RMS error, rad, below which explanations no longer differ."""
+"""RMS error, rad, below which hypotheses are equally good."""
 
 MAX_RAMP = 2.0
-"""Error, rad, up to which its rotation vector grows with the drift."""
+"""Error, rad, up to which its rotation vector is proportional to the drift."""
 
 ISOLATED = 0.01
-"""Share of the samples that may be called isolated."""
+"""Share of the samples that may be isolated errors."""
+
+
+TAKE_OUT_MOUNT = (Setting("align", "mount"), " takes it out")
+"""The way out where body frames differ."""
 
 
 class Misreading(NamedTuple):
-    """Numbers taken for what they are not.
+    """Quaternion components read in the wrong order or direction.
 
     Parameters
     ----------
@@ -51,7 +54,7 @@ class Misreading(NamedTuple):
     conjugated
         Whether B is also the conjugate.
     meaning
-        What went wrong.
+        What the mistake was, in a sentence.
     """
 
     order: list[int]
@@ -59,7 +62,7 @@ class Misreading(NamedTuple):
     meaning: str
 
     def undo(self, q: Float64) -> Float64:
-        """Return what the numbers should have been."""
+        """Return the quaternions as they should have been read."""
         return conjugate(q[:, self.order]) if self.conjugated else q[:, self.order]
 
 
@@ -74,25 +77,23 @@ MISREADINGS = {
     "conjugate": Misreading([0, 1, 2, 3], True, _CONJUGATE),
     "layout": Misreading([3, 0, 1, 2], False, _LAST),
     "layout-first": Misreading([1, 2, 3, 0], False, _FIRST),
-    "layout and conjugate": Misreading([3, 0, 1, 2], True, f"{_LAST}; besides, {_CONJUGATE}"),
-    "layout-first and conjugate": Misreading(
-        [1, 2, 3, 0], True, f"{_FIRST}; besides, {_CONJUGATE}"
-    ),
+    "layout and conjugate": Misreading([3, 0, 1, 2], True, f"{_LAST}; also, {_CONJUGATE}"),
+    "layout-first and conjugate": Misreading([1, 2, 3, 0], True, f"{_FIRST}; also, {_CONJUGATE}"),
 }
-"""Every misreading by its name."""
+"""Name -> misreading."""
 
 SCALES = {
     2.0: "a factor 1/2 is missing in one of them",
     180 / np.pi: "one of them took degrees for radians",
 }
-"""Ratios of rates that have a name."""
+"""Ratio of rates -> the mistake that gives it."""
 
-NAMED = 0.02
-"""Relative difference of a measured ratio from a named one: gyroscopes are no better calibrated."""
+SCALE_TOLERANCE = 0.02
+"""Relative difference from such a ratio; gyroscopes are not calibrated much better."""
 
 
-class Tried(NamedTuple):
-    """A hypothesis and what it leaves.
+class Hypothesis(NamedTuple):
+    """A possible cause and the error that remains without it.
 
     Parameters
     ----------
@@ -100,87 +101,89 @@ class Tried(NamedTuple):
         A short name, stable for scripts.
     sentence
         What it means.
-    error
-        The errors that are left, rad.
+    remaining
+        The errors that remain, rad, shape ``(N,)``.
     """
 
     name: str
-    sentence: str
-    error: Float64
+    sentence: Text
+    remaining: Float64
 
 
-def errors_left(pairs: Pairs, alignment: str, b: Float64) -> Float64 | None:
-    """Return the errors that are left for other attitudes of B; None if they do not align."""
+def remaining_errors(pairs: Pairs, alignment: str, b: Float64) -> Float64 | None:
+    """Return the errors of B with other attitudes, rad; None if those cannot be aligned."""
     try:
-        found = align(alignment, pairs.a, b)
+        return geodesic_angle(pairs.a, align(alignment, pairs.a, b).apply(b))
     except ComparisonError:
         return None
-    return geodesic_angle(pairs.a, found.apply(b))
 
 
-def misread(pairs: Pairs, alignment: str) -> Iterator[Tried]:
-    """Try numbers that were taken for others: layouts and conjugates."""
+def misreadings(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try wrong layouts and conjugates."""
     for name, misreading in MISREADINGS.items():
-        error = errors_left(pairs, alignment, misreading.undo(pairs.b))
+        error = remaining_errors(pairs, alignment, misreading.undo(pairs.b))
         if error is not None:
-            yield Tried(name, misreading.meaning, error)
+            yield Hypothesis(name, Text(misreading.meaning), error)
 
 
-def with_free_reference(pairs: Pairs, alignment: str) -> Iterator[Tried]:
-    """Try mistakes once more with free reference frames, where they were not free before."""
+def with_reference_aligned(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try mistakes together with a rotated reference frame, where it was not aligned before."""
     if alignment in ("none", "first"):
-        for name, sentence, error in (*misread(pairs, "mean"), *multiplied(pairs, "mean")):
-            turned = f"{sentence}; besides, the reference frames are turned (--align mean)"
-            yield Tried(f"{name} and reference frame", turned, error)
+        also = Text("; also, the reference frames differ (", Setting("align", "mean"), ")")
+        for name, sentence, error in (*misreadings(pairs, "mean"), *propagations(pairs, "mean")):
+            yield Hypothesis(f"{name} and reference frame", Text(sentence, also), error)
 
 
-def turned(pairs: Pairs, alignment: str) -> Iterator[Tried]:
-    """Try frames that are turned by a constant rotation."""
+def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try frames that differ by a constant rotation."""
     a, b = pairs.a, pairs.b
     if alignment in ("none", "first"):
-        found = align("mean", a, b)
-        yield Tried(
+        mean = align("mean", a, b)
+        sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}; "
+        yield Hypothesis(
             "reference frame",
-            f"the reference frames are turned by {_degrees(found.reference)}; "
-            "--align mean takes it out",
-            geodesic_angle(a, found.apply(b)),
+            Text(sentence, Setting("align", "mean"), " takes it out"),
+            geodesic_angle(a, mean.apply(b)),
         )
     if alignment == "mount":
         return
     body = mean_rotation(multiply(conjugate(b), a))
-    yield Tried(
+    yield Hypothesis(
         "body frame",
-        f"the body frames are turned by {_degrees(body)}; --align mount takes it out",
+        Text(f"the body frames differ by {_degrees(body)}; ", *TAKE_OUT_MOUNT),
         geodesic_angle(a, multiply(b, body)),
     )
     try:
         both = align("mount", a, b)
     except ComparisonError:
         return
-    yield Tried(
+    yield Hypothesis(
         "both frames",
-        f"the body frames are turned by {_degrees(both.mount)} and the reference frames by "
-        f"{_degrees(both.reference)}; --align mount takes it out",
+        Text(
+            f"the body frames differ by {degrees_text(both.mount_rad)} and the reference frames "
+            f"by {degrees_text(both.reference_rad)}; ",
+            *TAKE_OUT_MOUNT,
+        ),
         geodesic_angle(a, both.apply(b)),
     )
 
 
 def _degrees(q: Float64) -> str:
-    return f"{np.degrees(geodesic_angle(IDENTITY, q)):.6g} deg"
+    return degrees_text(float(geodesic_angle(IDENTITY, q)))
 
 
-def isolated(error: Float64) -> Iterator[Tried]:
+def isolated_samples(error: Float64) -> Iterator[Hypothesis]:
     """Try to leave out the few worst samples."""
     few = max(int(len(error) * ISOLATED), 1)
     rest = np.sort(error)[:-few]
     count = int((error > CLEAR * max(rms(rest), EXACT)).sum())
     if 0 < count <= few:
         sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
-        yield Tried("isolated samples", sentence, rest)
+        yield Hypothesis("isolated samples", Text(sentence), rest)
 
 
-def multiplied(pairs: Pairs, alignment: str) -> Iterator[Tried]:
-    """Try steps multiplied on the other side, scaled, or with a constant rate added."""
+def propagations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try steps of B multiplied on the other side, scaled, or with a constant rate subtracted."""
     b = pairs.b
     if alignment == "mount":
         try:
@@ -189,16 +192,16 @@ def multiplied(pairs: Pairs, alignment: str) -> Iterator[Tried]:
             return
     left = log(_short(multiply(b[1:], conjugate(b[:-1]))))
     right = log(_short(multiply(conjugate(b[:-1]), b[1:])))
-    true = log(_short(multiply(conjugate(pairs.a[:-1]), pairs.a[1:])))
+    of_a = log(_short(multiply(conjugate(pairs.a[:-1]), pairs.a[1:])))
     for name, sentence, steps, frame in (
         _side("left", "right", left, "body"),
         _side("right", "left", right, "inertial"),
-        _scaled(right, true),
-        _biased(right, true, np.diff(pairs.t_ns) / NS_PER_S),
+        _scaled(right, of_a),
+        _biased(right, of_a, np.diff(pairs.t_ns) / NS_PER_S),
     ):
-        error = errors_left(pairs, alignment, _multiplied_up(steps, b[0], frame))
+        error = remaining_errors(pairs, alignment, _propagated(steps, b[0], frame))
         if error is not None:
-            yield Tried(name, sentence, error)
+            yield Hypothesis(name, Text(sentence), error)
 
 
 class _Steps(NamedTuple):
@@ -218,59 +221,60 @@ def _side(of_b: str, of_a: str, steps: Float64, frame: str) -> _Steps:
     return _Steps("side", sentence, steps, frame)
 
 
-def _scaled(found: Float64, true: Float64) -> _Steps:
-    power, common = float((found**2).sum()), float((found * true).sum())
+def _scaled(of_b: Float64, of_a: Float64) -> _Steps:
+    power, common = float((of_b**2).sum()), float((of_b * of_a).sum())
     scale = common / power if common > 0 else 1.0
-    sentence = f"B turns {1 / scale:.6g} times as fast as A{_named(scale)}"
-    return _Steps("scale", sentence, scale * found, "body")
+    sentence = f"B turns {1 / scale:.6g} times as fast as A{_scale_meaning(scale)}"
+    return _Steps("scale", sentence, scale * of_b, "body")
 
 
-def _biased(found: Float64, true: Float64, seconds: Float64) -> _Steps:
-    bias = (found - true).sum(axis=0) / seconds.sum()
+def _biased(of_b: Float64, of_a: Float64, seconds: Float64) -> _Steps:
+    bias = (of_b - of_a).sum(axis=0) / seconds.sum()
     x, y, z = np.degrees(bias) * S_PER_H
     sentence = f"B's body rates are larger than A's by a constant {x:.4g}, {y:.4g}, {z:.4g} deg/h"
-    return _Steps("rate bias", sentence, found - seconds[:, None] * bias, "body")
+    return _Steps("rate bias", sentence, of_b - seconds[:, None] * bias, "body")
 
 
 def _short(q: Float64) -> Float64:
     return np.asarray(q * np.where(q[:, :1] < 0, -1.0, 1.0))
 
 
-def _multiplied_up(steps: Float64, q0: Float64, frame: str) -> Float64:
-    """Return the attitudes from steps, rotation vectors, multiplied up from q0."""
+def _propagated(steps: Float64, q0: Float64, frame: str) -> Float64:
+    """Return the attitudes from q0 on after steps, rotation vectors."""
     seconds = np.arange(len(steps) + 1) * int(NS_PER_S)
     return attitudes(seconds, np.concatenate([steps, np.zeros((1, 3))]), q0=q0, rates=frame)
 
 
-def _named(scale: float) -> str:
+def _scale_meaning(scale: float) -> str:
     ratio = max(scale, 1 / scale)
-    for known, meaning in SCALES.items():
-        if abs(ratio / known - 1) < NAMED:
+    for named, meaning in SCALES.items():
+        if abs(ratio / named - 1) < SCALE_TOLERANCE:
             return f": {meaning}"
     return ""
 
 
-def late(
+def time_offsets(
     a: AttitudeSeries,
     b: AttitudeSeries,
     alignment: str,
-    associated: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
-) -> Iterator[Tried]:
+    match: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
+) -> Iterator[Hypothesis]:
     """Try another time offset."""
     try:
         offset = find_offset(a, b)
-        pairs = associated(a, shifted(b, offset.ns))
+        pairs = match(a, shifted(b, offset.ns))
     except ComparisonError:
         return
-    error = errors_left(pairs, alignment, pairs.b)
+    error = remaining_errors(pairs, alignment, pairs.b)
     if error is not None:
         late = "late" if offset.ns < 0 else "early"
-        sentence = f"B is {duration_text(abs(offset.ns))} {late}; --time-offset auto takes it out"
-        yield Tried("time offset", sentence, error)
+        sentence = f"B is {duration_text(abs(offset.ns))} {late}; "
+        way_out = (Setting("time_offset", "auto"), " takes it out")
+        yield Hypothesis("time offset", Text(sentence, *way_out), error)
 
 
-def drifting(pairs: Pairs, alignment: str) -> Iterator[Tried]:
-    """Try an error that grows steadily, in the body or in the reference frame."""
+def steady_drifts(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try an error that grows at a constant rate, in the body or in the reference frame."""
     try:
         b = align(alignment, pairs.a, pairs.b).apply(pairs.b)
     except ComparisonError:
@@ -285,11 +289,13 @@ def drifting(pairs: Pairs, alignment: str) -> Iterator[Tried]:
         if np.abs(vectors).max() > MAX_RAMP:
             continue
         fit, *_ = np.linalg.lstsq(design, vectors, rcond=None)
-        left = np.asarray(np.linalg.norm(vectors - design @ fit, axis=1))
+        remaining = np.asarray(np.linalg.norm(vectors - design @ fit, axis=1))
         at_first, slope = np.degrees(np.linalg.norm(fit, axis=1))
-        begins = f"from {at_first:.6g} deg on, " if at_first > CLEAR * np.degrees(rms(left)) else ""
+        begins = (
+            f"from {at_first:.6g} deg on, " if at_first > CLEAR * np.degrees(rms(remaining)) else ""
+        )
         sentence = (
             f"{begins}B drifts away at a steady {slope * S_PER_H:.6g} deg/h about an axis fixed in "
             f"the {frame} frame"
         )
-        yield Tried("drift", sentence, left)
+        yield Hypothesis("drift", Text(sentence), remaining)

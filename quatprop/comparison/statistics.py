@@ -1,4 +1,4 @@
-"""The figures of an error in time: how large, where, growing how fast."""
+"""Statistics of an error in time: how large it is, and how fast it grows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, multiply
 from quatprop.series import blocks
+from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -24,19 +25,9 @@ if TYPE_CHECKING:
 NS_PER_S = 1e9
 S_PER_H = 3600.0
 
-FIGURES = {
-    "max": "max",
-    "rms": "RMS",
-    "mean": "mean",
-    "median": "median",
-    "p95": "95 %",
-    "final": "final",
-}
-"""Key of a figure -> its name in the table."""
-
 
 @dataclass(frozen=True, slots=True)
-class ErrorFigures:
+class ErrorStatistics:
     """Size of an error, rad.
 
     Parameters
@@ -56,8 +47,8 @@ class ErrorFigures:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowFigures:
-    """Errors of the rotations over windows of one length: what frames and old errors leave alone.
+class WindowStatistics:
+    """Errors of the rotations over windows of one length, which frames and drift do not affect.
 
     Parameters
     ----------
@@ -78,22 +69,22 @@ class WindowFigures:
     worst_ns: int
 
 
-def errors_of(pairs: Pairs, alignment: Alignment) -> tuple[Float64, int]:
-    """Return the errors of pairs, and in how many of them the quaternions have opposite signs.
+def geodesic_errors(pairs: Pairs, alignment: Alignment) -> tuple[Float64, int]:
+    """Return the errors of pairs, and how many of them have quaternions of opposite signs.
 
     Parameters
     ----------
     pairs
-        What belongs together.
+        Attitudes of A and B at the same times.
     alignment
-        What brings B to A.
+        How B is rotated.
 
     Returns
     -------
     error : ndarray
         Geodesic angles, rad, shape ``(N,)``.
     opposite : int
-        How many products of a pair are negative.
+        Pairs of which the dot product is negative.
     """
     error, opposite = np.empty(len(pairs)), 0
     for rows in blocks(len(pairs)):
@@ -103,9 +94,9 @@ def errors_of(pairs: Pairs, alignment: Alignment) -> tuple[Float64, int]:
     return error, opposite
 
 
-def error_figures(error: Float64) -> ErrorFigures:
-    """Return the figures of errors, rad, shape ``(N,)`` with at least one."""
-    return ErrorFigures(
+def error_statistics(error: Float64) -> ErrorStatistics:
+    """Return the statistics of errors, rad, shape ``(N,)`` with at least one."""
+    return ErrorStatistics(
         max=float(error.max()),
         rms=rms(error),
         mean=float(error.mean()),
@@ -121,7 +112,7 @@ def rms(error: Float64) -> float:
 
 
 def drift_deg_h(t_ns: Int64, error: Float64) -> float | None:
-    """Return the least squares slope of errors (rad) in time, deg/h; None where time stands."""
+    """Return the least squares slope of errors (rad) in time, deg/h; None if stamps are equal."""
     hours = (t_ns - t_ns[0]) / (NS_PER_S * S_PER_H)
     hours -= hours.mean()
     power = float((hours**2).sum())
@@ -130,11 +121,11 @@ def drift_deg_h(t_ns: Int64, error: Float64) -> float | None:
     return float(np.degrees((hours * (error - error.mean())).sum() / power))
 
 
-def window_figures(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> WindowFigures:
+def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> WindowStatistics:
     """Compare the rotations over windows that begin at every pair.
 
     A window ends at the first pair that is `window_ns` later or more; where that is more than a
-    median interval too late, in a gap, there is no window.
+    median interval too late, there is a gap, and no window.
 
     Parameters
     ----------
@@ -161,10 +152,11 @@ def window_figures(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Windo
     if not len(start):
         raise ComparisonError(
             f"no two pairs are {duration_text(window_ns)} apart: they span "
-            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter --window"
+            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter ",
+            Setting("window"),
         )
-    error = geodesic_angle(_turn(a, start, stop), _turn(b, start, stop))
-    return WindowFigures(
+    error = geodesic_angle(_rotations(a, start, stop), _rotations(b, start, stop))
+    return WindowStatistics(
         window_ns=window_ns,
         count=len(error),
         max_rad=float(error.max()),
@@ -173,5 +165,5 @@ def window_figures(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Windo
     )
 
 
-def _turn(q: Float64, start: Int64, stop: Int64) -> Float64:
+def _rotations(q: Float64, start: Int64, stop: Int64) -> Float64:
     return multiply(conjugate(q[start]), q[stop])

@@ -88,8 +88,8 @@ class Meaning:
         return (self.convention == "jpl") != (self.direction == "ref-to-body")
 
     @property
-    def words(self) -> str:
-        """What the numbers q do to a vector, in one line."""
+    def description(self) -> str:
+        """How a vector is rotated by the numbers q, in one line."""
         source, target = ("body", "ref") if self.direction == "body-to-ref" else ("ref", "body")
         if self.convention == "jpl":
             return f"JPL, ij = -k: v_{target} = q v_{source} q* in its product"

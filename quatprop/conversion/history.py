@@ -63,7 +63,7 @@ def extended(
             "product": "Hamilton, ij = k"
             if job.meaning.convention == "hamilton"
             else "JPL, ij = -k",
-            "attitude": job.meaning.words,
+            "attitude": job.meaning.description,
             **terms,
         },
         "conversions": [*_kept(before, "conversions", list), step],

@@ -1,4 +1,4 @@
-"""What passes by, kept as far as a picture needs it: rates, attitudes, errors."""
+"""Rates, attitudes and errors, accumulated as far as a picture needs them."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 ZERO = 1e-6
-"""Lengths below this are zero: no direction can be had from them."""
+"""Norms below this are zero: no rotation can be computed from them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One row of a picture: what is drawn against time.
+    """What one panel of a picture shows against time.
 
     Parameters
     ----------
     name, unit
-        What its axis says; no unit is ``""``.
+        Label of its axis; no unit is ``""``.
     axis
-        Which colour it has where colours tell axes: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or
+        Its colour in a picture of one file: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or
         ``""``.
-    turns
-        Whether it is an angle that goes around, in deg.
+    wraps
+        Whether it is an angle, in deg, that wraps at half a turn.
     least
-        Less than this is rounding: a series that varies by less is drawn as a constant.
+        A series that varies by less is drawn as a constant.
     scale
-        How far its axis reaches either way where it is zero all along.
+        Range of its axis in either direction where the series is zero.
     """
 
     name: str
     unit: str
     axis: str = ""
-    turns: bool = False
+    wraps: bool = False
     least: float = 0.0
     scale: float = 1.0
 
@@ -60,9 +60,9 @@ MINUS = "\N{MINUS SIGN}"
 NORM_ERROR = Quantity(f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15)
 
 ANGLES = (
-    Quantity("yaw", "deg", "z", turns=True, least=ROUNDING_DEG),
+    Quantity("yaw", "deg", "z", wraps=True, least=ROUNDING_DEG),
     Quantity("pitch", "deg", "y", least=ROUNDING_DEG),
-    Quantity("roll", "deg", "x", turns=True, least=ROUNDING_DEG),
+    Quantity("roll", "deg", "x", wraps=True, least=ROUNDING_DEG),
     NORM_ERROR,
 )
 """An attitude as q = q_z(yaw) q_y(pitch) q_x(roll)."""
@@ -74,33 +74,33 @@ ERROR = (Quantity("geodesic error", "deg"),)
 
 
 def rates_in(unit: str) -> tuple[Quantity, ...]:
-    """Return the rows of angular rates in a unit."""
+    """Return the quantities of angular rates in a unit."""
     return tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz")
 
 
-class Sketch:
-    """Rows of a picture that grow with the samples that pass.
+class Accumulator:
+    """Quantities of a picture, reduced while samples pass.
 
     Parameters
     ----------
-    rows
+    quantities
         What is kept of each sample.
     """
 
-    def __init__(self, rows: tuple[Quantity, ...]) -> None:
-        self.rows = rows
-        self._reduction = Reduction(len(rows))
+    def __init__(self, quantities: tuple[Quantity, ...]) -> None:
+        self.quantities = quantities
+        self._reduction = Reduction(len(quantities))
 
     def add(self, t_ns: Int64, values: Float64) -> None:
-        """Take samples: stamps ``(N,)``, int64 ns, and values ``(rows, N)``."""
+        """Add samples: stamps ``(N,)``, int64 ns, and values ``(quantities, N)``."""
         self._reduction.add(t_ns, values)
 
     def reduced(self) -> Reduced:
-        """Return what is to be drawn."""
+        """Return the reduced samples."""
         return self._reduction.result()
 
 
-class RateSketch(Sketch):
+class RateAccumulator(Accumulator):
     """Angular rates.
 
     Parameters
@@ -116,14 +116,14 @@ class RateSketch(Sketch):
         self._scale = 1.0 / rad_s
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the batches as they are, having sketched them."""
+        """Yield the batches as they are, having accumulated them."""
         for batch in batches:
             self.add(batch.t_ns, batch.rate.T * self._scale)
             yield batch
 
 
-class AttitudeSketch(Sketch):
-    """Attitudes, as angles or as components, and how far they are from unit length.
+class AttitudeAccumulator(Accumulator):
+    """Attitudes, as angles or as components, and their norm error.
 
     Parameters
     ----------
@@ -133,27 +133,29 @@ class AttitudeSketch(Sketch):
 
     Attributes
     ----------
-    absent
-        Rows that were no attitude: zero, or not finite.
-    worst
-        Largest distance from unit length.
+    invalid
+        Invalid quaternions: zero, or not finite.
+    norm_error
+        Largest difference from unit length.
     """
 
     def __init__(self, *, components: bool = False) -> None:
         super().__init__(COMPONENTS if components else ANGLES)
         self._signs = Signs("continuous") if components else None
         self._turning = Continuous(2)
-        self.absent = 0
-        self.worst = 0.0
+        self.invalid = 0
+        self.norm_error = 0.0
 
     def add_rows(self, t_ns: Int64, wxyz: Float64) -> None:
-        """Take attitudes, shape ``(N, 4)``, of any length."""
+        """Add quaternions wxyz, shape ``(N, 4)``, of any norm."""
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz))
         good = np.isfinite(length) & (length > ZERO)
-        self.absent += len(good) - int(np.count_nonzero(good))
-        self.worst = max(self.worst, float(np.max(np.abs(length - 1), initial=0.0, where=good)))
-        values = np.full((len(self.rows), len(t_ns)), np.nan)
+        self.invalid += len(good) - int(np.count_nonzero(good))
+        self.norm_error = max(
+            self.norm_error, float(np.max(np.abs(length - 1), initial=0.0, where=good))
+        )
+        values = np.full((len(self.quantities), len(t_ns)), np.nan)
         values[-1] = np.where(good, length - 1, np.nan)
         if self._signs is not None:
             values[:-1, good] = self._signs.applied(wxyz[good]).T
@@ -163,7 +165,7 @@ class AttitudeSketch(Sketch):
         self.add(t_ns, values)
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the batches as they are, having sketched them."""
+        """Yield the batches as they are, having accumulated them."""
         for batch in batches:
             self.add_rows(batch.t_ns, batch.wxyz)
             yield batch

@@ -1,4 +1,4 @@
-"""One row of a picture onto a pair of axes: lines, gaps, tolerance, marks; its range and ticks."""
+"""Draw one panel of a picture: lines, gaps, tolerance, marks; its range and ticks."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from quatprop.plot.palette import ALARM, PAPER, SHADE, colour_of, stroke_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from quatprop.plot.picture import Curve, Mark, Picture, Row
+    from quatprop.plot.picture import Curve, Mark, Panel, Picture
 
 THIN, THICKER, WIDEST = 0.8, 0.6, 3
 """Points: a line, and what each line below another has more, so many times at most."""
 
 LATE, LATE_FIRST = 0.5, 0.65
-"""Share of the time after which words stand to the left of a mark."""
+"""Share of the time after which labels stand to the left of a mark."""
 
 FLAT = 1e-9
 """Share of its size below which a series counts as constant: its rounding is not drawn large."""
@@ -33,12 +33,12 @@ WIDE_ANGLE = 150.0
 LEVEL_SHARE = 100.0
 """An error this many times above or below its tolerance has a logarithmic axis."""
 
-_GROUND: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
-"""Under words that lie over lines."""
+_BACKGROUND: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
+"""Behind text that lies over lines."""
 
 
-def draw_row(axes: Axes, row: Row, picture: Picture) -> None:
-    """Draw one row: gaps behind, then lines, tolerance and marks."""
+def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> None:
+    """Draw one panel: gaps behind, then lines, tolerance and marks."""
     several = len(picture.gaps) > 1
     for file, spans in enumerate(picture.gaps):
         if len(spans):
@@ -51,18 +51,18 @@ def draw_row(axes: Axes, row: Row, picture: Picture) -> None:
                 linewidth=0.4,
                 zorder=0.5,
             )
-    for number, curve in enumerate(row.curves):
+    for number, curve in enumerate(panel.curves):
         # Of lines that coincide, those below show on both sides.
-        wider = min(len(row.curves) - 1 - number, WIDEST)
+        wider = min(len(panel.curves) - 1 - number, WIDEST)
         _draw_curve(axes, curve, THIN + THICKER * wider)
     axes.grid(visible=True)
     axes.set_axisbelow(True)
-    unit = f"\n{row.quantity.unit}" if row.quantity.unit else ""
-    axes.set_ylabel(row.quantity.name.replace(" error ", " error\n") + unit)
-    _set_values(axes, row)
-    if row.level is not None:
-        _draw_level(axes, *row.level)
-    for mark in row.marks:
+    unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
+    axes.set_ylabel(panel.quantity.name.replace(" error ", " error\n") + unit)
+    _set_values(axes, panel)
+    if panel.level is not None:
+        _draw_level(axes, *panel.level)
+    for mark in panel.marks:
         _draw_mark(axes, mark)
 
 
@@ -74,22 +74,22 @@ def _draw_curve(axes: Axes, curve: Curve, width: float) -> None:
         axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
 
 
-def _draw_level(axes: Axes, value: float, words: str) -> None:
+def _draw_level(axes: Axes, value: float, label: str) -> None:
     axes.axhline(value, color=ALARM, linestyle="dashed", linewidth=1.0)
     axes.annotate(
-        words,
+        label,
         (0.995, value),
         xycoords=axes.get_yaxis_transform(),
         xytext=(0, 2),
         textcoords="offset points",
         horizontalalignment="right",
         color=ALARM,
-        bbox=_GROUND,
+        bbox=_BACKGROUND,
     )
 
 
 def _draw_mark(axes: Axes, mark: Mark) -> None:
-    """Point at a place; the words go where the line hardly is.
+    """Mark a point; its label goes where the line hardly is.
 
     Nothing is above the worst; after the first above the tolerance, the line is above it.
     """
@@ -109,19 +109,19 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
     start, end = axes.dataLim.intervalx
     left = mark.seconds > start + (LATE_FIRST if first else LATE) * (end - start)
     axes.annotate(
-        mark.words,
+        mark.label,
         (mark.seconds, mark.value),
         xytext=(-7 if left else 7, -13 if first and not left else 5),
         textcoords="offset points",
         horizontalalignment="right" if left else "left",
-        bbox=_GROUND,
+        bbox=_BACKGROUND,
         zorder=5,
     )
 
 
-def _set_values(axes: Axes, row: Row) -> None:
-    """Choose the range, the scale and the ticks of a row."""
-    values = np.concatenate([curve.drawn.values for curve in row.curves])
+def _set_values(axes: Axes, panel: Panel) -> None:
+    """Choose the range, the scale and the ticks of a panel."""
+    values = np.concatenate([curve.drawn.values for curve in panel.curves])
     values = values[np.isfinite(values)]
     axes.margins(y=0.08)
     axes.ticklabel_format(axis="y", useOffset=False, style="plain")
@@ -130,28 +130,28 @@ def _set_values(axes: Axes, row: Row) -> None:
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
         return
     low, high = float(values.min()), float(values.max())
-    if row.quantity is NORM_ERROR:
+    if panel.quantity is NORM_ERROR:
         low, high = min(low, 0.0), max(high, 0.0)
         if high > low:
             axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
     if not SMALLEST <= max(-low, high) < LARGEST:
         axes.yaxis.set_major_formatter(_short)
-    if row.level is not None or row.marks:
-        _set_error_scale(axes, row, high)
-    elif row.quantity.turns and max(-low, high) > WIDE_ANGLE:
+    if panel.level is not None or panel.marks:
+        _set_error_scale(axes, panel, high)
+    elif panel.quantity.wraps and max(-low, high) > WIDE_ANGLE:
         axes.set_ylim(-TURN / 2 - 10, TURN / 2 + 10)
         axes.set_yticks(np.linspace(-TURN / 2, TURN / 2, 5))
     else:
         size = max(-low, high)
-        if high - low <= max(FLAT * size, row.quantity.least):
+        if high - low <= max(FLAT * size, panel.quantity.least):
             middle, half = (low + high) / 2, 0.05 * size
-            if half <= row.quantity.least:
-                half = row.quantity.scale
+            if half <= panel.quantity.least:
+                half = panel.quantity.scale
             axes.set_ylim(middle - half, middle + half)
 
 
 def _short(value: float, _position: float = 0) -> str:
-    """Return a tick in as few letters as it takes.
+    """Return a short tick label.
 
     Examples
     --------
@@ -165,9 +165,9 @@ def _short(value: float, _position: float = 0) -> str:
     return text.replace("-", MINUS, 1) if value < 0 else text
 
 
-def _set_error_scale(axes: Axes, row: Row, high: float) -> None:
+def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
     """Show an error from zero; where it is far from its tolerance, on a logarithmic axis."""
-    level = row.level[0] if row.level else high
+    level = panel.level[0] if panel.level else high
     top = max(high, level)
     if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
         axes.set_yscale("log", nonpositive="mask")

@@ -1,7 +1,7 @@
-"""A picture onto paper, with matplotlib: PNG, SVG, PDF.
+"""Draw a picture with matplotlib: PNG, SVG, PDF.
 
-Only figures are used, no pyplot: nothing is kept between pictures. The same picture gives the same
-bytes: no dates, no names that are made up anew.
+Only figures are used, no pyplot: no state is kept between pictures. The same picture gives the same
+bytes: no dates, no random names.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.plot.axes import draw_row
+from quatprop.plot.axes import draw_panel
 from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
 from quatprop.text import plain
 
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 WIDTH = 7.5
 """Inches: a page between its margins."""
 
-HEAD, ROW, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
-"""Inches: title and facts; one of several rows; an only row; the time axis."""
+HEAD, PANEL, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
+"""Inches: title and facts; one of several panels; a single panel; the time axis."""
 
 BARE_HEAD = 0.1
-"""Inches: what is above rows without a title."""
+"""Inches: above panels without a title."""
 
 LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
 """Inches: a line of notes, of facts, and of the legend."""
 
 MARGIN = 0.012
-"""Share of the width left of words."""
+"""Share of the width left of text."""
 
 DOTS = 200
 """Dots an inch of a PNG."""
@@ -60,7 +60,7 @@ SETTINGS: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
-    # A name may hold what would be mathematics.
+    # Names may look like mathematics.
     "text.parse_math": False,
     "grid.color": GRID,
     "grid.linewidth": 0.5,
@@ -76,7 +76,7 @@ METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
     "pdf": {"CreationDate": None, "ModDate": None, "Creator": "quatprop", "Producer": None},
 }
-"""What is said inside a file about itself: nothing that changes from run to run."""
+"""Metadata of a file: nothing that changes from run to run."""
 
 
 def require_matplotlib() -> None:
@@ -88,14 +88,14 @@ def require_matplotlib() -> None:
         matplotlib is not installed.
     """
     try:
-        import matplotlib as mpl  # noqa: F401  # asked for, before anything is read
+        import matplotlib as mpl  # noqa: F401  # checked before anything is read
     except ImportError as error:
         raise UsageError(
             "pictures need matplotlib, which is not installed; pip install 'quatprop[plot]'"
         ) from error
 
 
-def drawn(picture: Picture, kind: str) -> bytes:
+def render(picture: Picture, kind: str) -> bytes:
     """Return a picture as a file.
 
     Parameters
@@ -109,11 +109,11 @@ def drawn(picture: Picture, kind: str) -> bytes:
 
 
 def inline_svg(picture: Picture) -> str:
-    """Return a picture as an SVG element for a page: its text stays text, its ground is clear."""
+    """Return a picture as an SVG element for a page: text as text, on a clear background."""
     content = _saved(picture, "svg", {**SETTINGS, "svg.fonttype": "none"}, transparent=True)
     text = content.decode()
     text = text[text.index("<svg") :]
-    # A page needs no names of namespaces, and they look like addresses.
+    # A page needs no namespaces, and they look like addresses.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
 
@@ -130,45 +130,45 @@ def _saved(picture: Picture, kind: str, settings: dict[Any, Any], **options: Any
 
 
 def figure(picture: Picture) -> Figure:
-    """Return the figure of a picture; its looks are those of matplotlib's settings."""
+    """Return the figure of a picture, in the style of matplotlib's current settings."""
     from matplotlib.figure import Figure
 
-    rows = picture.rows
-    body = SINGLE if len(rows) == 1 else ROW * len(rows)
+    panels = picture.panels
+    body = SINGLE if len(panels) == 1 else PANEL * len(panels)
     head = (HEAD if picture.title else BARE_HEAD) + FILE_LINE * -(-len(picture.legend) // 2)
     foot = FOOT + LINE * len(picture.notes)
     height = head + body + foot
     result = Figure(figsize=(WIDTH, height))
     grid = result.add_gridspec(
-        len(rows), 1, left=0.122, right=0.975, top=1 - head / height, bottom=foot / height,
+        len(panels), 1, left=0.122, right=0.975, top=1 - head / height, bottom=foot / height,
         hspace=0.12,
     )  # fmt: skip
     shared: Axes | None = None
-    for number, row in enumerate(rows):
+    for number, panel in enumerate(panels):
         axes = result.add_subplot(grid[number], sharex=shared)
         shared = shared or axes
-        draw_row(axes, row, picture)
-        axes.tick_params(labelbottom=number == len(rows) - 1)
+        draw_panel(axes, panel, picture)
+        axes.tick_params(labelbottom=number == len(panels) - 1)
         axes.yaxis.set_label_coords(-0.083, 0.5)
     result.axes[-1].set_xlabel(picture.time)
     _set_time(result.axes[0], picture)
-    _write_words(result, picture, height)
+    _write_text(result, picture, height)
     if picture.legend:
         _write_legend(result, picture, 1 - head / height)
     return result
 
 
 def _set_time(axes: Axes, picture: Picture) -> None:
-    seconds = [curve.drawn.seconds for row in picture.rows for curve in row.curves]
-    there = np.concatenate(seconds)
-    there = there[np.isfinite(there)]
-    low, high = (float(there.min()), float(there.max())) if len(there) else (0.0, 0.0)
+    seconds = [curve.drawn.seconds for panel in picture.panels for curve in panel.curves]
+    finite = np.concatenate(seconds)
+    finite = finite[np.isfinite(finite)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.01 * (high - low) if high > low else 0.5
     axes.set_xlim(low - margin, high + margin)
     axes.ticklabel_format(axis="x", useOffset=False, style="plain")
 
 
-def _write_words(result: Figure, picture: Picture, height: float) -> None:
+def _write_text(result: Figure, picture: Picture, height: float) -> None:
     """Write title and facts at the top, notes at the bottom."""
     title = shortened(picture.title, LONGEST_TITLE)
     result.text(MARGIN, 1 - 0.1 / height, title, fontsize=FONT + 1.5, weight="bold", va="top")

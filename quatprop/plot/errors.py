@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.statistics import FIGURES
-from quatprop.plot.accumulators import ERROR, Sketch
-from quatprop.plot.names import lost_text, names_of
-from quatprop.plot.page import Page, Table
-from quatprop.plot.picture import Group, Mark, Part, instant_text, picture
+from quatprop.comparison.summary import comparison_rows
+from quatprop.plot.accumulators import ERROR, Accumulator
+from quatprop.plot.page import FactTable, Page
+from quatprop.plot.picture import Group, Mark, PlottedFile, picture
 from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
@@ -21,195 +21,169 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.comparison import Comparison, Place
+    from quatprop.comparison.result import ComparedSample, Comparison
     from quatprop.plot.picture import Picture
+    from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import LoadedAttitudes
+
+DIGITS = 4
+"""Of the angles in a picture."""
 
 MATCHES = {
     "exact": "pairs of equal stamps",
     "nearest": "pairs nearest in time",
     "interpolate": "pairs, interpolated in time",
 }
-"""How pairs were found -> what they are."""
+"""How attitudes were matched -> what the pairs are."""
 
 
-class Compared(NamedTuple):
-    """A series and its error against another.
+class ComparedFile(NamedTuple):
+    """A series and its error against a reference.
 
     Parameters
     ----------
     name
-        What the series is called.
+        Name of the file.
     operand
-        Where it is from.
-    found
-        Its error.
+        The series.
+    comparison
+        Its comparison with the reference.
     """
 
     name: str
     operand: LoadedAttitudes
-    found: Comparison
+    comparison: Comparison
 
 
 class ErrorPicture(PictureFile):
     """The error between two series on its way to a file; see :class:`PictureFile`."""
 
-    def draw(self, a: LoadedAttitudes, b: LoadedAttitudes, found: Comparison) -> None:
-        """Draw what a comparison of A with B has found, and put it in its place."""
-        name, against = names_of([a.input.path, b.input.path])
-        if name == against:
+    def draw(self, a: LoadedAttitudes, b: LoadedAttitudes, comparison: Comparison) -> None:
+        """Draw the comparison of A with B, and put the picture in its place."""
+        name, reference = file_names([a.input.path, b.input.path])
+        if name == reference:
             # Two topics of one log.
-            name, against = (f"{name} {plain(side.signal.name)}" for side in (a, b))
-        self.commit(error_page([Compared(name, a, found)], against, b))
+            name, reference = (f"{name} {plain(side.signal.name)}" for side in (a, b))
+        self.commit(error_page([ComparedFile(name, a, comparison)], reference, b, self.spell))
 
 
-def error_page(every: Sequence[Compared], against: str, reference: LoadedAttitudes) -> Page:
-    """Return the report on the errors of series against one reference.
+def error_page(
+    files: Sequence[ComparedFile], reference_name: str, reference: LoadedAttitudes, spell: Spell
+) -> Page:
+    """Return the page on the errors of series against one reference.
 
     Parameters
     ----------
-    every
-        At least one.
-    against
-        What the reference is called.
+    files
+        The series and their errors, at least one.
+    reference_name
+        Name of the reference.
     reference
-        Where it is from.
+        The series that all were compared with.
+    spell
+        Writes a sentence that may mention settings.
     """
-    several = len(every) > 1
-    names = ", ".join(one.name for one in every)
-    title = f"error of {names} against {against}"
-    first = every[0].found
+    names = ", ".join(file.name for file in files)
+    title = f"error of {names} against {reference_name}"
+    first = files[0].comparison
     facts = (
-        f"geodesic angle, alignment {first.alignment.name}{_clock(first)}, {_matched(first)}",
-        "" if several else _figures_text(first),
+        f"geodesic angle, alignment {first.alignment.name}{_offset(first)}, {_matched(first)}",
+        "" if len(files) > 1 else _sizes(first),
     )
-    warnings = tuple(_warnings(every, reference))
-    parts = [_part(one) for one in every]
-    drawn = picture(parts, title=title, facts=facts, notes=warnings[:2])
+    warnings = tuple(_warnings(files, reference, spell))
+    drawn = picture([_plotted(file) for file in files], title, facts, warnings[:2])
     return Page(
         heading=title,
-        lead=tuple(_verdict(one) for one in every),
-        picture=_marked(drawn, every),
+        lead=tuple(_verdict(file) for file in files),
+        picture=_marked(drawn, files),
         warnings=warnings,
-        tables=tuple(Table(f"{one.name} against {against}", tuple(_rows(one))) for one in every),
+        tables=tuple(
+            FactTable(
+                f"{file.name} against {reference_name}",
+                tuple(comparison_rows(file.operand, reference, file.comparison, spell)),
+            )
+            for file in files
+        ),
         made_by=MADE_BY,
     )
 
 
-def _part(one: Compared) -> Part:
-    t_ns, sketch = one.found.pairs.t_ns, Sketch(ERROR)
-    sketch.add(t_ns, np.degrees(one.found.error)[None])
+def _plotted(file: ComparedFile) -> PlottedFile:
+    t_ns, errors = file.comparison.t_ns, Accumulator(ERROR)
+    errors.add(t_ns, np.degrees(file.comparison.errors)[None])
     median = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
-    group = Group(ERROR, sketch.reduced(), GAP_FACTOR * median or None)
-    return Part(one.name, (group,), _figures_text(one.found))
+    group = Group(ERROR, errors.reduced(), GAP_FACTOR * median or None)
+    return PlottedFile(file.name, (group,), _sizes(file.comparison))
 
 
-def _marked(drawn: Picture, every: Sequence[Compared]) -> Picture:
-    """Draw the tolerance; of an only series also where it is first above it, and worst."""
-    (row,) = drawn.rows
-    tolerance = every[0].found.tolerance
+def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
+    """Draw the tolerance; for a single series also the first sample above it, and the worst."""
+    (panel,) = drawn.panels
+    comparison = files[0].comparison
+    tolerance, first = comparison.tolerance_rad, comparison.first_exceeding
+    worst = comparison.worst
     level = None
     if tolerance is not None:
-        level = (math.degrees(tolerance), f"tolerance {_degrees(tolerance)}")
+        level = (math.degrees(tolerance), f"tolerance {degrees_text(tolerance, DIGITS)}")
     marks: tuple[Mark, ...] = ()
-    if len(every) == 1:
-        found, start_ns = every[0].found, drawn.starts[0]
-        first = "first above the tolerance"
-        words = f"worst: {_degrees(found.worst.error_rad)}"
-        if found.exceeded == found.worst:
-            words = f"{first}, and {words}"
-        marks = (_mark(found.worst, start_ns, "worst", words),)
-        if found.exceeded not in (None, found.worst):
-            marks = (_mark(found.exceeded, start_ns, "first", first), *marks)
-    return replace(drawn, rows=(replace(row, level=level, marks=marks),))
+    if len(files) == 1:
+        start_ns, above = drawn.starts[0], "first above the tolerance"
+        text = f"worst: {degrees_text(worst.error_rad, DIGITS)}"
+        if first == worst:
+            text = f"{above}, and {text}"
+        marks = (_mark(worst, start_ns, "worst", text),)
+        if first is not None and first != worst:
+            marks = (_mark(first, start_ns, "first", above), *marks)
+    return replace(drawn, panels=(replace(panel, level=level, marks=marks),))
 
 
-def _mark(place: Place, start_ns: int, sign: str, words: str) -> Mark:
-    seconds = (place.t_ns - start_ns) * 1e-9
-    return Mark(seconds, math.degrees(place.error_rad), f"{words} at {seconds:.6g} s", sign)
+def _mark(sample: ComparedSample, start_ns: int, sign: str, text: str) -> Mark:
+    seconds = (sample.t_ns - start_ns) * 1e-9
+    return Mark(seconds, math.degrees(sample.error_rad), f"{text} at {seconds:.6g} s", sign)
 
 
-def _figures_text(found: Comparison) -> str:
-    return f"max {_degrees(found.figures.max)}, RMS {_degrees(found.figures.rms)}"
+def _sizes(comparison: Comparison) -> str:
+    largest, rms = comparison.error_rad.max, comparison.error_rad.rms
+    return f"max {degrees_text(largest, DIGITS)}, RMS {degrees_text(rms, DIGITS)}"
 
 
-def _matched(found: Comparison) -> str:
-    return f"{len(found.pairs):,} {MATCHES[found.pairs.match]}"
+def _matched(comparison: Comparison) -> str:
+    return f"{len(comparison.t_ns):,} {MATCHES[comparison.association.match]}"
 
 
-def _clock(found: Comparison) -> str:
-    """Return how far the reference was moved in time, if it was."""
-    return f", reference {duration_text(found.offset_ns)} later" if found.offset_ns else ""
+def _offset(comparison: Comparison) -> str:
+    """Return how far the reference was shifted in time, if it was."""
+    offset_ns = comparison.time_offset.added_to_b_ns
+    return f", reference {duration_text(offset_ns)} later" if offset_ns else ""
 
 
-def _degrees(angle: float) -> str:
-    return f"{math.degrees(angle):.4g} deg"
+def _verdict(file: ComparedFile) -> str:
+    comparison, text = file.comparison, f"{file.name}: {_sizes(file.comparison)}"
+    if comparison.tolerance_rad is None:
+        return text
+    relation = "within" if comparison.passed else "above"
+    return f"{text}; {relation} the tolerance of {degrees_text(comparison.tolerance_rad, DIGITS)}"
 
 
-def _verdict(one: Compared) -> str:
-    found, said = one.found, f"{one.name}: {_figures_text(one.found)}"
-    if found.tolerance is None:
-        return said
-    judged = "within" if found.passed else "above"
-    return f"{said}; {judged} the tolerance of {_degrees(found.tolerance)}"
+def _warnings(
+    files: Sequence[ComparedFile], reference: LoadedAttitudes, spell: Spell
+) -> Iterator[str]:
+    for name, operand, comparison in files:
+        if first := comparison.first_exceeding:
+            yield (
+                f"{name} is above the tolerance, first at sample {first.index} of {first.at}, "
+                f"{first.t_ns} ns: {degrees_text(first.error_rad, DIGITS)}"
+            )
+        if cause := comparison.likely_cause:
+            yield f"{name}: likely cause ({cause.name}): {spell(cause.sentence)}"
+        yield from (f"{name}: {spell(remark)}" for remark in comparison.remarks)
+        yield from _operand_warnings(operand, spell)
+    yield from _operand_warnings(reference, spell)
 
 
-def _warnings(every: Sequence[Compared], reference: LoadedAttitudes) -> Iterator[str]:
-    for one in every:
-        found = one.found
-        if found.exceeded is not None:
-            yield f"{one.name} is above the tolerance, first {_place(found.exceeded)}"
-        if found.cause is not None:
-            yield f"{one.name}: likely cause ({found.cause.name}): {found.cause.sentence}"
-        yield from (f"{one.name}: {remark}" for remark in found.remarks)
-        yield from _of_operand(one.operand)
-    yield from _of_operand(reference)
-
-
-def _of_operand(operand: LoadedAttitudes) -> Iterator[str]:
+def _operand_warnings(operand: LoadedAttitudes, spell: Spell) -> Iterator[str]:
     path = operand.input.path
-    yield from (f"{path}: {remark}" for remark in operand.signal.remarks)
+    yield from (f"{path}: {spell(remark)}" for remark in operand.signal.remarks)
     if operand.counts.invalid:
-        yield f"{path}: {operand.counts.invalid} rows are invalid quaternions and were left out"
-    yield from (f"{path}: {words}" for words in lost_text(operand.losses))
-
-
-def _place(place: Place) -> str:
-    return f"at sample {place.index} of {place.at}, {place.t_ns} ns: {_degrees(place.error_rad)}"
-
-
-def _rows(one: Compared) -> Iterator[tuple[str, str]]:
-    found, report = one.found, one.found.report()
-    yield "file", _operand_text(one.operand)
-    yield "matched", f"{_matched(found)}, of {found.pairs.candidates:,} samples"
-    yield "time", f"{instant_text(int(found.pairs.t_ns[0]))}, {duration_text(_span(found))}"
-    yield "time offset", f"{duration_text(found.offset_ns)} added to the stamps of the other"
-    yield "alignment", _alignment(report["alignment"])
-    for key, name in FIGURES.items():
-        angle = report["error_rad"][key]
-        yield name, f"{math.degrees(angle):.6g} deg ({angle:.6g} rad)"
-    if found.drift_deg_h is not None:
-        yield "drift", f"{found.drift_deg_h:+.6g} deg/h"
-    yield "worst", _place(found.worst)
-    if found.tolerance is not None:
-        yield "tolerance", f"{_degrees(found.tolerance)}: {'kept' if found.passed else 'not kept'}"
-    if found.exceeded is not None:
-        yield "first above it", _place(found.exceeded)
-
-
-def _span(found: Comparison) -> int:
-    return int(found.pairs.t_ns[-1] - found.pairs.t_ns[0])
-
-
-def _alignment(alignment: dict[str, Any]) -> str:
-    said = f"{alignment['name']}: reference frame turned by {_degrees(alignment['reference_rad'])}"
-    if alignment["mounting"]:
-        said += f", body frame by {_degrees(alignment['mount_rad'])}"
-    return said
-
-
-def _operand_text(operand: LoadedAttitudes) -> str:
-    source = operand.signal
-    named = " ".join(text for text in (source.name, source.type_name) if text)
-    meant = f"{source.meaning.convention} {source.meaning.direction}"
-    return f"{operand.input.path} ({operand.kind}): {named}; {meant}, {source.layout}"
+        yield f"{path}: {operand.counts.invalid} invalid quaternions were left out"
+    yield from (f"{path}: {line}" for line in loss_lines(operand.losses))

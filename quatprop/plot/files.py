@@ -1,9 +1,9 @@
-"""Files to what is drawn of them: read once from beginning to end, in flat memory."""
+"""Read files for a picture: once from beginning to end, in constant memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -21,15 +21,17 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
-from quatprop.plot.accumulators import AttitudeSketch, RateSketch, Sketch
-from quatprop.plot.facts import events_in, facts_of, named, samples_text, where_from
-from quatprop.plot.names import names_of
-from quatprop.plot.picture import Group, Part
+from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
+from quatprop.plot.picture import Group, PlottedFile
+from quatprop.rendering import count_text, file_names, instant_text, samples_text, source_text
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
+from quatprop.signals.signal import RateSignal
 from quatprop.text import Setting, plain
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
+from quatprop.timeline.counts import Counts
+from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -37,13 +39,16 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Loss, MessageLog
-    from quatprop.signals.signal import AttitudeSignal, RateSignal
+    from quatprop.plot.accumulators import Accumulator
+    from quatprop.rendering import Row
+    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
     from quatprop.text import Text
     from quatprop.timeline.counts import StampCounts
     from quatprop.times import Instant
 
     Tick = Callable[[int], None]
+    Log = MessageLog | TableLog
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
@@ -51,22 +56,19 @@ DRAWN_AS = {
     False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
     True: "components, of q and -q those nearer to the row before",
 }
-"""Whether components are drawn -> what of an attitude is."""
-
-SHOWS = ("rates", "attitude")
-"""What can be drawn of a file."""
+"""Whether components are drawn -> what is drawn of an attitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What to look at in files.
+    """What to draw of files.
 
     Parameters
     ----------
     kind
-        A key of :data:`quatprop.formats.READERS`; None: told by content and suffix.
+        A key of :data:`quatprop.formats.READERS`; None: by content and suffix.
     show
-        One of :data:`SHOWS`; None: the rates of a file that has some, else its attitudes.
+        None: the rates of a file that has some, else its attitudes.
     rates, attitudes
         Which samples.
     components
@@ -76,7 +78,7 @@ class View:
     """
 
     kind: str | None = None
-    show: str | None = None
+    show: Literal["rates", "attitude"] | None = None
     rates: RateSelection = field(default_factory=RateSelection)
     attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
     components: bool = False
@@ -85,47 +87,47 @@ class View:
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether a file has to be read once before it can be read for good."""
+        """Whether a file must be read twice, first for its first and last stamp."""
         return Conditioning(start=self.start, end=self.end).looks_ahead
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
-    """One file, read.
+class FileView:
+    """What is shown of one file.
 
     Parameters
     ----------
     path
         The file.
-    part
+    plotted
         What is drawn of it.
     meaning
-        What the numbers are: unit and clock, or convention and method.
+        Unit and clock of its numbers, or convention and method.
     samples
         How many, over which time.
     facts
-        Name and text of what is in its table.
+        Rows of its table.
     remarks
-        What looks wrong.
+        What a reader should know.
     losses
         What could not be read.
     """
 
     path: str
-    part: Part
+    plotted: PlottedFile
     meaning: str
     samples: str
-    facts: tuple[tuple[str, str], ...]
+    facts: tuple[Row, ...]
     remarks: tuple[str | Text, ...]
     losses: tuple[Loss, ...]
 
     @property
     def name(self) -> str:
-        """What was read: file, topic and type."""
-        return self.part.name
+        """File, topic and type."""
+        return self.plotted.name
 
 
-def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
+def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> FileView:
     """Read a file for a picture.
 
     Parameters
@@ -133,52 +135,57 @@ def see(path: str, view: View, tick: Tick = lambda _samples: None) -> Seen:
     path
         A log or a table, or ``"-"`` for CSV on stdin.
     view
-        What to look at.
+        What to draw.
     tick
         Called with the number of samples read so far.
 
     Raises
     ------
     LogError
-        The file cannot be used as asked, or holds neither rates nor attitudes.
+        The file cannot be used with this selection, or holds neither rates nor attitudes.
     UsageError
-        It can be read only once, and would have to be twice.
+        It can be read only once, and would have to be read twice.
     """
     if path == "-" and view.looks_ahead:
-        raise UsageError("stdin can be read only once; relative --start and --end need a file")
+        raise UsageError(
+            "stdin can be read only once; relative ",
+            Setting("start"),
+            " and ",
+            Setting("end"),
+            " need a file",
+        )
     with open_log(path, view.kind) as log:
-        name, source = without_secret(path), _chosen(log, view)
-        if isinstance(source, tuple):
-            return _see_attitudes(name, log, source[0], view, tick)
-        return _see_rates(name, log, source, view, tick)
+        name, signal = without_secret(path), _choose(log, view)
+        if isinstance(signal, RateSignal):
+            return _view_rates(name, log, signal, view, tick)
+        return _view_attitudes(name, log, signal, view, tick)
 
 
-def _chosen(log: MessageLog | TableLog, view: View) -> RateSignal | tuple[AttitudeSignal]:
-    """Return the rates, or in a tuple the attitudes, that are to be drawn."""
+def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
+    """Return the rates to draw, or else the attitudes."""
     if view.show == "attitude":
-        return (choose_attitudes(log, view.attitudes),)
+        return choose_attitudes(log, view.attitudes)
     try:
         return choose_rates(log, view.rates)
     except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
         if view.show == "rates":
             raise
         try:
-            return (choose_attitudes(log, view.attitudes),)
+            return choose_attitudes(log, view.attitudes)
         except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
             raise _neither(log, error, other) from error
 
-
-_NEITHER = "neither body rates nor attitudes"
 
 _COUNTERPARTS = {"rate_field": "quat_field", "rate_cols": "quat_cols"}
 """Settings about rates -> those about attitudes."""
 
 
-def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -> LogError:
-    """Return the error that says most of a file with neither rates nor attitudes."""
+def _neither(log: Log, rates: LogError, attitudes: LogError) -> LogError:
+    """Return the most useful error for a file with neither rates nor attitudes."""
     if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
-        held, *way_out = rates.reason.parts
-        parts: list[str | Setting] = [str(held).replace("no body rates", _NEITHER, 1)]
+        content, *way_out = rates.reason.parts
+        neither = str(content).replace("no body rates", "neither body rates nor attitudes", 1)
+        parts: list[str | Setting] = [neither]
         for part in way_out:
             parts.append(part)
             if isinstance(part, Setting) and part.name in _COUNTERPARTS:
@@ -187,103 +194,129 @@ def _neither(log: MessageLog | TableLog, rates: LogError, attitudes: LogError) -
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
-def _part(
-    path: str, source: RateSignal | AttitudeSignal, sketch: Sketch, counts: StampCounts
-) -> Part:
-    """Return what is drawn of a file."""
-    group = Group(sketch.rows, sketch.reduced(), counts.gap_limit_ns)
-    return Part(names_of([path])[0], (group,), named(source))
-
-
-def _see_rates(
-    path: str, log: MessageLog | TableLog, source: RateSignal, view: View, tick: Tick
-) -> Seen:
+def _view_rates(path: str, log: Log, source: RateSignal, view: View, tick: Tick) -> FileView:
     part = Conditioning(start=view.start, end=view.end)
     batches, done = condition(source.batches, part, UNITS[source.unit])
-    sketch, watch = RateSketch(source.unit, UNITS[source.unit]), RateChecks()
+    drawn, checks = RateAccumulator(source.unit, UNITS[source.unit]), RateChecks()
     timeline = Timeline(OBSERVE, path)
     counts = timeline.counts
-    for _ in timeline.apply(sketch.passing(watch.observe(batches))):
+    for _ in timeline.apply(drawn.passing(checks.observe(batches))):
         tick(counts.used)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside)
-    findings = watch.remarks(counts.median_dt_ns)
+    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts.median_dt_ns)]
     if path != "-":
-        findings += log_remarks(log, source)
-    highest = f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"
-    return Seen(
+        remarks += log_remarks(log, source)
+    return FileView(
         path=path,
-        part=_part(path, source, sketch, counts),
+        plotted=_plotted(path, source, drawn, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
-        samples=samples_text(counts),
+        samples=samples_text(counts.used, counts.span_ns),
         facts=(
-            *where_from(path, log, source),
+            *_source_facts(path, log, source),
             ("convention", "rates as recorded, in the axes of the sensor; nothing subtracted"),
             ("rate", f"{source.field} in {source.unit}"),
-            *facts_of(counts),
-            ("largest rate", highest),
-        ),
-        remarks=(*map(str, source.remarks), *events_in(counts), *findings),
-        losses=tuple(log.losses),
-    )
-
-
-def _see_attitudes(
-    path: str, log: MessageLog | TableLog, source: AttitudeSignal, view: View, tick: Tick
-) -> Seen:
-    sketch = AttitudeSketch(components=view.components)
-    outside = [0, 0]
-    stamps = StampChecks(path)
-    counts = stamps.counts
-    for _ in stamps.observe(_sketched(_within(source, view, outside), sketch)):
-        tick(counts.used)
-    if not counts.used:
-        raise NoSamplesError(path, source.name, outside)
-    remarks = [*source.remarks, *events_in(counts)]
-    if sketch.absent:
-        remarks.append(
-            f"{sketch.absent} rows are no attitude (zero, absent or not finite): not drawn"
-        )
-    made = source.provenance.get("convention")
-    method = plain(made.get("method") or "") if isinstance(made, dict) else ""
-    how = f", propagated with method {method}" if method else ""
-    stored = f"{source.meaning.convention} {source.meaning.direction}"
-    return Seen(
-        path=path,
-        part=_part(path, source, sketch, counts),
-        meaning=f"{attitude_words(components=view.components)}{how}, {source.clock} clock",
-        samples=samples_text(counts),
-        facts=(
-            *where_from(path, log, source),
-            ("convention", HAMILTON.words),
-            ("drawn as", DRAWN_AS[view.components]),
-            ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
-            *((("method", method),) if method else ()),
-            *facts_of(counts),
-            ("off unit length", f"at most {sketch.worst:.3g}"),
+            *_time_facts(counts),
+            ("largest rate", f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"),
         ),
         remarks=tuple(remarks),
         losses=tuple(log.losses),
     )
 
 
-def attitude_words(*, components: bool) -> str:
-    """Return the convention of what is drawn."""
-    form = "components, sign continuous" if components else "zyx angles"
-    return f"Hamilton q, body to reference, as {form}"
+def _view_attitudes(
+    path: str, log: Log, source: AttitudeSignal, view: View, tick: Tick
+) -> FileView:
+    drawn, outside, stamps = (
+        AttitudeAccumulator(components=view.components),
+        [0, 0],
+        StampChecks(path),
+    )
+    counts = stamps.counts
+    for _ in stamps.observe(_accumulated(_within(source, view, outside), drawn)):
+        tick(counts.used)
+    if not counts.used:
+        raise NoSamplesError(path, source.name, outside)
+    remarks = [*source.remarks, *_irregularities(counts)]
+    if drawn.invalid:
+        invalid = count_text(drawn.invalid, "invalid quaternion")
+        remarks.append(f"{invalid} (zero, absent or not finite): not drawn")
+    convention = source.provenance.get("convention")
+    method = plain(convention.get("method") or "") if isinstance(convention, dict) else ""
+    form = "components, sign continuous" if view.components else "zyx angles"
+    propagated = f", propagated with method {method}" if method else ""
+    stored = f"{source.meaning.convention} {source.meaning.direction}"
+    return FileView(
+        path=path,
+        plotted=_plotted(path, source, drawn, counts),
+        meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
+        samples=samples_text(counts.used, counts.span_ns),
+        facts=(
+            *_source_facts(path, log, source),
+            ("convention", HAMILTON.description),
+            ("drawn as", DRAWN_AS[view.components]),
+            ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
+            *((("method", method),) if method else ()),
+            *_time_facts(counts),
+            ("norm error", f"at most {drawn.norm_error:.3g}"),
+        ),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
 
 
-def _sketched(rows: Iterable[tuple[Int64, Float64]], sketch: AttitudeSketch) -> Iterator[Int64]:
-    """Sketch attitudes, and yield their stamps."""
+def _plotted(
+    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: StampCounts
+) -> PlottedFile:
+    group = Group(drawn.quantities, drawn.reduced(), counts.gap_limit_ns)
+    (name,) = file_names([path])
+    return PlottedFile(name, (group,), source_text(source.name, source.type_name))
+
+
+def _source_facts(path: str, log: Log, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
+    yield "file", f"{path} ({log.kind})"
+    yield "source", source_text(source.name, source.type_name)
+    yield "clock", source.clock
+
+
+def _time_facts(counts: StampCounts) -> Iterator[Row]:
+    yield "samples", samples_text(counts.used, counts.span_ns)
+    for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
+        yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
+    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
+        median, longest = duration_text(counts.median_dt_ns), duration_text(counts.max_dt_ns)
+        yield "interval", f"median {median}, longest {longest}"
+
+
+def _irregularities(counts: StampCounts) -> Iterator[str]:
+    """Yield a sentence for each kind of irregularity."""
+    limit = duration_text(counts.gap_limit_ns or 0)
+    longest = duration_text(counts.max_dt_ns or 0)
+    events = [
+        (counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
+        (counts.duplicates, "repeated timestamp", ""),
+        (counts.backwards, "non-monotonic timestamp", ""),
+    ]
+    if isinstance(counts, Counts):
+        events.append((counts.nonfinite, "non-finite rate", " (not drawn)"))
+    for event, noun, details in events:
+        if event.count:
+            yield f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
+
+
+def _accumulated(
+    rows: Iterable[tuple[Int64, Float64]], drawn: AttitudeAccumulator
+) -> Iterator[Int64]:
+    """Accumulate attitudes, and yield their stamps."""
     for t_ns, wxyz in rows:
-        sketch.add_rows(t_ns, wxyz)
+        drawn.add_rows(t_ns, wxyz)
         yield t_ns
 
 
 def _within(
     source: AttitudeSignal, view: View, outside: list[int]
 ) -> Iterator[tuple[Int64, Float64]]:
-    """Yield the rows of the part that is to be drawn; count those before and after it."""
+    """Yield the rows of the part to draw; count those before and after it."""
     first_ns = last_ns = 0
     if view.looks_ahead:
         stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]

@@ -1,7 +1,7 @@
-"""From what is left of a series to the lines that are drawn: seconds, values, and where they break.
+"""Lines from reduced series: seconds, values, and breaks.
 
-A line breaks (a NaN stands in it) at gaps of time and where an angle goes once around: it leaves
-at one edge of the picture and comes back at the other, without a bar between.
+A line is broken by a NaN at gaps in time and where an angle wraps: it leaves at one edge of the
+picture and comes back at the other, without a line across.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""What a picture shows, before anything is drawn: rows over one time axis."""
+"""What a picture shows, before anything is drawn: panels over one time axis."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.plot.lines import folded, gaps_in, line
-from quatprop.text import plain
+from quatprop.rendering import instant_text
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,13 +23,10 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
 
-CALENDAR_NS = 315_964_800_000_000_000
-"""1980-01-06, where the time of GPS begins: earlier stamps are of a clock that counts from boot."""
-
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A line of a row.
+    """A line of a panel.
 
     Parameters
     ----------
@@ -45,26 +42,26 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A point that is pointed at.
+    """A point with a label.
 
     Parameters
     ----------
     seconds, value
         Where it is.
-    words
-        What is said there.
+    label
+        Its text.
     sign
         ``"first"`` or ``"worst"``.
     """
 
     seconds: float
     value: float
-    words: str
+    label: str
     sign: str
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class Panel:
     """One pair of axes.
 
     Parameters
@@ -86,35 +83,35 @@ class Row:
 
 
 class Group(NamedTuple):
-    """Rows that share their stamps.
+    """Quantities that share their stamps.
 
     Parameters
     ----------
-    rows
-        What there is to draw.
+    quantities
+        What is drawn, one panel each.
     reduced
-        What is left of the samples.
+        Their reduced samples.
     gap_limit_ns
         The longest interval that is no gap, ns; None: there are none.
     """
 
-    rows: tuple[Quantity, ...]
+    quantities: tuple[Quantity, ...]
     reduced: Reduced
     gap_limit_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """What one file puts into a picture.
+class PlottedFile:
+    """What is drawn of one file.
 
     Parameters
     ----------
     label
-        What the file is called.
+        Name of the file.
     groups
-        What there is to draw of it; the gaps are those of the first.
+        What is drawn of it; the gaps are those of the first.
     detail
-        What else is said of it in the legend.
+        What else stands in the legend.
     """
 
     label: str
@@ -123,13 +120,13 @@ class Part:
 
     @property
     def name(self) -> str:
-        """What it is called in a legend and in a title."""
+        """Its name in a legend and in a title."""
         return f"{self.label}: {self.detail}" if self.detail else self.label
 
     @property
-    def rows(self) -> tuple[Quantity, ...]:
-        """What there is to draw of it."""
-        return tuple(row for group in self.groups for row in group.rows)
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What is drawn of it."""
+        return tuple(quantity for group in self.groups for quantity in group.quantities)
 
     @property
     def first_ns(self) -> int:
@@ -153,8 +150,8 @@ class Picture:
     facts
         Lines below the title: convention, method, counts.
     time
-        What the time axis says.
-    rows
+        Label of the time axis.
+    panels
         From top to bottom.
     gaps
         For each file: first and last second of each gap, shape ``(G, 2)``.
@@ -163,103 +160,97 @@ class Picture:
     legend
         Names of the files where they are several.
     notes
-        What has to be known to read it.
+        Warnings below it.
     """
 
     title: str
     facts: tuple[str, ...]
     time: str
-    rows: tuple[Row, ...]
+    panels: tuple[Panel, ...]
     gaps: tuple[Float64, ...]
     starts: tuple[int, ...]
     legend: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
 
-def picture(parts: Sequence[Part], **said: Any) -> Picture:
-    """Return files laid over one another.
+def picture(
+    files: Sequence[PlottedFile],
+    title: str,
+    facts: tuple[str, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> Picture:
+    """Return files drawn over one another.
 
     Parameters
     ----------
-    parts
-        At least one; all with the same rows.
-    **said
-        Title, facts and notes of the :class:`Picture`.
+    files
+        At least one; all with the same quantities.
+    title, facts, notes
+        Those of the :class:`Picture`.
 
     Raises
     ------
     UsageError
-        The files have different things to show.
+        The files have different quantities.
     """
-    first = parts[0]
-    for part in parts[1:]:
-        if part.rows != first.rows:
+    first = files[0]
+    for file in files[1:]:
+        if file.quantities != first.quantities:
             raise UsageError(
-                f"{plain(first.label)} shows {_told(first)} and {plain(part.label)} {_told(part)}; "
-                "draw them apart, or choose with --show"
+                f"{plain(first.label)} shows {_content(first)} and {plain(file.label)} "
+                f"{_content(file)}; draw them apart, or choose with ",
+                Setting("show"),
             )
-    starts, time = _time_axis(parts)
-    several = len(parts) > 1
-    rows = []
-    for number, quantity in enumerate(first.rows):
+    starts, time = _time_axis(files)
+    several = len(files) > 1
+    panels = []
+    for group, index in _places(first):
+        quantity = first.groups[group].quantities[index]
         curves = tuple(
-            Curve(_drawn(part, number, start), place if several else quantity.axis)
-            for place, (part, start) in enumerate(zip(parts, starts, strict=True))
+            Curve(_line(file.groups[group], index, start), number if several else quantity.axis)
+            for number, (file, start) in enumerate(zip(files, starts, strict=True))
         )
-        rows.append(Row(quantity, curves))
+        panels.append(Panel(quantity, curves))
     return Picture(
+        title=title,
+        facts=facts,
         time=time,
-        rows=tuple(rows),
-        gaps=tuple(_gaps(part, start) for part, start in zip(parts, starts, strict=True)),
+        panels=tuple(panels),
+        gaps=tuple(_gaps(file, start) for file, start in zip(files, starts, strict=True)),
         starts=tuple(starts),
-        legend=tuple(part.name for part in parts) if several else (),
-        **said,
+        legend=tuple(file.name for file in files) if several else (),
+        notes=notes,
     )
 
 
-def _told(part: Part) -> str:
-    units = [row.unit for row in part.rows if row.unit]
-    return f"{part.rows[0].name} in {units[0]}" if units else part.rows[0].name
+def _places(file: PlottedFile) -> list[tuple[int, int]]:
+    """Return the group of each quantity, and its index in the group."""
+    return [
+        (number, index)
+        for number, group in enumerate(file.groups)
+        for index in range(len(group.quantities))
+    ]
 
 
-def _drawn(part: Part, number: int, start_ns: int) -> Line:
-    """Return the line of the row with this number."""
-    for rows, reduced, gap_limit_ns in part.groups:
-        if number < len(rows):
-            drawn = line(reduced, number, start_ns, gap_limit_ns)
-            return folded(drawn) if rows[number].turns else drawn
-        number -= len(rows)
-    raise IndexError(number)
+def _content(file: PlottedFile) -> str:
+    units = [quantity.unit for quantity in file.quantities if quantity.unit]
+    name = file.quantities[0].name
+    return f"{name} in {units[0]}" if units else name
 
 
-def _gaps(part: Part, start_ns: int) -> Float64:
-    _, reduced, gap_limit_ns = part.groups[0]
+def _line(group: Group, index: int, start_ns: int) -> Line:
+    drawn = line(group.reduced, index, start_ns, group.gap_limit_ns)
+    return folded(drawn) if group.quantities[index].wraps else drawn
+
+
+def _gaps(file: PlottedFile, start_ns: int) -> Float64:
+    _, reduced, gap_limit_ns = file.groups[0]
     return np.asarray((gaps_in(reduced, gap_limit_ns) - start_ns) * 1e-9)
 
 
-def _time_axis(parts: Sequence[Part]) -> tuple[list[int], str]:
-    """Return where the seconds of each file begin, and what the axis says of it."""
-    begins = max(part.first_ns for part in parts)
-    ends = min(part.last_ns for part in parts)
-    if begins > ends:
-        return [part.first_ns for part in parts], "time since the start of each file, s"
-    start = min(part.first_ns for part in parts)
-    return [start] * len(parts), f"time since {instant_text(start)}, s"
-
-
-def instant_text(t_ns: int) -> str:
-    """Return a stamp as a time of day in UTC, or as it is where its clock knows no calendar.
-
-    Examples
-    --------
-    >>> instant_text(1_700_000_000_250_000_000)
-    '2023-11-14 22:13:20.25 UTC'
-    >>> instant_text(112_500_000_000)
-    '112.5 s of its clock'
-    """
-    seconds, rest = divmod(abs(t_ns), 1_000_000_000)
-    fraction = f".{rest:09d}".rstrip("0").rstrip(".")
-    if t_ns < CALENDAR_NS:
-        return f"{'-' if t_ns < 0 else ''}{seconds}{fraction} s of its clock"
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
-    return f"{moment:%Y-%m-%d %H:%M:%S}{fraction} UTC"
+def _time_axis(files: Sequence[PlottedFile]) -> tuple[list[int], str]:
+    """Return the stamp at which the seconds of each file begin, and the label of the axis."""
+    if max(file.first_ns for file in files) > min(file.last_ns for file in files):
+        return [file.first_ns for file in files], "time since the start of each file, s"
+    start = min(file.first_ns for file in files)
+    return [start] * len(files), f"time since {instant_text(start)}, s"

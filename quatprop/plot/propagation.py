@@ -1,24 +1,30 @@
-"""A propagation in a picture: the rates that were used and the attitudes they gave."""
+"""A picture of a propagation: the rates that were used and the resulting attitudes."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-from quatprop.plot.accumulators import AttitudeSketch, RateSketch
-from quatprop.plot.names import names_of, noted
-from quatprop.plot.page import Page, Table
-from quatprop.plot.picture import Group, Part, instant_text, picture
-from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
+from quatprop.plot.page import FactTable, Page
+from quatprop.plot.picture import Group, PlottedFile, picture
+from quatprop.plot.target import MADE_BY, PictureFile, notes_of
 from quatprop.provenance import as_json
+from quatprop.rendering import (
+    degrees_text,
+    file_names,
+    instant_text,
+    loss_lines,
+    quaternion_text,
+    source_text,
+)
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from typing import Self
 
-    from quatprop.containers.base import Loss
     from quatprop.pipeline.report import ConventionReport, RunReport
+    from quatprop.rendering import Row, Spell
     from quatprop.series import AttitudeSeries, GyroSeries
 
 
@@ -33,16 +39,18 @@ CONDITIONING = {
 
 
 class PropagationPicture:
-    """Looks at a run as it goes by, and draws it when it is done.
+    """Accumulates a run as it passes, and draws it when it is done.
 
     Parameters
     ----------
     target
         Where the picture goes.
     inputs, outputs
-        What the run reads and writes besides.
+        What else the run reads and writes.
     resampled
         Whether attitudes are written at other times than the samples: their intervals are no gaps.
+    spell
+        Writes a sentence that may mention settings.
 
     Raises
     ------
@@ -59,17 +67,18 @@ class PropagationPicture:
         outputs: Iterable[str | None],
         *,
         resampled: bool = False,
+        spell: Spell = str,
     ) -> None:
-        self._file = PictureFile(target, inputs, outputs)
-        self._rates, self._attitudes = RateSketch("rad/s", 1.0), AttitudeSketch()
+        self._file = PictureFile(target, inputs, outputs, spell=spell)
+        self._rates, self._attitudes = RateAccumulator("rad/s", 1.0), AttitudeAccumulator()
         self._resampled = resampled
 
     def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the rates as they are, having looked at them."""
+        """Yield the rates as they are, having accumulated them."""
         return self._rates.passing(batches)
 
     def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes as they are, having looked at them."""
+        """Yield the attitudes as they are, having accumulated them."""
         return self._attitudes.passing(batches)
 
     def commit(self, report: RunReport) -> None:
@@ -82,30 +91,30 @@ class PropagationPicture:
         """
         limit_ns = report.counts.gap_limit_ns
         attitudes = self._attitudes.reduced()
-        groups = [Group(self._rates.rows, self._rates.reduced(), limit_ns)]
+        groups = [Group(self._rates.quantities, self._rates.reduced(), limit_ns)]
         if len(attitudes):
             between = None if self._resampled else limit_ns
-            groups.append(Group(self._attitudes.rows, attitudes, between))
+            groups.append(Group(self._attitudes.quantities, attitudes, between))
         source, convention = report.source, report.convention
-        (name,) = names_of([source.path])
-        title = " ".join(text for text in (f"{name}:", source.name, source.type) if text)
+        (name,) = file_names([source.path])
+        title = f"{name}: {source_text(source.name, source.type)}"
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
-        warnings = tuple(map(str, report.remarks))
+        warnings = tuple(map(self._file.spell, report.remarks))
         page = Page(
             heading=title,
             lead=(f"Propagated: {method}; {samples}.",),
             picture=picture(
-                [Part(name, tuple(groups))],
-                title=title,
-                facts=(f"{method}; Hamilton q, body to reference, as zyx angles", samples),
-                notes=noted(warnings),
+                [PlottedFile(name, tuple(groups))],
+                title,
+                (f"{method}; Hamilton q, body to reference, as zyx angles", samples),
+                notes_of(warnings),
             ),
-            warnings=(*warnings, *_lost(report.losses)),
+            warnings=(*warnings, *loss_lines(report.losses)),
             tables=(
-                Table("Result", tuple(_result(report))),
-                Table("Convention", tuple(_convention(convention))),
-                Table("What was done", tuple(_done(report))),
+                FactTable("Result", tuple(_result(report))),
+                FactTable("Convention", tuple(_convention(convention))),
+                FactTable("Processing", tuple(_processing(report))),
             ),
             made_by=MADE_BY,
         )
@@ -118,11 +127,7 @@ class PropagationPicture:
         self._file.discard()
 
 
-def _lost(losses: Iterable[Loss]) -> Iterator[str]:
-    yield from (f"lost: {loss.place}: {loss.reason}" for loss in losses)
-
-
-def _result(report: RunReport) -> Iterator[tuple[str, str]]:
+def _result(report: RunReport) -> Iterator[Row]:
     source, counts, result = report.source, report.counts, report.result
     yield "file", f"{source.path} ({source.kind})"
     yield "rate", f"{source.rate} in {source.rate_unit}, {source.clock} clock"
@@ -130,19 +135,19 @@ def _result(report: RunReport) -> Iterator[tuple[str, str]]:
     span = duration_text(counts.span_ns)
     yield "time", f"{instant_text(result.first_ns or 0)}, {span}"
     yield "attitudes", f"{result.rows:,} written"
-    yield "final", "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*result.final_wxyz)
-    yield "net rotation", f"{math.degrees(result.net_rotation_rad):.6g} deg"
-    yield "total angle traversed", f"{math.degrees(result.path_angle_rad):.6g} deg"
-    yield "largest rate", f"{math.degrees(counts.max_rate):.6g} deg/s"
+    yield "final", quaternion_text(result.final_wxyz)
+    yield "net rotation", degrees_text(result.net_rotation_rad)
+    yield "total angle traversed", degrees_text(result.path_angle_rad)
+    yield "largest rate", f"{degrees_text(counts.max_rate)}/s"
 
 
-def _convention(convention: ConventionReport) -> Iterator[tuple[str, str]]:
+def _convention(convention: ConventionReport) -> Iterator[Row]:
     for key in ("quaternion", "product", "attitude", "step", "side", "method", "layout"):
         yield key, str(getattr(convention, key))
     yield "q0", f"{as_json(convention.q0_wxyz)} (w, x, y, z), {convention.q0_from}"
 
 
-def _done(report: RunReport) -> Iterator[tuple[str, str]]:
+def _processing(report: RunReport) -> Iterator[Row]:
     for name, value in as_json(report.policy).items():
         yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
     for name, words in CONDITIONING.items():

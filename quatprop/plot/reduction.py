@@ -1,8 +1,8 @@
-"""A series of any length to as many points as a picture can show, in flat memory.
+"""Reduce a series of any length to as many points as a picture can show, in constant memory.
 
 Time is cut into bins whose widths are powers of two of a nanosecond. How long the series will be
-is not known beforehand, so the bins begin narrow, and neighbours are joined whenever there are too
-many. Of every bin stay the first, lowest, highest and last value of each trace: drawn at the
+is not known beforehand, so the bins begin narrow, and neighbours are merged whenever there are too
+many. Of every bin are kept the first, lowest, highest and last value of each trace: drawn at the
 resolution of the bins this is the same line as that of all samples, so a spike of one sample
 stands out as it should.
 
@@ -34,12 +34,12 @@ BINS = 2048
 """Most bins that are kept; they cover at least half as many dots of a printed page."""
 
 PENDING = 65_536
-"""Samples that are gathered before they are sorted into bins."""
+"""Samples that are collected before they are put into bins."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reduced:
-    """What is left of a series: bins in order of time, only those that hold samples.
+    """A reduced series: bins in order of time, only those that hold samples.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Reduced:
 
 
 class Reduction:
-    """Takes a series batch after batch and keeps no more than fits a picture.
+    """Reduces a series, batch after batch.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Reduction:
         self._waiting = 0
 
     def add(self, t_ns: Int64, values: Sequence[Float64] | Float64) -> None:
-        """Take the next samples.
+        """Add the next samples.
 
         Parameters
         ----------
@@ -107,15 +107,15 @@ class Reduction:
         self._pending.append((t_ns, np.array(values, dtype=np.float64)))
         self._waiting += len(t_ns)
         if self._waiting >= PENDING:
-            self._sort_in()
+            self._bin_pending()
 
     def result(self) -> Reduced:
-        """Return what is left of all samples so far."""
-        self._sort_in()
+        """Return the reduction of all samples so far."""
+        self._bin_pending()
         return self._kept
 
-    def _sort_in(self) -> None:
-        """Bring the pending samples into their bins."""
+    def _bin_pending(self) -> None:
+        """Put the pending samples into their bins."""
         if not self._pending:
             return
         t_ns = np.concatenate([stamps for stamps, _ in self._pending])
@@ -129,12 +129,12 @@ class Reduction:
         before = self._shift
         while (high_ns >> self._shift) - (low_ns >> self._shift) >= self._bins:
             self._shift += 1
-        index, new = _joined(
+        index, new = _merge(
             t_ns >> self._shift,
             Reduced(t_ns, t_ns, values, values, values, values, len(t_ns)),
         )
         old, kept = self._index >> (self._shift - before), self._kept
-        self._index, self._kept = _joined(
+        self._index, self._kept = _merge(
             np.concatenate([old, index]),
             Reduced(
                 np.concatenate([kept.first_ns, new.first_ns]),
@@ -148,8 +148,8 @@ class Reduction:
         )
 
 
-def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
-    """Join parts of one bin; of equal stamps, what arrived first stands before what came later.
+def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
+    """Merge the parts of each bin; equal stamps keep their order of arrival.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
     index = index[by_first]
     starts = np.flatnonzero(np.concatenate([[True], index[1:] != index[:-1]]))
     ends = np.append(starts[1:], len(index)) - 1
-    joined = Reduced(
+    merged = Reduced(
         parts.first_ns[by_first][starts],
         parts.last_ns[by_last][ends],
         parts.first[:, by_first][:, starts],
@@ -172,20 +172,19 @@ def _joined(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
         parts.last[:, by_last][:, ends],
         parts.samples,
     )
-    return index[starts], joined
+    return index[starts], merged
 
 
 def _rising(t_ns: Int64) -> slice | NDArray[np.intp]:
-    """Return what puts stamps in order; mostly they are, and nothing is copied."""
+    """Return the index that sorts stamps; a slice, which copies nothing, where they are sorted."""
     if (t_ns[1:] >= t_ns[:-1]).all():
         return slice(None)
     return np.argsort(t_ns, kind="stable")
 
 
 def _extremes(
-    plain: np.ufunc, passing_nan: np.ufunc, values: Float64, starts: NDArray[np.intp]
+    plain: np.ufunc, skipping_nan: np.ufunc, values: Float64, starts: NDArray[np.intp]
 ) -> Float64:
-    """Return the extremes of each run of values; what passes over NaN is slower."""
-    chosen = passing_nan if np.isnan(values).any() else plain
-    found: Float64 = chosen.reduceat(values, starts, axis=1)
-    return found
+    """Return the extremes of each run of values; skipping NaN is slower."""
+    extreme = skipping_nan if np.isnan(values).any() else plain
+    return np.asarray(extreme.reduceat(values, starts, axis=1))

@@ -1,27 +1,26 @@
-"""Files in, a picture out: the whole of ``quatprop plot``."""
+"""Draw files into a picture: all of ``quatprop plot``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from quatprop.comparison import Settings, compare
-from quatprop.plot.errors import Compared, error_page
-from quatprop.plot.files import View, see
-from quatprop.plot.names import lost_text, names_of, noted
-from quatprop.plot.page import Page, Table
+from quatprop.comparison.compare import compare
+from quatprop.comparison.settings import ComparisonSettings
+from quatprop.plot.errors import ComparedFile, error_page
+from quatprop.plot.files import View, view_file
+from quatprop.plot.page import FactTable, Page
 from quatprop.plot.picture import picture
-from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.plot.target import MADE_BY, PictureFile, notes_of
+from quatprop.rendering import file_names, loss_lines
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
-from quatprop.text import Text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from quatprop.plot.files import Seen
+    from quatprop.plot.files import FileView
+    from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import LoadedAttitudes
-
-    Tick = Callable[[int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +34,7 @@ class Plot:
     output
         Where the picture goes.
     view
-        What to look at in the files.
+        What to draw of the files.
     reference
         Draw the error of each file against this series instead; None: what is in the files.
     settings
@@ -46,10 +45,31 @@ class Plot:
     output: str
     view: View = field(default_factory=View)
     reference: AttitudeInput | None = None
-    settings: Settings = field(default_factory=Settings)
+    settings: ComparisonSettings = field(default_factory=ComparisonSettings)
 
 
-def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class PlotSummary:
+    """What was drawn.
+
+    Parameters
+    ----------
+    lines
+        What each file shows.
+    warnings
+        What a reader should know.
+    data_lost
+        Whether something of a file could not be read or used.
+    """
+
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...]
+    data_lost: bool
+
+
+def plot(
+    job: Plot, tick: Callable[[int], None] = lambda _samples: None, spell: Spell = str
+) -> PlotSummary:
     """Draw files into a picture.
 
     Parameters
@@ -58,71 +78,68 @@ def plot(job: Plot, tick: Tick = lambda _samples: None) -> dict[str, Any]:
         What to draw.
     tick
         Called with the number of samples of a file read so far.
-
-    Returns
-    -------
-    dict
-        ``lines``, what each file shows; ``warnings``; ``data_lost``. JSON-ready.
+    spell
+        Writes a sentence that may mention settings.
 
     Raises
     ------
     LogError
-        A file cannot be used as asked.
+        A file cannot be used with this selection.
     OutputError
         The picture cannot be written.
     UsageError
-        The files have different things to show, or matplotlib is not installed.
+        The files have different quantities, or matplotlib is not installed.
     ComparisonError
         A file cannot be compared with the reference.
     """
     inputs = [*job.files, None if job.reference is None else job.reference.path]
-    with PictureFile(job.output, inputs) as target:
+    with PictureFile(job.output, inputs, spell=spell) as target:
         if job.reference is None:
-            seen = [see(path, job.view, tick) for path in job.files]
-            page = _page(seen)
-            lines = [f"{one.name}: {one.samples}" for one in seen]
-            lost = any(one.losses for one in seen)
+            views = [view_file(path, job.view, tick) for path in job.files]
+            page = _page(views, spell)
+            lines = tuple(f"{view.name}: {view.samples}" for view in views)
+            data_lost = any(view.losses for view in views)
         else:
-            page, operands = _against(job, job.reference)
-            lines = list(page.lead)
-            lost = any(operand.data_lost for operand in operands)
+            page, operands = _error_page(job, job.reference, spell)
+            lines = page.lead
+            data_lost = any(operand.data_lost for operand in operands)
         target.commit(page)
-    return {"lines": lines, "warnings": list(page.warnings), "data_lost": lost}
+    return PlotSummary(lines, page.warnings, data_lost)
 
 
-def _page(seen: list[Seen]) -> Page:
-    """Return the report on files, each as it is."""
-    several = len(seen) > 1
+def _page(views: list[FileView], spell: Spell) -> Page:
+    """Return the page on files, each as it is."""
+    several = len(views) > 1
     warnings = tuple(
-        Text(f"{one.part.label}: ", remark) if several else remark
-        for one in seen
-        for remark in (*one.remarks, *lost_text(one.losses))
+        f"{view.plotted.label}: {remark}" if several else remark
+        for view in views
+        for remark in (*map(spell, view.remarks), *loss_lines(view.losses))
     )
-    meanings = list(dict.fromkeys(one.meaning for one in seen))
-    names = names_of(one.path for one in seen)
-    facts = ("; ".join(meanings), "; ".join(one.samples for one in seen))
-    title = seen[0].name
-    if several:
-        title = f"{len(seen)} files: {', '.join(names)}"
-    parts = [replace(one.part, label=name) for one, name in zip(seen, names, strict=True)]
+    names = file_names(view.path for view in views)
+    meanings = dict.fromkeys(view.meaning for view in views)
+    facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
+    title = f"{len(views)} files: {', '.join(names)}" if several else views[0].name
+    files = [replace(view.plotted, label=name) for view, name in zip(views, names, strict=True)]
     return Page(
         heading=title,
         lead=facts,
-        picture=picture(parts, title=title, facts=facts, notes=noted(warnings)),
+        picture=picture(files, title, facts, notes_of(warnings)),
         warnings=warnings,
-        tables=tuple(Table(one.name, one.facts) for one in seen),
+        tables=tuple(FactTable(view.name, view.facts) for view in views),
         made_by=MADE_BY,
     )
 
 
-def _against(job: Plot, reference: AttitudeInput) -> tuple[Page, list[LoadedAttitudes]]:
-    """Return the report on the errors of files against a reference, and all that was read."""
-    known = load_attitudes(reference)
-    names = names_of([*job.files, reference.path])
-    every = []
+def _error_page(
+    job: Plot, wanted: AttitudeInput, spell: Spell
+) -> tuple[Page, list[LoadedAttitudes]]:
+    """Return the page on the errors of files against a reference, and all series."""
+    reference = load_attitudes(wanted)
+    names = file_names([*job.files, wanted.path])
+    files = []
     for path, name in zip(job.files, names, strict=False):
-        reading = AttitudeInput(path, job.view.kind, job.view.attitudes, drop=True)
-        operand = load_attitudes(reading)
-        every.append(Compared(name, operand, compare(operand.series, known.series, job.settings)))
-    page = error_page(every, names[-1], known)
-    return page, [*(one.operand for one in every), known]
+        operand = load_attitudes(AttitudeInput(path, job.view.kind, job.view.attitudes, drop=True))
+        comparison = compare(operand.series, reference.series, job.settings)
+        files.append(ComparedFile(name, operand, comparison))
+    page = error_page(files, names[-1], reference, spell)
+    return page, [*(file.operand for file in files), reference]

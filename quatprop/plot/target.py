@@ -1,4 +1,4 @@
-"""Where a picture goes: its kind by the suffix, in its place only when it is whole."""
+"""The file of a picture: its kind by the suffix, in its place only when it is complete."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.errors import OutputError
-from quatprop.plot.draw import drawn, require_matplotlib
+from quatprop.plot.draw import render, require_matplotlib
 from quatprop.plot.page import html
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
@@ -17,43 +17,55 @@ if TYPE_CHECKING:
     from typing import Self
 
     from quatprop.plot.page import Page
+    from quatprop.rendering import Spell
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}
 """Suffix -> kind of picture."""
 
 MADE_BY = f"quatprop {__version__}"
 
+MAX_NOTES = 3
+"""Notes below a picture."""
+
 
 class PictureFile:
-    """A picture or a report on its way to a file.
+    """A picture or a page on its way to a file.
 
     Parameters
     ----------
     target
-        Where it goes; the suffix tells its kind.
+        The file; the suffix determines the kind.
     inputs, outputs
-        What the run reads and writes besides: no picture goes there.
+        What else the run reads and writes: refused as the target.
+    spell
+        Writes a sentence that may mention settings.
 
     Raises
     ------
     OutputError
-        The suffix is that of no picture, or the file cannot be written; told before anything is
+        The suffix is that of no picture, or the file cannot be written; raised before anything is
         computed.
     UsageError
         matplotlib is not installed.
     """
 
     def __init__(
-        self, target: str, inputs: Iterable[str | None], outputs: Iterable[str | None] = ()
+        self,
+        target: str,
+        inputs: Iterable[str | None],
+        outputs: Iterable[str | None] = (),
+        *,
+        spell: Spell = str,
     ) -> None:
+        self.spell = spell
         self._kind = kind_of(target)
         require_matplotlib()
         refuse_overlap(inputs, [*outputs, target])
         self._output = OutputFile(target)
 
     def commit(self, page: Page) -> None:
-        """Draw the picture, or the report around it, and put it in its place."""
-        content = html(page).encode() if self._kind == "html" else drawn(page.picture, self._kind)
+        """Draw the picture, or the page around it, and put it in its place."""
+        content = html(page).encode() if self._kind == "html" else render(page.picture, self._kind)
         with output_errors(self._output.target):
             self._output.stream.write(content)
         self._output.commit()
@@ -88,7 +100,20 @@ def kind_of(target: str) -> str:
     if kind is None:
         raise OutputError(
             target,
-            "the suffix does not tell the kind of picture; use .png, .svg or .pdf, or .html for a "
-            "report",
+            "the suffix is not one of a picture; use .png, .svg or .pdf, or .html for a report",
         )
     return kind
+
+
+def notes_of(warnings: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the warnings that stand below a picture; a page has all of them.
+
+    Examples
+    --------
+    >>> notes_of(("one", "two", "three", "four"))
+    ('one', 'two', 'and 2 more warnings')
+    """
+    if len(warnings) <= MAX_NOTES:
+        return warnings
+    shown = warnings[: MAX_NOTES - 1]
+    return (*shown, f"and {len(warnings) - len(shown)} more warnings")

@@ -1,0 +1,157 @@
+"""Compare two attitude series: match them in time, align them, measure the error."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.alignment import align
+from quatprop.comparison.association import associate, shifted
+from quatprop.comparison.clocks import find_offset
+from quatprop.comparison.diagnosis import likely_cause
+from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
+from quatprop.comparison.settings import ComparisonSettings
+from quatprop.comparison.statistics import (
+    drift_deg_h,
+    error_statistics,
+    geodesic_errors,
+    window_statistics,
+)
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import normalize
+from quatprop.series import AttitudeSeries, blocks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.comparison.association import Pairs
+
+    Float64 = NDArray[np.float64]
+
+UNIT_LENGTH = 1e-3
+"""Difference from unit length that is remarked on; decimals of a text file stay below it."""
+
+SMALL = 0.5
+"""Error, rad, below which it makes sense to compare the signs of quaternions."""
+
+
+def compare(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
+) -> Comparison:
+    """Measure the geodesic error between two attitude series.
+
+    Parameters
+    ----------
+    a, b
+        The series. They are sorted by time and normalised.
+    settings
+        How to compare; None: all defaults.
+
+    Raises
+    ------
+    ComparisonError
+        The series cannot be compared: too few pairs, no motion to align by...
+    UsageError
+        There is no such alignment or match.
+
+    Examples
+    --------
+    >>> t_ns = np.arange(3) * 10_000_000
+    >>> a = AttitudeSeries(t_ns, np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
+    >>> b = AttitudeSeries(t_ns, -a.wxyz)
+    >>> compare(a, b).error_rad.max
+    0.0
+    """
+    settings = settings or ComparisonSettings()
+    remarks: list[str] = []
+    a, b = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
+    found = find_offset(a, b) if settings.time_offset == "auto" else None
+    offset_ns = found.ns if found else int(settings.time_offset)
+    b = shifted(b, offset_ns)
+    match = partial(
+        associate,
+        match=settings.match,
+        max_dt_ns=settings.max_dt,
+        min_matched=settings.min_matched / 100,
+    )
+    pairs = match(a, b)
+    alignment = align(settings.align, pairs.a, pairs.b)
+    errors, opposite = geodesic_errors(pairs, alignment)
+    limit = np.inf if settings.tol is None else settings.tol
+    worst, passed = int(np.argmax(errors)), bool(errors.max() <= limit)
+    sample = partial(_sample, pairs, errors)
+    cause = None
+    if settings.tol is None or not passed:
+        cause = likely_cause(a, b, match, settings.align, errors)
+    if pairs.match == "exact" and opposite and errors[worst] <= SMALL:
+        remarks.append(
+            f"B has the opposite sign in {opposite} of {len(pairs)} samples: q and -q are the "
+            "same attitude, so this is no error"
+        )
+    window = None
+    if settings.window:
+        window = window_statistics(pairs.t_ns, pairs.a, alignment.apply(pairs.b), settings.window)
+    return Comparison(
+        t_ns=pairs.t_ns,
+        errors=errors,
+        association=_matching(pairs),
+        time_offset=AppliedOffset(offset_ns, found),
+        alignment=alignment,
+        error_rad=error_statistics(errors),
+        drift_deg_h=drift_deg_h(pairs.t_ns, errors),
+        worst=sample(worst),
+        window=window,
+        tolerance_rad=settings.tol,
+        passed=passed,
+        first_exceeding=None if passed else sample(int(np.argmax(errors > limit))),
+        likely_cause=cause,
+        remarks=tuple(remarks),
+    )
+
+
+def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSeries:
+    """Return a series of unit quaternions at rising stamps; add remarks on what was changed."""
+    if not len(series):
+        raise ComparisonError(f"{name} has no attitudes; check what was selected")
+    length = np.sqrt(np.einsum("ij,ij->i", series.wxyz, series.wxyz))
+    (invalid,) = np.nonzero(~(np.isfinite(length) & (length > 0)))
+    if len(invalid):
+        raise ComparisonError(
+            f"{name} has {len(invalid)} of {len(series)} rows that are no attitude (zero or not a "
+            f"number), the first at index {invalid[0]}; leave them out"
+        )
+    if (deviation := float(np.abs(length - 1).max())) > UNIT_LENGTH:
+        remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
+    t_ns, wxyz = series.t_ns, np.empty_like(series.wxyz)
+    for rows in blocks(len(wxyz)):
+        wxyz[rows] = normalize(series.wxyz[rows])
+    intervals = np.diff(t_ns)
+    if (intervals > 0).all():
+        return AttitudeSeries(t_ns, wxyz)
+    _, first = np.unique(t_ns, return_index=True)
+    backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
+    remarks.append(
+        f"{name} was sorted by time: its timestamps step back {backwards} times, and {repeated} "
+        "repeated ones were left out"
+    )
+    return AttitudeSeries(t_ns[first], wxyz[first])
+
+
+def _matching(pairs: Pairs) -> Matching:
+    return Matching(
+        match=pairs.match,
+        at=pairs.at,
+        max_dt_ns=pairs.max_dt_ns,
+        matched=len(pairs),
+        candidates=pairs.candidates,
+        first_ns=int(pairs.t_ns[0]),
+        last_ns=int(pairs.t_ns[-1]),
+    )
+
+
+def _sample(pairs: Pairs, errors: Float64, pair: int) -> ComparedSample:
+    return ComparedSample(
+        int(pairs.t_ns[pair]), pairs.at, int(pairs.index[pair]), float(errors[pair])
+    )

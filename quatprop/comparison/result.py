@@ -1,0 +1,139 @@
+"""The result of a comparison: errors, statistics, how they were obtained, a likely cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from quatprop.provenance import as_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.comparison.alignment import Alignment
+    from quatprop.comparison.clocks import ClockOffset
+    from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
+    from quatprop.text import Text
+
+_ARRAYS = ("t_ns", "errors")
+"""Fields of a comparison that its report leaves out."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSample:
+    """One pair of attitudes and its error.
+
+    Parameters
+    ----------
+    t_ns
+        Its time in A's clock, ns.
+    at, index
+        Which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time.
+    error_rad
+        Its error, rad.
+    """
+
+    t_ns: int
+    at: str
+    index: int
+    error_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """How the attitudes were matched in time.
+
+    Parameters
+    ----------
+    match, at, max_dt_ns, candidates
+        As for :class:`quatprop.comparison.association.Pairs`.
+    matched
+        How many pairs there are.
+    first_ns, last_ns
+        Times of the first and the last pair, ns.
+    """
+
+    match: str
+    at: str
+    max_dt_ns: int
+    matched: int
+    candidates: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedOffset:
+    """The time offset of a comparison.
+
+    Parameters
+    ----------
+    added_to_b_ns
+        What was added to B's stamps, ns.
+    found
+        How it was estimated; None where it was given.
+    """
+
+    added_to_b_ns: int
+    found: ClockOffset | None
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The geodesic error between two attitude series A and B.
+
+    Parameters
+    ----------
+    t_ns
+        Times of the pairs that were compared, shape ``(N,)``, int64 ns, in A's clock.
+    errors
+        Their geodesic errors, shape ``(N,)``, rad.
+    association
+        How the attitudes were matched in time.
+    time_offset
+        What was added to B's stamps.
+    alignment
+        How B was rotated.
+    error_rad
+        Statistics of the errors, rad.
+    drift_deg_h
+        Slope of the errors in time, deg/h; None where all stamps are equal.
+    worst
+        The pair with the largest error.
+    window
+        Errors of the rotations over windows, where they were asked for.
+    tolerance_rad
+        The largest error that passes, rad; None: every error does.
+    passed
+        Whether no error is above the tolerance.
+    first_exceeding
+        The first pair above it.
+    likely_cause
+        What explains the error, where something does and the tolerance was exceeded or not given.
+    remarks
+        What else a reader should know.
+    """
+
+    t_ns: NDArray[np.int64]
+    errors: NDArray[np.float64]
+    association: Matching
+    time_offset: AppliedOffset
+    alignment: Alignment
+    error_rad: ErrorStatistics
+    drift_deg_h: float | None
+    worst: ComparedSample
+    window: WindowStatistics | None
+    tolerance_rad: float | None
+    passed: bool
+    first_exceeding: ComparedSample | None
+    likely_cause: Cause | None
+    remarks: tuple[str | Text, ...]
+
+    def report(self) -> Mapping[str, Any]:
+        """Return everything but the arrays, JSON-ready."""
+        names = [name for name in self.__slots__ if name not in _ARRAYS]
+        return {name: as_json(getattr(self, name)) for name in names}

@@ -1,0 +1,158 @@
+"""A comparison as rows of text, for the command line and the page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from quatprop.rendering import angle_text, degrees_text, loss_lines, source_text
+from quatprop.text import plain
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.comparison.alignment import Alignment, MountingFit
+    from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
+    from quatprop.comparison.statistics import WindowStatistics
+    from quatprop.rendering import Row, Spell
+    from quatprop.signals.attitude_input import LoadedAttitudes
+
+STATISTICS = {"rms": "RMS", "p95": "95 %"}
+"""Statistics whose label is not their name."""
+
+
+def comparison_rows(
+    a: LoadedAttitudes, b: LoadedAttitudes, comparison: Comparison, spell: Spell
+) -> Iterator[Row]:
+    """Yield what was compared, how, and the result.
+
+    Parameters
+    ----------
+    a, b
+        The series.
+    comparison
+        Their comparison.
+    spell
+        Writes a sentence that may mention settings.
+    """
+    first_ns = comparison.association.first_ns
+    yield "A", _series(a)
+    yield "B", _series(b)
+    yield from _method(comparison)
+    yield from _errors(comparison)
+    yield "worst", _sample(comparison.worst, first_ns)
+    if comparison.window:
+        yield "window", _window(comparison.window, first_ns)
+    if comparison.tolerance_rad is not None:
+        tolerance = f"the tolerance {angle_text(comparison.tolerance_rad)}"
+        if comparison.first_exceeding is None:
+            yield "passed", f"no error above {tolerance}"
+        else:
+            yield (
+                "failed",
+                f"above {tolerance}, first at {_sample(comparison.first_exceeding, first_ns)}",
+            )
+    if cause := comparison.likely_cause:
+        yield "cause", f"likely ({cause.name}): {spell(cause.sentence)}"
+        rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
+        yield "", f"without it the RMS error goes from {rms}"
+    yield from _remarks("A", a, spell)
+    yield from _remarks("B", b, spell)
+    for remark in comparison.remarks:
+        yield "remark", spell(remark)
+
+
+def _series(operand: LoadedAttitudes) -> str:
+    t_ns, source = operand.series.t_ns, operand.signal
+    where = f"{plain(operand.input.path)} ({operand.kind})"
+    samples = f"{len(t_ns)} samples over {duration_text(int(t_ns.max() - t_ns.min()))}"
+    layout = source.layout or source.representation
+    meaning = f"{source.meaning.convention} {source.meaning.direction}, {layout}"
+    return f"{where}: {source_text(source.name, source.type_name)}, {samples}; {meaning}"
+
+
+def _method(comparison: Comparison) -> Iterator[Row]:
+    offset, alignment = comparison.time_offset, comparison.alignment
+    yield "matched", _matching(comparison.association)
+    if offset.added_to_b_ns or offset.found:
+        yield "offset", _offset(offset)
+    if alignment.name != "none":
+        yield "alignment", _alignment(alignment)
+    if alignment.mounting:
+        yield "", _mounting(alignment.mounting)
+
+
+def _matching(matching: Matching) -> str:
+    reach = duration_text(matching.max_dt_ns)
+    other = "A" if matching.at == "B" else "B"
+    method = {
+        "exact": "equal stamps",
+        "nearest": f"nearest to {matching.at} within {reach}",
+        "interpolate": f"{other} interpolated at the stamps of {matching.at}, over at most {reach}",
+    }
+    span = duration_text(matching.last_ns - matching.first_ns)
+    counts = f"{matching.matched} of {matching.candidates} samples over {span}"
+    return f"{counts}: {method[matching.match]}"
+
+
+def _offset(offset: AppliedOffset) -> str:
+    text = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
+    if found := offset.found:
+        text += (
+            f" +- {duration_text(round(found.std_ns))}, estimated from angular speeds: correlation "
+            f"{found.correlation:.4f}, next best elsewhere {found.runner_up:.4f}"
+        )
+    return text
+
+
+def _alignment(alignment: Alignment) -> str:
+    text = f"{alignment.name}: reference frame rotated by {angle_text(alignment.reference_rad)}"
+    if alignment.mounting:
+        text += f", body frame by {angle_text(alignment.mount_rad)}"
+    return text
+
+
+def _mounting(fit: MountingFit) -> str:
+    first, second, third = fit.singular_values
+    return (
+        f"from {fit.motions} rotations, {degrees_text(fit.turn_rad, 3)} RMS; axes excited as "
+        f"1 : {second / first:.2g} : {third / first:.2g}; +- {degrees_text(fit.std_rad, 2)}"
+    )
+
+
+def _errors(comparison: Comparison) -> Iterator[Row]:
+    yield "error", "geodesic angle"
+    for name, error in asdict(comparison.error_rad).items():
+        yield (
+            f"  {STATISTICS.get(name, name)}",
+            f"{error:14.6e} rad {math.degrees(error):14.6g} deg",
+        )
+    if comparison.drift_deg_h is not None:
+        yield "drift", f"{comparison.drift_deg_h:+.6g} deg/h, slope of the error"
+
+
+def _window(window: WindowStatistics, first_ns: int) -> str:
+    return (
+        f"{window.count} of {duration_text(window.window_ns)}: max {angle_text(window.max_rad)}, "
+        f"RMS {angle_text(window.rms_rad)}; the worst begins at {window.worst_ns} ns, "
+        f"{duration_text(window.worst_ns - first_ns)} after the first"
+    )
+
+
+def _sample(sample: ComparedSample, first_ns: int) -> str:
+    since = duration_text(sample.t_ns - first_ns)
+    return (
+        f"sample {sample.index} of {sample.at}, {sample.t_ns} ns, {since} after the first: "
+        f"{angle_text(sample.error_rad)}"
+    )
+
+
+def _remarks(name: str, operand: LoadedAttitudes, spell: Spell) -> Iterator[Row]:
+    for remark in operand.signal.remarks:
+        yield "remark", f"{name}: {spell(remark)}"
+    if operand.counts.invalid:
+        yield "lost", f"{operand.counts.invalid} rows of {name} are invalid quaternions"
+    for line in loss_lines(operand.losses):
+        yield "", line

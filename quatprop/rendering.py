@@ -1,0 +1,147 @@
+"""Facts as text: angles, quaternions, counts, times, names; for summaries, pages and pictures."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from quatprop.text import plain
+from quatprop.times import NS_PER_UNIT, duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from quatprop.containers.base import Loss
+    from quatprop.text import Text
+
+    Spell = Callable[[str | Text], str]
+    """Writes a sentence as an interface spells the settings in it; ``str`` as the library does."""
+
+Row = tuple[str, str]
+"""A label and the text of its value; an empty label continues the row before."""
+
+MAX_LOSSES = 20
+"""Losses that are shown one by one."""
+
+GPS_EPOCH_NS = 315_964_800_000_000_000
+"""1980-01-06: earlier stamps are of a clock that counts from boot."""
+
+
+def lines_of(rows: Iterable[Row], width: int = 9) -> list[str]:
+    """Return rows as lines, their values aligned.
+
+    Examples
+    --------
+    >>> lines_of([("final", "1 deg"), ("", "at the end")])
+    ['final     1 deg', '          at the end']
+    """
+    return [f"{label:<{width}} {value}".rstrip() for label, value in rows]
+
+
+def degrees_text(angle: float, digits: int = 6) -> str:
+    """Return an angle, given in rad, in degrees.
+
+    Examples
+    --------
+    >>> degrees_text(0.1)
+    '5.72958 deg'
+    """
+    return f"{math.degrees(angle):.{digits}g} deg"
+
+
+def angle_text(angle: float) -> str:
+    """Return an angle, given in rad, in both units.
+
+    Examples
+    --------
+    >>> angle_text(0.1)
+    '0.1 rad (5.72958 deg)'
+    """
+    return f"{angle:.6g} rad ({degrees_text(angle)})"
+
+
+def quaternion_text(wxyz: Iterable[float]) -> str:
+    """Return a quaternion, its components named.
+
+    Examples
+    --------
+    >>> quaternion_text([1, 0, 0, 0])
+    'w +1.000000000  x +0.000000000  y +0.000000000  z +0.000000000'
+    """
+    return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
+
+
+def count_text(count: int, noun: str, plural: str = "") -> str:
+    """Return a count with its noun.
+
+    Examples
+    --------
+    >>> count_text(1, "sample"), count_text(1200, "sample")
+    ('1 sample', '1,200 samples')
+    """
+    return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
+
+
+def instant_text(t_ns: int) -> str:
+    """Return a stamp as UTC, or in seconds where its clock does not count from 1970.
+
+    Examples
+    --------
+    >>> instant_text(1_700_000_000_250_000_000)
+    '2023-11-14 22:13:20.25 UTC'
+    >>> instant_text(112_500_000_000)
+    '112.5 s of its clock'
+    """
+    seconds, rest = divmod(abs(t_ns), NS_PER_UNIT["s"])
+    fraction = f".{rest:09d}".rstrip("0").rstrip(".")
+    if t_ns < GPS_EPOCH_NS:
+        return f"{'-' if t_ns < 0 else ''}{seconds}{fraction} s of its clock"
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=seconds)
+    return f"{moment:%Y-%m-%d %H:%M:%S}{fraction} UTC"
+
+
+def samples_text(samples: int, span_ns: int) -> str:
+    """Return how many samples there are, over which time and at which rate.
+
+    Examples
+    --------
+    >>> samples_text(1000, 9_990_000_000)
+    '1,000 samples over 9.99 s, 100 Hz'
+    """
+    text = count_text(samples, "sample")
+    if span_ns <= 0:
+        return text
+    rate_hz = (samples - 1) / (span_ns * 1e-9)
+    return f"{text} over {duration_text(span_ns)}, {rate_hz:.6g} Hz"
+
+
+def source_text(name: str, type_name: str) -> str:
+    """Return a topic and its type, or columns and their dialect."""
+    return " ".join(plain(text) for text in (name, type_name) if text)
+
+
+def file_names(paths: Iterable[str]) -> list[str]:
+    """Return the names of files, or their paths where the names are the same.
+
+    Examples
+    --------
+    >>> file_names(["runs/a.csv", "b.csv"]), file_names(["1/a.csv", "2/a.csv"])
+    (['a.csv', 'b.csv'], ['1/a.csv', '2/a.csv'])
+    """
+    paths = list(paths)
+    names = ["stdin" if path == "-" else Path(path).name for path in paths]
+    return [
+        plain(path if names.count(name) > 1 else name)
+        for path, name in zip(paths, names, strict=True)
+    ]
+
+
+def loss_lines(losses: Sequence[Loss]) -> list[str]:
+    """Return a line for each thing lost of a damaged log, or for the first of many."""
+    lines = [f"lost: {plain(loss.place)}: {plain(loss.reason)}" for loss in losses[:MAX_LOSSES]]
+    if len(losses) > MAX_LOSSES:
+        more = len(losses) - MAX_LOSSES
+        lines.append(f"lost: {more} more, which the JSON report lists")
+    return lines
