@@ -12,9 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource, os_reason
-from quatprop.containers.packed_files import UnpackedCopy, file_compression
 from quatprop.containers.remote import is_address, local_copy, without_secret
 from quatprop.errors import (
     DamagedLogError,
@@ -151,9 +151,9 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | T
         return _open_source(source, kind or _kind(path, head), stack)
     source.close()
     try:
-        copy = stack.enter_context(UnpackedCopy(path))
+        copy = stack.enter_context(DecompressedCopy(path))
     except CompressionError as error:
-        raise DamagedLogError(path, f"{error.reason}; unpack it by hand to see more") from error
+        raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
     stack.enter_context(_renamed_errors(path))
     source = stack.enter_context(FileSource(copy.path))
     log = _open_source(source, kind or _kind(inside, _head(source)), stack)

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.coalesce import joined
-from quatprop.containers.spans import spans_of, spans_worth_picking
+from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
+from quatprop.containers.coalesce import coalesce_blocks
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -36,7 +36,7 @@ def messages(block):
 def test_stretches_hold_the_messages_and_only_short_gaps(places, gap):
     """Side by side, the stretches have the same messages; gaps that are longer are left out."""
     block = block_of(places)
-    spans = spans_of(block.starts, block.ends, gap)
+    spans = ranges_of(block.starts, block.ends, gap)
     data = spans.of(block.data)
     assert len(data) == spans.size
     for start, end, by in zip(block.starts, block.ends, spans.moved, strict=True):
@@ -49,7 +49,7 @@ def test_stretches_hold_the_messages_and_only_short_gaps(places, gap):
 
 def test_messages_out_of_place_are_in_stretches_of_their_own():
     """A message that lies before the one in front of it begins another stretch."""
-    spans = spans_of(np.array([50, 10, 20]), np.array([55, 18, 25]), gap=1000)
+    spans = ranges_of(np.array([50, 10, 20]), np.array([55, 18, 25]), gap=1000)
     assert spans.begins.tolist() == [50, 10]
     assert spans.ends.tolist() == [55, 25]
     assert spans.moved.tolist() == [50, 5, 5]
@@ -61,7 +61,7 @@ def test_joined_blocks_have_the_same_messages(several, enough):
     blocks = [block_of(places, seed, bound=seed) for seed, places in enumerate(several)]
     before, module.ENOUGH_MESSAGES = module.ENOUGH_MESSAGES, enough
     try:
-        together = list(joined(blocks))
+        together = list(coalesce_blocks(blocks))
     finally:
         module.ENOUGH_MESSAGES = before
     assert [*chain(*map(messages, together))] == [*chain(*map(messages, blocks))]
@@ -76,20 +76,20 @@ def test_joined_blocks_have_the_same_messages(several, enough):
 def test_a_large_block_passes_as_it_is():
     """What is large enough is not copied."""
     small, large = block_of([(1, 2)] * 3), block_of([(0, 1)] * module.ENOUGH_MESSAGES)
-    assert list(joined([small, large, small]))[1] is large
+    assert list(coalesce_blocks([small, large, small]))[1] is large
 
 
 def test_waiting_messages_are_bounded_in_bytes():
     """Large messages come out before many of them are in memory."""
     half = module.ENOUGH_BYTES // 2
     blocks = (block_of([(0, half)], seed) for seed in range(6))
-    assert [len(block) for block in joined(blocks)] == [2, 2, 2]
+    assert [len(block) for block in coalesce_blocks(blocks)] == [2, 2, 2]
 
 
 def test_small_blocks_keep_nothing_but_their_messages():
     """A block beside images does not hold on to them."""
     block = block_of([(10_000, 8)] * 5)
-    (kept,) = joined([block])
+    (kept,) = coalesce_blocks([block])
     assert len(kept.data) == 5 * 8
     assert messages(kept) == messages(block)
 
@@ -97,7 +97,7 @@ def test_small_blocks_keep_nothing_but_their_messages():
 def test_a_few_messages_of_a_chunk_are_worth_picking():
     """Each goes to where the next record of any channel begins, or to the end."""
     every = np.array([0, 100_000, 100_500, 900_000])
-    spans = spans_worth_picking(np.array([100_000, 900_000]), every, 900_300)
+    spans = ranges_worth_reading(np.array([100_000, 900_000]), every, 900_300)
     assert (spans.begins.tolist(), spans.ends.tolist()) == ([100_000, 900_000], [100_500, 900_300])
     assert spans.size == 800
 
@@ -105,7 +105,7 @@ def test_a_few_messages_of_a_chunk_are_worth_picking():
 @pytest.mark.parametrize("size", [2000, 1999])
 def test_a_quarter_of_a_chunk_is_the_most_that_is_picked(size):
     """Of more, reading all of it is as quick."""
-    spans = spans_worth_picking(np.array([0]), np.array([0, 500]), size)
+    spans = ranges_worth_reading(np.array([0]), np.array([0, 500]), size)
     assert (spans is None) == (size < 2000)
 
 
@@ -122,4 +122,4 @@ def test_a_quarter_of_a_chunk_is_the_most_that_is_picked(size):
 def test_an_index_that_points_elsewhere_picks_nothing(wanted, every):
     """Before the records, behind them, or where a message would end behind them."""
     places = np.array(wanted, np.int64), np.array(every, np.int64)
-    assert spans_worth_picking(*places, 1_000_000) is None
+    assert ranges_worth_reading(*places, 1_000_000) is None

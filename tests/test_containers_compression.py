@@ -14,8 +14,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
+from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compression import MAX_SIZE, CompressionError, decompress
-from quatprop.containers.packed_files import UnpackedCopy, file_compression
 
 PACK = {
     "": bytes,
@@ -56,7 +56,7 @@ def test_decompress_returns_what_was_packed(compression, size, declared):
 def test_a_declared_size_is_checked(compression, off):
     """Data that unpacks to another size than declared is refused, whichever way it lies."""
     packed = PACK[compression](TEXT[:1000])
-    with pytest.raises(CompressionError, match=rf"it declares {1000 + off} bytes unpacked and "):
+    with pytest.raises(CompressionError, match=rf"declares {1000 + off} bytes decompressed and "):
         decompress(packed, compression, 1000 + off)
 
 
@@ -71,7 +71,7 @@ def test_a_zstd_frame_without_content_size_is_unpacked_to_the_declared_size():
 def test_a_size_over_the_limit_is_refused_before_anything_is_allocated(compression):
     """A chunk that declares a terabyte is refused."""
     packed = PACK[compression](b"x")
-    with pytest.raises(CompressionError, match=r"it declares 1099511627776 bytes unpacked, over"):
+    with pytest.raises(CompressionError, match=r"declares 1099511627776 bytes decompressed, over"):
         decompress(packed, compression, 1 << 40)
 
 
@@ -86,7 +86,7 @@ def test_a_bomb_of_undeclared_size_is_refused_at_the_limit(monkeypatch):
     """Data without declared size stops growing at the limit."""
     monkeypatch.setattr("quatprop.containers.compression.MAX_SIZE", 1 << 20)
     for compression in ("lz4", "zstd", "bz2"):
-        with pytest.raises(CompressionError, match="it unpacks to more than the limit of 1048576"):
+        with pytest.raises(CompressionError, match="it decompresses to more than 1048576 bytes"):
             decompress(PACK[compression](bytes(1 << 22)), compression)
     assert MAX_SIZE == 1 << 30
 
@@ -114,7 +114,7 @@ def test_a_packed_file_is_unpacked_beside_and_removed(tmp_path, temporary, suffi
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT))
     assert file_compression(path.read_bytes()[:4]) == {".gz": "gz"}.get(suffix, suffix[1:])
-    with UnpackedCopy(path) as copy:
+    with DecompressedCopy(path) as copy:
         assert copy.path.suffix == ".mcap"
         assert copy.path.read_bytes() == TEXT
         assert copy.damage == ""
@@ -126,7 +126,7 @@ def test_a_file_of_several_frames_is_one_file(tmp_path, temporary, suffix):
     """Parallel compressors write one frame after another."""
     path = tmp_path / ("log.db3" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT) + PACK_FILE[suffix](TEXT[:100]))
-    with UnpackedCopy(path) as copy:
+    with DecompressedCopy(path) as copy:
         assert copy.path.read_bytes() == TEXT + TEXT[:100]
     assert list(temporary.iterdir()) == []
 
@@ -137,7 +137,7 @@ def test_a_packed_file_cut_off_keeps_what_comes_before(tmp_path, temporary, suff
     content = os.urandom(3 << 20)
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](content)[: 2 << 20])
-    with UnpackedCopy(path) as copy:
+    with DecompressedCopy(path) as copy:
         good = copy.path.read_bytes()
         assert copy.damage.endswith("data is damaged or cut off")
     assert content.startswith(good)
@@ -151,7 +151,7 @@ def test_a_packed_file_without_anything_good_leaves_no_copy(tmp_path, temporary,
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT)[:6])
     with pytest.raises(CompressionError, match="data is damaged"):
-        UnpackedCopy(path)
+        DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -159,8 +159,8 @@ def test_a_file_that_is_not_packed_is_refused(tmp_path, temporary):
     """Plain bytes are no packed file."""
     path = tmp_path / "log.mcap"
     path.write_bytes(TEXT)
-    with pytest.raises(CompressionError, match="it is not packed with zstd, lz4, bz2 or gzip"):
-        UnpackedCopy(path)
+    with pytest.raises(CompressionError, match="it is not compressed with zstd, lz4, bz2 or gzip"):
+        DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -176,7 +176,7 @@ def test_a_copy_that_does_not_fit_says_where(tmp_path, temporary, monkeypatch):
     way = Path.open
     monkeypatch.setattr(Path, "open", lambda p, mode: Full() if mode == "wb" else way(p, mode))
     with pytest.raises(CompressionError, match=r"does not fit into .* \(No space.*; set TMPDIR to"):
-        UnpackedCopy(path)
+        DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 
 
@@ -184,7 +184,7 @@ def test_a_forgotten_copy_is_removed(tmp_path, temporary):
     """The temporary file goes with its object."""
     path = tmp_path / "log.mcap.gz"
     path.write_bytes(gzip.compress(TEXT))
-    copy = UnpackedCopy(path)
+    copy = DecompressedCopy(path)
     assert len(list(temporary.iterdir())) == 1
     del copy
     assert list(temporary.iterdir()) == []

@@ -299,7 +299,7 @@ def test_another_database_is_refused(tmp_path):
 def test_other_message_compressions_are_refused(tmp_path):
     """A compression that is not zstd is refused by name."""
     path = old_bag(tmp_path / "a.db3", [])
-    with pytest.raises(UnsupportedLogError, match=r"packed with 'lz4' and only zstd is read; "):
+    with pytest.raises(UnsupportedLogError, match=r"compressed with 'lz4' and only zstd is read; "):
         Db3Log(path, message_compression="lz4")
 
 

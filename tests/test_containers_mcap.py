@@ -20,7 +20,7 @@ from quatprop.containers import prefetch
 from quatprop.containers.base import Channel, Loss
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.mcap.messages import LATEST, walk
+from quatprop.containers.mcap.messages import LATEST, walk_records
 from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
@@ -174,7 +174,7 @@ def test_ros_types_have_one_spelling(tmp_path, name, encoding, expected):
 
 
 def test_a_topic_with_two_types_is_two_channels(tmp_path):
-    """Messages of another definition are another channel, though the topic is the same."""
+    """LocatedMessages of another definition are another channel, though the topic is the same."""
     buffer = io.BytesIO()
     writer = Writer(buffer)
     writer.start()
@@ -405,7 +405,7 @@ def test_garbage_between_chunks_is_passed_over_with_the_summary(tmp_path):
 
 
 def test_an_undefined_channel_is_told(tmp_path):
-    """Messages of a channel without a record cannot be read, and that is said."""
+    """LocatedMessages of a channel without a record cannot be read, and that is said."""
     content = written(use_chunking=False, index_types=IndexType.NONE, repeat_channels=False)
     kept = b"".join(
         content[begin:end]
@@ -414,7 +414,7 @@ def test_an_undefined_channel_is_told(tmp_path):
     )
     log = McapLog(saved(tmp_path, content[:8] + kept))
     assert log.channels() == []
-    assert Loss("channel 1", "no record says what it is") in log.losses
+    assert Loss("channel 1", "no record defines it") in log.losses
 
 
 def beside_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):
@@ -567,7 +567,7 @@ def test_walking_finds_every_message_record(lengths, rest):
             data += struct.pack("<BQ", opcode, length) + bytes(length)
     whole = len(data)
     data += (struct.pack("<BQ", 5, 22) + bytes(22))[:rest]
-    found = walk(data)
+    found = walk_records(data)
     assert found.offsets.tolist() == expected
     assert found.definitions == others
     assert found.end == whole

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from quatprop.cli import cli
 from quatprop.containers import remote
-from quatprop.containers.remote import _impatient, local_copy, without_secret
+from quatprop.containers.remote import _with_retry_limit, local_copy, without_secret
 from quatprop.errors import LogError, UnreadableLogError
 from quatprop.formats import open_log
 
@@ -123,10 +123,10 @@ def test_no_key_is_recorded():
 
 def test_a_store_that_does_not_answer_is_given_up_on():
     """Google's is asked again for a quarter of an hour, unless the address says otherwise."""
-    assert _impatient("gs://logs/a.bag") == "gs://logs/a.bag?retry_limit_seconds=10"
-    assert _impatient("gs://logs/a.bag?x=1") == "gs://logs/a.bag?x=1&retry_limit_seconds=10"
-    assert _impatient("gs://a?retry_limit_seconds=99") == "gs://a?retry_limit_seconds=99"
-    assert _impatient("s3://logs/a.bag") == "s3://logs/a.bag"
+    assert _with_retry_limit("gs://logs/a.bag") == "gs://logs/a.bag?retry_limit_seconds=10"
+    assert _with_retry_limit("gs://logs/a.bag?x=1") == "gs://logs/a.bag?x=1&retry_limit_seconds=10"
+    assert _with_retry_limit("gs://a?retry_limit_seconds=99") == "gs://a?retry_limit_seconds=99"
+    assert _with_retry_limit("s3://logs/a.bag") == "s3://logs/a.bag"
 
 
 def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):

@@ -347,8 +347,8 @@ def test_an_encrypted_bag_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "it does not begin like a ROS 1 bag; check --from"),
-        (b"time,x,y,z\n", "it does not begin like a ROS 1 bag; check --from"),
+        (b"", "it does not begin like a ROS 1 bag; check kind"),
+        (b"time,x,y,z\n", "it does not begin like a ROS 1 bag; check kind"),
         (b"#ROSBAG V2.0\n", "its bag header is damaged; try `rosbag reindex`"),
         (b"#ROSBAG V2.0\n\xff\xff\xff\xff", "its bag header is damaged; try `rosbag reindex`"),
     ],

@@ -392,7 +392,7 @@ def test_other_message_compressions_are_refused(tmp_path):
         "compression_format": "lz4",
     }
     write_metadata(path, metadata)
-    with pytest.raises(UnsupportedLogError, match=r"bag: its messages are packed with 'lz4' and "):
+    with pytest.raises(UnsupportedLogError, match=r"bag: its messages are compressed with 'lz4'"):
         Rosbag2Log(path)
 
 

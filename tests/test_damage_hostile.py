@@ -15,7 +15,7 @@ from test_damage_mcap import MESSAGES, read, unclosed, written
 from quatprop.cli import cli
 from quatprop.cli.summary import lost
 from quatprop.containers import prefetch
-from quatprop.containers.limits import MAX_UNPACKED, unpacked_limit
+from quatprop.containers.limits import MAX_UNPACKED, decompressed_limit
 from quatprop.containers.mcap import log as mcap
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError, UsageError
@@ -36,15 +36,15 @@ def bombs(count):
 
 def test_the_limit_is_that_of_the_environment(monkeypatch):
     """A number of bytes, with or without a unit; anything else is refused."""
-    assert unpacked_limit(1000) == 2 << 30
-    assert unpacked_limit(1 << 30) == 200 << 30
+    assert decompressed_limit(1000) == 2 << 30
+    assert decompressed_limit(1 << 30) == 200 << 30
     for said, limit in {"123": 123, "7k": 7 << 10, "64 G": 64 << 30, "2TiB": 2 << 40}.items():
         monkeypatch.setenv(MAX_UNPACKED, said)
-        assert unpacked_limit(1 << 40) == limit
+        assert decompressed_limit(1 << 40) == limit
     for said in ("much", "-1", "1e9", "9" * 30):
         monkeypatch.setenv(MAX_UNPACKED, said)
         with pytest.raises(UsageError, match="which is no number of bytes like 64G"):
-            unpacked_limit(1)
+            decompressed_limit(1)
 
 
 def test_chunks_that_unpack_to_more_than_a_log_can_have_are_not_unpacked(tmp_path, monkeypatch):
@@ -54,7 +54,7 @@ def test_chunks_that_unpack_to_more_than_a_log_can_have_are_not_unpacked(tmp_pat
     numbers, losses = read(tmp_path, content)
     assert numbers == [*range(MESSAGES), *[0] * 7]
     reason = (
-        "it unpacks to more than 104857600 bytes; if that is right, set QUATPROP_MAX_UNPACKED "
+        "it decompresses to more than 104857600 bytes; if that is right, set QUATPROP_MAX_UNPACKED "
         "to more"
     )
     refused = [loss for loss in losses if loss.reason == reason]
@@ -72,7 +72,9 @@ def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_p
     log = tmp_path / "log.mcap.zst"
     log.write_bytes(zstandard.compress(written()) + BOMB * 3)
     with (
-        pytest.raises(DamagedLogError, match=r"log.mcap.zst: it unpacks to more than 20971520 b"),
+        pytest.raises(
+            DamagedLogError, match=r"log.mcap.zst: it decompresses to more than 20971520"
+        ),
         open_log(log),
     ):
         pass

@@ -146,8 +146,7 @@ def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
     assert losses == [
         Loss(
             "data section",
-            "its checksum is wrong: something in it is not what was recorded, and nothing "
-            "tells what",
+            "its checksum is wrong: it is not what was recorded, and there is no telling where",
         )
     ]
 

@@ -16,7 +16,7 @@ from test_containers_ulog import added, gyro, write
 
 from quatprop.conditioning import Conditioning
 from quatprop.containers import coalesce, prefetch, ulog
-from quatprop.containers.mcap import survey as mcap_survey
+from quatprop.containers.mcap import index as mcap_index
 from quatprop.containers.rosbag1 import index as rosbag1_index
 from quatprop.containers.rosbag2 import db3
 from quatprop.formats import open_log as opened
@@ -84,7 +84,7 @@ CUTS = {
         (db3, "_FETCHES"): 1,
         (ulog, "BLOCK"): 501,
         (ulog, "_WINDOW"): 70_001,
-        (mcap_survey, "_STRETCH"): 5000,
+        (mcap_index, "_LOOSE_SIZE"): 5000,
         (rosbag1_index, "_LOOSE_SIZE"): 5000,
     },
     "large": {
@@ -95,7 +95,7 @@ CUTS = {
         (coalesce, "ENOUGH_MESSAGES"): 1 << 20,
         (db3, "_FETCHES"): 1 << 10,
         (ulog, "BLOCK"): 1 << 20,
-        (mcap_survey, "_STRETCH"): 1 << 28,
+        (mcap_index, "_LOOSE_SIZE"): 1 << 28,
     },
 }
 """What decides how much is read at a time, and by how many."""

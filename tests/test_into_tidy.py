@@ -105,8 +105,8 @@ def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("write", "place"),
     [
-        (write_mcap, "quatprop.containers.mcap.log.survey"),
-        (write_bag, "quatprop.containers.rosbag1.log.indexed"),
+        (write_mcap, "quatprop.containers.mcap.log.build_index"),
+        (write_bag, "quatprop.containers.rosbag1.log.read_index"),
     ],
 )
 def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, write, place):

@@ -122,7 +122,7 @@ def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
     def survey(_source):
         raise MemoryError
 
-    monkeypatch.setattr(mcap, "survey", survey)
+    monkeypatch.setattr(mcap, "build_index", survey)
     log = tmp_path / "log.mcap"
     log.write_bytes(b"\x89MCAP0\r\n")
     result = CliRunner().invoke(cli, ["info", str(log)])
@@ -157,7 +157,7 @@ def test_errors_of_our_own_are_said_to_be_ours(tmp_path, monkeypatch):
     def survey(_source):
         raise TypeError("of all \x1b[2J things")
 
-    monkeypatch.setattr(mcap, "survey", survey)
+    monkeypatch.setattr(mcap, "build_index", survey)
     result = CliRunner().invoke(cli, ["info", str(log)])
     assert (result.exit_code, result.output.count("\n")) == (2, 1)
     assert result.output.startswith(

@@ -1,1 +1,1 @@
-"""Containers of encoded messages: where the bytes of each message are, and when it was recorded."""
+"""Containers of encoded messages: the bytes of each message, and when it was recorded."""

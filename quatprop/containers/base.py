@@ -1,7 +1,7 @@
-"""What all logs have in common, and containers of encoded messages.
+"""Base classes of logs: of all logs, and of containers of encoded messages.
 
-A container knows where the bytes of each message are and when it was recorded; what the bytes
-mean is the business of :mod:`quatprop.messages`. Tables are in :mod:`quatprop.tables.base`.
+A container gives the bytes of each message and when it was recorded; :mod:`quatprop.messages`
+decodes them. Tables are in :mod:`quatprop.tables.base`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 NO_BOUND = int(np.iinfo(np.int64).min)
-"""`not_before_ns` of a block that promises nothing about the blocks after it."""
+"""`not_before_ns` of a block that says nothing about the blocks after it."""
 
 LATEST = int(np.iinfo(np.int64).max)
 """The last nanosecond that fits int64, in the year 2262; `not_before_ns` of the last block."""
@@ -30,27 +30,26 @@ LATEST = int(np.iinfo(np.int64).max)
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One topic as one message type, however many connections or files carry it.
+    """A topic with one message type, in however many connections or files it was recorded.
 
     Parameters
     ----------
     topic
-        The name it was published under.
+        Name of the topic.
     type_name
         Message type as the log spells it, ROS names normalised to ``package/msg/Name``.
     encoding
         How the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``...
     schema_encoding
-        How the definition is written: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
-        ``"jsonschema"``, ``"protobuf"``, or ``""`` where the log carries none.
+        Language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
+        ``"jsonschema"``, ``"protobuf"``, or ``""`` if the log has none.
     schema
-        The definition as the log carries it; empty where it carries none.
+        The definition as the log has it; empty if it has none.
     count
-        Messages in the log where the container says so without reading them. Not part of a
-        channel's identity.
+        Number of messages, where it is known without reading them; not compared.
     sample
-        A message, for encodings whose messages tell their fields by themselves; empty where it
-        has not been looked at. Not part of a channel's identity.
+        A message, for encodings whose messages name their fields; empty if none was read; not
+        compared.
     """
 
     topic: str
@@ -64,7 +63,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class MessageBlock:
-    """Messages of one channel that lie in one buffer, usually a chunk.
+    """Messages of one channel in one buffer, usually a chunk.
 
     Message ``k`` is ``data[starts[k]:ends[k]]``.
 
@@ -75,8 +74,8 @@ class MessageBlock:
     starts, ends
         Where each message begins and ends, shape ``(N,)``, int64.
     log_ns, publish_ns
-        When each was recorded and published, shape ``(N,)``, int64 ns. Containers that know no
-        publish time give the log time twice.
+        When each was recorded and published, shape ``(N,)``, int64 ns. Containers without
+        publish times repeat the log times.
     not_before_ns
         No later block of this iteration holds a message with an earlier log time.
     """
@@ -94,16 +93,16 @@ class MessageBlock:
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Something of a damaged log that could not be read.
+    """A part of a damaged log that could not be read.
 
     Parameters
     ----------
     place
-        Where, in words a user can check: "chunk at byte 4096", "line 17".
+        Where it is, so that a user can look: "chunk at byte 4096", "line 17".
     reason
         Why it could not be read.
     messages
-        How many messages or rows are lost with it, where that is known.
+        How many messages or rows are lost, where that is known.
     """
 
     place: str
@@ -204,9 +203,9 @@ class MessageLog(Log):
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk.
 
-        Within a block messages are in the container's order. Blocks come so that
-        `not_before_ns` rises as early as it can;
-        :func:`quatprop.containers.merge.merge_by_time` turns them into time order.
+        Messages of a block are in the container's order. Blocks come in order of their earliest
+        log time where that is known; :func:`quatprop.containers.merge.merge_by_time` sorts what
+        was decoded from them.
 
         Parameters
         ----------
@@ -215,12 +214,12 @@ class MessageLog(Log):
         """
 
     def provenance(self, topic: str) -> dict[str, Any]:
-        """Return how a topic came about, as written beside it; empty where it is not.
+        """Return how the messages of a topic were made, if this package made them; else empty.
 
         Raises
         ------
         DamagedLogError
-            What is written there is not what this package writes.
+            The provenance is not what this package writes.
         """
         return provenance_of(self.recorded_provenance(), topic, self.path)
 

@@ -1,6 +1,6 @@
-"""Small blocks of messages put together: decoding takes its time by the block, not the message.
+"""Coalescing of small blocks of messages, since decoding costs time per block.
 
-A topic beside images has a handful of messages in each chunk.
+A topic that is recorded beside images has only a few messages in each chunk.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.spans import spans_of
+from quatprop.containers.byte_ranges import ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 ENOUGH_MESSAGES = 4096
-"""Messages in a block that is large enough by itself."""
+"""Messages of a block that is large enough."""
 
 ENOUGH_BYTES = 1 << 22
-"""Bytes of messages that wait at most, so that large messages do not pile up."""
+"""Bytes of messages that are collected at most, so that large messages do not fill the memory."""
 
 _GAP = 256
-"""Bytes between messages that are copied along: the heads of records, small other messages."""
+"""Bytes between two messages that are copied with them: record heads and small other messages."""
 
 
-def joined(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
-    """Put small blocks that follow each other together.
+def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
+    """Combine small blocks that follow each other.
 
     Parameters
     ----------
@@ -36,42 +36,42 @@ def joined(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
     Yields
     ------
     MessageBlock
-        The same messages in the same order. Nothing of a small block is kept but its messages,
-        so that buffers that are mostly of other channels can go.
+        The same messages in the same order. Of a small block only its messages are kept, so that
+        the memory of buffers that hold mostly other channels is freed.
     """
     waiting: list[MessageBlock] = []
     messages = size = 0
     for block in blocks:
         is_large = len(block) >= ENOUGH_MESSAGES // 2
         if not is_large:
-            waiting.append(_packed(block))
+            waiting.append(_compacted(block))
             messages += len(block)
             size += len(waiting[-1].data)
         if is_large or messages >= ENOUGH_MESSAGES or size >= ENOUGH_BYTES:
-            yield from _all_of(waiting)
+            yield from _combined(waiting)
             waiting, messages, size = [], 0, 0
         if is_large:
             yield block
-    yield from _all_of(waiting)
+    yield from _combined(waiting)
 
 
-def _packed(block: MessageBlock) -> MessageBlock:
-    """Return a block that has its messages' bytes for itself."""
+def _compacted(block: MessageBlock) -> MessageBlock:
+    """Return a copy of a block without the bytes between its messages."""
     if not len(block):
         return block
-    spans = spans_of(block.starts, block.ends, _GAP)
+    ranges = ranges_of(block.starts, block.ends, _GAP)
     return MessageBlock(
-        spans.of(block.data),
-        block.starts - spans.moved,
-        block.ends - spans.moved,
+        ranges.of(block.data),
+        block.starts - ranges.moved,
+        block.ends - ranges.moved,
         block.log_ns,
         block.publish_ns,
         block.not_before_ns,
     )
 
 
-def _all_of(blocks: list[MessageBlock]) -> Iterator[MessageBlock]:
-    """Yield blocks as one."""
+def _combined(blocks: list[MessageBlock]) -> Iterator[MessageBlock]:
+    """Yield one block with the messages of several."""
     if len(blocks) <= 1:
         yield from blocks
         return

@@ -1,7 +1,7 @@
-"""Unpacking chunks and messages in memory, and streams piece by piece.
+"""Decompress chunks and messages in memory, and files piece by piece.
 
-What a log says about the size of its unpacked data is checked, not believed: nothing is allocated
-beyond :data:`MAX_SIZE`, and data that unpacks to another size than declared is refused.
+The sizes that a log declares are checked: nothing is allocated beyond :data:`MAX_SIZE`, and data
+that decompresses to another size than declared is refused.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     Buffer = bytes | bytearray | memoryview
 
 MAX_SIZE = 1 << 30
-"""Bytes that one chunk or message may unpack to."""
+"""Bytes that one chunk or message may decompress to."""
 
 LARGE = 1 << 26
-"""Bytes of a chunk of which no second is unpacked ahead of its use."""
+"""Bytes from which a chunk is not decompressed ahead of its use."""
 
 _PIECE = 1 << 20
-"""Bytes that are unpacked at a time when streaming."""
+"""Bytes that are decompressed at a time when streaming."""
 
 _ZSTD_FEED = 1 << 12
-"""Packed bytes given to zstd at a time: four of them can unpack to 128 KiB, and it has no limit."""
+"""Bytes given to zstd at a time: its output has no limit, and 4 bytes can become 128 KiB."""
 
 
 class CompressionError(Exception):
-    """Packed data that cannot be unpacked; readers add the place.
+    """Data that cannot be decompressed; readers add the place.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class CompressionError(Exception):
 
 
 def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffer:
-    """Return `data` unpacked.
+    """Return `data` decompressed.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
     compression
         ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``.
     size
-        The unpacked size in bytes as the log declares it; None where it declares none.
+        The decompressed size in bytes as the log declares it; None if it declares none.
 
     Returns
     -------
     bytes or memoryview
-        Exactly `size` bytes; `data` itself where it is not packed.
+        Exactly `size` bytes; `data` itself where it is not compressed.
 
     Raises
     ------
@@ -74,41 +74,41 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
     >>> decompress(bz2.compress(b"0.1 rad/s"), "bz2", 9)
     b'0.1 rad/s'
     """
-    unpack = _UNPACK.get(compression)
-    if unpack is None:
+    decompressor = _DECOMPRESSORS.get(compression)
+    if decompressor is None:
         raise CompressionError(
             f"its compression {compression!r} is not one of none, lz4, zstd, bz2"
         )
     if size is None:
         return _undeclared(data, compression)
     if size > MAX_SIZE:
-        raise CompressionError(f"it declares {size} bytes unpacked, over the limit of {MAX_SIZE}")
+        raise CompressionError(f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}")
     try:
-        unpacked = unpack(data, size)
-    except damage_of(compression) as error:
+        result = decompressor(data, size)
+    except decompression_errors(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
-    if len(unpacked) != size:
-        raise CompressionError(f"it declares {size} bytes unpacked and holds {len(unpacked)}")
-    return unpacked
+    if len(result) != size:
+        raise CompressionError(f"it declares {size} bytes decompressed and holds {len(result)}")
+    return result
 
 
 def _undeclared(data: Buffer, compression: str) -> Buffer:
-    """Unpack data of unknown size piece by piece, so that the limit holds."""
+    """Decompress data of unknown size piece by piece, so that the limit holds."""
     if compression in {"", "none"}:
         return data
-    unpacked = bytearray()
+    result = bytearray()
     try:
-        for piece in pieces(BytesIO(data), compression):
-            unpacked += piece
-            if len(unpacked) > MAX_SIZE:
-                raise CompressionError(f"it unpacks to more than the limit of {MAX_SIZE} bytes")
-    except damage_of(compression) as error:
+        for piece in decompressed_pieces(BytesIO(data), compression):
+            result += piece
+            if len(result) > MAX_SIZE:
+                raise CompressionError(f"it decompresses to more than {MAX_SIZE} bytes")
+    except decompression_errors(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
-    return unpacked
+    return result
 
 
-def front(data: Buffer, compression: str, size: int) -> Buffer:
-    """Return what can be unpacked of data whose end is missing.
+def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
+    """Return what can be decompressed of data whose end is missing.
 
     Parameters
     ----------
@@ -117,28 +117,28 @@ def front(data: Buffer, compression: str, size: int) -> Buffer:
     compression
         As for :func:`decompress`.
     size
-        Bytes that the whole chunk unpacks to, as the log declares it.
+        Bytes that the whole chunk decompresses to, as the log declares it.
 
     Returns
     -------
     bytes or memoryview
-        At most `size` bytes, and at most :data:`MAX_SIZE`; empty where nothing can be unpacked.
+        At most `size` bytes, and at most :data:`MAX_SIZE`; empty if nothing can be decompressed.
     """
     if compression in {"", "none"}:
         return data
-    unpacked = bytearray()
-    most = min(size, MAX_SIZE)
-    if compression in _UNPACK:
-        with suppress(*damage_of(compression)):
-            for piece in pieces(_Trickle(data), compression):
-                unpacked += piece
-                if len(unpacked) >= most:
+    result = bytearray()
+    limit = min(size, MAX_SIZE)
+    if compression in _DECOMPRESSORS:
+        with suppress(*decompression_errors(compression)):
+            for piece in decompressed_pieces(_Trickle(data), compression):
+                result += piece
+                if len(result) >= limit:
                     break
-    return bytes(unpacked[:most])
+    return bytes(result[:limit])
 
 
 class _Trickle(BytesIO):
-    """Gives few bytes at a time: a library keeps to itself all that it made of a bad piece."""
+    """Gives few bytes at a time, since a library discards all output of a damaged piece."""
 
     def read(self, size: int | None = -1) -> bytes:
         """Return the next bytes, fewer than asked for."""
@@ -148,7 +148,7 @@ class _Trickle(BytesIO):
 
 
 class _Contexts(threading.local):
-    """Decompression contexts: making one costs more than unpacking a small chunk with it."""
+    """Decompression contexts: creating one costs more than decompressing a small chunk."""
 
     @cached_property
     def lz4(self) -> Any:
@@ -170,57 +170,57 @@ def _stored(data: Buffer, size: int) -> Buffer:  # noqa: ARG001  # the caller co
     return data
 
 
-def _unpack_lz4(data: Buffer, size: int) -> bytes:
-    # lz4.frame.decompress makes a context for every call and believes the size in the frame.
+def _decompress_lz4(data: Buffer, size: int) -> bytes:
+    # lz4.frame.decompress creates a context for every call and trusts the size in the frame.
     import lz4.frame
 
     lz4.frame.reset_decompression_context(_contexts.lz4)
-    unpacked, consumed, ended = lz4.frame.decompress_chunk(_contexts.lz4, data, max_length=size)
+    result, consumed, ended = lz4.frame.decompress_chunk(_contexts.lz4, data, max_length=size)
     if consumed != len(data):
         raise _holds_more(size)
     if not ended:
         raise EOFError
-    return bytes(unpacked)
+    return bytes(result)
 
 
-def _unpack_zstd(data: Buffer, size: int) -> bytes:
+def _decompress_zstd(data: Buffer, size: int) -> bytes:
     import zstandard
 
     in_frame = zstandard.frame_content_size(data)
     if in_frame not in {-1, size}:  # -1: the frame does not say
-        raise CompressionError(f"it declares {size} bytes unpacked and holds {in_frame}")
+        raise CompressionError(f"it declares {size} bytes decompressed and holds {in_frame}")
     if size == 0:
         return b""
     return bytes(_contexts.zstd.decompress(data, max_output_size=size))
 
 
-def _unpack_bz2(data: Buffer, size: int) -> bytes:
+def _decompress_bz2(data: Buffer, size: int) -> bytes:
     import bz2
 
     stream = bz2.BZ2Decompressor()
-    unpacked = stream.decompress(data, max_length=size)
+    result = stream.decompress(data, max_length=size)
     if not stream.eof and stream.decompress(b"", max_length=1):
         raise _holds_more(size)
     if not stream.eof:
         raise EOFError
-    return unpacked
+    return result
 
 
 def _holds_more(size: int) -> CompressionError:
-    return CompressionError(f"it declares {size} bytes unpacked and holds more")
+    return CompressionError(f"it declares {size} bytes decompressed and holds more")
 
 
-_UNPACK: dict[str, Callable[[Buffer, int], Buffer]] = {
+_DECOMPRESSORS: dict[str, Callable[[Buffer, int], Buffer]] = {
     "": _stored,
     "none": _stored,
-    "lz4": _unpack_lz4,
-    "zstd": _unpack_zstd,
-    "bz2": _unpack_bz2,
+    "lz4": _decompress_lz4,
+    "zstd": _decompress_zstd,
+    "bz2": _decompress_bz2,
 }
 
 
-def damage_of(compression: str) -> tuple[type[Exception], ...]:
-    """Return what the library of a compression raises for damaged data."""
+def decompression_errors(compression: str) -> tuple[type[Exception], ...]:
+    """Return the exceptions that the library of a compression raises for damaged data."""
     if compression == "zstd":
         import zstandard
 
@@ -229,8 +229,8 @@ def damage_of(compression: str) -> tuple[type[Exception], ...]:
     return (RuntimeError, OSError, EOFError, ValueError, zlib.error)
 
 
-def pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
-    """Yield the unpacked content of `file` in pieces of bounded size."""
+def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
+    """Yield the decompressed content of `file` in pieces of bounded size."""
     return _zstd_pieces(file) if compression == "zstd" else _file_pieces(file, compression)
 
 
@@ -256,12 +256,12 @@ def _file_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
 def _zstd_pieces(file: BinaryIO) -> Iterator[bytes]:
     # zstandard's own file reader takes a truncated file for a complete one.
     frame = None
-    while packed := file.read(_ZSTD_FEED):
-        while packed:
+    while data := file.read(_ZSTD_FEED):
+        while data:
             frame = frame or _contexts.zstd.decompressobj()
-            if piece := frame.decompress(packed):
+            if piece := frame.decompress(data):
                 yield piece
-            packed = frame.unused_data
+            data = frame.unused_data
             if frame.eof:
                 frame = None
     if frame is not None:

@@ -1,7 +1,7 @@
-"""What users may set about damaged and hostile logs, by environment variables.
+"""Limits for damaged and hostile logs, and the environment variables that change them.
 
-They are for the rare log that is right although it looks wrong, so they are no options of the
-commands.
+The variables are for the rare log that is right although it looks wrong, so there are no
+parameters for them.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from quatprop.errors import UsageError
 from quatprop.text import quoted
 
 CHECKSUMS = "QUATPROP_CHECKSUMS"
-"""``ignore``: chunks whose checksum is wrong are read all the same."""
-
+"""``ignore`` to read chunks whose checksum is wrong."""
 
 MAX_UNPACKED = "QUATPROP_MAX_UNPACKED"
-"""Bytes that a log may unpack to in all, such as ``64G``."""
+"""Bytes that a log may decompress to in all, such as ``64G``."""
 
 _LEAST = 2 << 30
 _TIMES = 200
@@ -27,69 +26,71 @@ _POWERS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 
 
 def checksums_matter() -> bool:
-    """Return whether what has a wrong checksum is left out."""
+    """Return whether data with a wrong checksum is left out."""
     return os.environ.get(CHECKSUMS, "").strip().lower() != "ignore"
 
 
-class UnpackBudget:
-    """Counts what one reading of a log unpacks to, up to the limit.
+class DecompressionBudget:
+    """Counts the bytes that one reading of a log decompresses to, up to the limit.
 
     Parameters
     ----------
-    packed
+    size
         Bytes of the file.
     """
 
-    def __init__(self, packed: int) -> None:
-        self._limit = unpacked_limit(packed)
-        self._unpacked = 0
+    def __init__(self, size: int) -> None:
+        self._limit = decompressed_limit(size)
+        self._spent = 0
 
     def check(self) -> None:
-        """Refuse to unpack more when more was unpacked than a log may have.
+        """Refuse to go on where more was decompressed than a log may have.
 
         Raises
         ------
         CompressionError
             The limit is exceeded.
         """
-        if self._unpacked > self._limit:
+        if self._spent > self._limit:
             raise CompressionError(too_large(self._limit))
 
     def spend(self, size: int) -> None:
-        """Count bytes that were unpacked."""
-        self._unpacked += size
+        """Count bytes that were decompressed."""
+        self._spent += size
 
 
-def unpacked_limit(packed: int) -> int:
-    """Return how many bytes a log may unpack to.
+def decompressed_limit(size: int) -> int:
+    """Return how many bytes a log may decompress to.
 
-    That is 2 GiB, or 200 times its size where that is more, unless the environment says another
-    number: no recording is packed as well as a file that was made to fill a disk.
+    That is 2 GiB, or 200 times its size if that is more, unless the environment variable says
+    otherwise: no recording compresses as well as a file that was made to fill a disk.
 
     Parameters
     ----------
-    packed
+    size
         Bytes of the file.
 
     Raises
     ------
     UsageError
-        What the environment says is no number of bytes.
+        The environment variable is no number of bytes.
 
     Examples
     --------
-    >>> unpacked_limit(1000) == 2 << 30
+    >>> decompressed_limit(1000) == 2 << 30
     True
     """
-    said = os.environ.get(MAX_UNPACKED, "").strip()
-    if not said:
-        return max(_LEAST, _TIMES * packed)
-    number = _BYTES.fullmatch(said)
+    value = os.environ.get(MAX_UNPACKED, "").strip()
+    if not value:
+        return max(_LEAST, _TIMES * size)
+    number = _BYTES.fullmatch(value)
     if number is None:
-        raise UsageError(f"{MAX_UNPACKED} is {quoted(said)}, which is no number of bytes like 64G")
+        raise UsageError(f"{MAX_UNPACKED} is {quoted(value)}, which is no number of bytes like 64G")
     return int(number[1]) << _POWERS[number[2].upper()]
 
 
 def too_large(limit: int) -> str:
-    """Return what is said of a log that unpacks to more."""
-    return f"it unpacks to more than {limit} bytes; if that is right, set {MAX_UNPACKED} to more"
+    """Return the reason for refusing a log that decompresses to more."""
+    return (
+        f"it decompresses to more than {limit} bytes; if that is right, set {MAX_UNPACKED} to more"
+    )

@@ -1,8 +1,7 @@
-"""Batches of decoded rows brought into the order of their log times.
+"""Merge batches of decoded rows by log time.
 
-A log may be split into files, and its chunks may overlap in time. What is held back is only what
-a later batch may still come before, so memory is bounded by how far batches overlap, not by the
-log.
+A log may be split into files, and its chunks may overlap in time. Rows are held back only while a
+later batch may still precede them, so memory use is bounded by how far batches overlap.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _NEVER = int(np.iinfo(np.int64).max) + 1
-"""The bound of a stream that has ended; later than every log time."""
+"""The bound of a stream that has ended: later than any log time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +44,9 @@ class Columns:
     def __len__(self) -> int:
         return len(self.log_ns)
 
-    def rows(self, chosen: slice | NDArray[np.int64]) -> Columns:
-        """Return some rows: views for a slice, copies for positions."""
-        return Columns(self.log_ns[chosen], tuple(column[chosen] for column in self.values))
+    def rows(self, selected: slice | NDArray[np.int64]) -> Columns:
+        """Return selected rows: views for a slice, copies for positions."""
+        return Columns(self.log_ns[selected], tuple(column[selected] for column in self.values))
 
 
 def merge_by_time(
@@ -55,27 +54,27 @@ def merge_by_time(
 ) -> Iterator[Columns]:
     """Merge streams of batches into one in order of log time.
 
-    Rows come out as a stable sort of all rows by log time would give them, equal times in order
-    of streams and then of arrival, provided that the streams keep what their batches promise.
+    The result is that of a stable sort of all rows by log time, with equal times in order of
+    streams and then of arrival, provided that no batch comes before its stream's bound.
 
-    A batch without a promise (:data:`~quatprop.containers.base.NO_BOUND`) is taken to end before
+    A batch without a bound (:data:`~quatprop.containers.base.NO_BOUND`) is taken to end before
     the next one of its stream begins; its stream need not be held in memory. Rows that come
-    earlier than promised are not lost: they come out as soon as they are read, out of order.
+    before their bound are not lost: they are yielded as soon as they are read, out of order.
 
     Parameters
     ----------
     streams
         Batches of rows, all with the same columns. A stream is asked for a batch only when all
-        the others have gone beyond what it has promised.
+        the others are beyond its bound.
     not_before_ns
-        The log time that no row of each stream is before, where that is known without opening
-        it; a stream is not asked for anything until the others come there.
+        For each stream a log time that none of its rows precedes, where that is known without
+        opening it; the stream is not opened until the others arrive there.
 
     Yields
     ------
     Columns
         Rows in order; `not_before_ns` is the last log time. A batch that is in order and does not
-        overlap others passes without being copied.
+        overlap others is not copied.
 
     Examples
     --------
@@ -90,7 +89,7 @@ def merge_by_time(
 
 
 class _Merge:
-    """The batches that wait, and what the streams promise."""
+    """The batches that are held back, and the bounds of the streams."""
 
     def __init__(self, streams: Sequence[Iterable[Columns]], bounds: Sequence[int]) -> None:
         self.streams = [iter(stream) for stream in streams]
@@ -100,7 +99,7 @@ class _Merge:
         self.arrivals = 0
 
     def advance(self) -> bool:
-        """Ask the stream that holds up the others for a batch; False where all have ended."""
+        """Ask the stream with the lowest bound for a batch; False if all have ended."""
         bound = min(self.bounds, default=_NEVER)
         if bound == _NEVER:
             return False
@@ -112,9 +111,10 @@ class _Merge:
             self.bounds[stream] = max(bound, batch.not_before_ns)
         else:
             batch = _sorted(batch)
-            promised = batch.not_before_ns
-            known = int(batch.log_ns[-1]) if promised == NO_BOUND else promised
-            self.bounds[stream] = max(bound, known)
+            not_before_ns = batch.not_before_ns
+            if not_before_ns == NO_BOUND:
+                not_before_ns = int(batch.log_ns[-1])
+            self.bounds[stream] = max(bound, not_before_ns)
             self._wait(batch, stream, self.arrivals)
             self.arrivals += 1
         return True
@@ -123,7 +123,7 @@ class _Merge:
         heappush(self.waiting, (int(batch.log_ns[0]), stream, arrival, batch))
 
     def ready(self) -> Iterator[Columns]:
-        """Yield the rows that nothing can come before any more."""
+        """Yield the rows that nothing can precede any more."""
         bound = min(self.bounds)
         holding = self.bounds.index(bound)
         group: list[tuple[int, int, Columns]] = []
@@ -132,18 +132,18 @@ class _Merge:
             first = (int(part.log_ns[0]), stream, arrival)
             last = (int(part.log_ns[-1]), stream, arrival)
             if ends is not None and ends < first:
-                yield _joined(group)
+                yield _merged(group)
                 group, ends = [], None
             group.append((stream, arrival, part))
             ends = last if ends is None else max(ends, last)
         if group:
-            yield _joined(group)
+            yield _merged(group)
 
     def _parts(self, bound: int, holding: int) -> Iterator[tuple[int, int, Columns]]:
-        """Take the ready rows out of the batches that wait.
+        """Take the ready rows out of the batches that are held back.
 
-        Rows at the bound itself are ready unless the stream that holds up the others comes
-        before theirs: it may still give rows of that time.
+        Rows at the bound itself are ready unless the stream with the lowest bound comes before
+        theirs: it may still have rows of that time.
         """
         while self.waiting and self.waiting[0][:2] <= (bound, holding):
             _, stream, arrival, batch = heappop(self.waiting)
@@ -163,7 +163,7 @@ def _sorted(batch: Columns) -> Columns:
     return Columns(rows.log_ns, rows.values, batch.not_before_ns)
 
 
-def _joined(group: list[tuple[int, int, Columns]]) -> Columns:
+def _merged(group: list[tuple[int, int, Columns]]) -> Columns:
     """Return parts that overlap in time as one batch, equal times in order of stream, arrival."""
     if len(group) == 1:
         part = group[0][2]

@@ -1,4 +1,4 @@
-"""Work done ahead of its use, in threads: reading and unpacking let other Python code run."""
+"""Results computed ahead of their use, in threads: reading and decompressing release the GIL."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _WORKERS = max(1, min(3, (os.cpu_count() or 1) - 1))
-"""One core is left to whoever uses the results."""
+"""One core is left to the consumer of the results."""
 
-_WORTH = 2
-"""Fewer threads than this gain nothing: one alone is slowed by handing over what it has done."""
+_MIN_WORKERS = 2
+"""One thread alone gains nothing: handing over its results costs as much."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deferred(Generic[Result]):
-    """What is too large to wait for its use.
+    """A result that is too large to be computed ahead of its use.
 
     Parameters
     ----------
-    make
-        Gives the result when its turn has come.
+    compute
+        Computes the result when it is its turn.
     """
 
-    make: Callable[[], Result]
+    compute: Callable[[], Result]
 
 
 def prefetch(
@@ -39,13 +39,13 @@ def prefetch(
 ) -> Generator[Result, None, None]:
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
-    Close the iterator to stop early: what has begun is waited for, what has not is dropped.
+    Close the iterator to stop early: calls that have begun are waited for, others are dropped.
 
     Parameters
     ----------
     function
-        Called in other threads, several at a time; what it leaves for later is made when it is
-        asked for, and not before.
+        Called in other threads, several at a time; a result that it defers is computed in the
+        caller's thread when it is its turn.
     items
         What to call it with.
 
@@ -54,8 +54,8 @@ def prefetch(
     >>> list(prefetch(abs, [3, -1, -2, 0]))
     [3, 1, 2, 0]
     """
-    if _WORKERS < _WORTH or len(items) <= 1 + _WORKERS:
-        yield from (_now(function(item)) for item in items)
+    if _WORKERS < _MIN_WORKERS or len(items) <= 1 + _WORKERS:
+        yield from (_computed(function(item)) for item in items)
         return
     from concurrent.futures import ThreadPoolExecutor
 
@@ -65,12 +65,12 @@ def prefetch(
         for item in items:
             waiting.append(pool.submit(function, item))
             if len(waiting) > _WORKERS:
-                yield _now(waiting.popleft().result())
+                yield _computed(waiting.popleft().result())
         while waiting:
-            yield _now(waiting.popleft().result())
+            yield _computed(waiting.popleft().result())
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _now(result: Result | Deferred[Result]) -> Result:
-    return result.make() if isinstance(result, Deferred) else result
+def _computed(result: Result | Deferred[Result]) -> Result:
+    return result.compute() if isinstance(result, Deferred) else result

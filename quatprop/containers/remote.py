@@ -1,4 +1,4 @@
-"""Logs in object stores, copied to this machine while they are read."""
+"""Logs in object stores, copied to this machine for the time they are read."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 BLOCK_BYTES = 1 << 24
 """Bytes that are copied at a time."""
 
-PATIENCE_S = 10
-"""Seconds for which a store that does not answer is asked again."""
+RETRY_S = 10
+"""Seconds for which a store that does not answer is retried."""
 
-REASON = 240
-"""Letters of what a store's library says that are shown; the rest repeats itself."""
+MAX_REASON = 240
+"""Characters of a store library's message that are shown; the rest repeats itself."""
 
 
 def is_address(path: Path | str) -> bool:
-    """Tell an address such as ``s3://bucket/log.mcap`` from a path."""
+    """Tell whether a path is an address such as ``s3://bucket/log.mcap``."""
     return "://" in str(path)
 
 
 def without_secret(path: Path | str) -> str:
-    """Return a path or an address as it may be recorded: without a key that it carries.
+    """Return a path or an address as it may be recorded: without credentials in it.
 
     Examples
     --------
@@ -47,14 +47,14 @@ def without_secret(path: Path | str) -> str:
 
 @contextmanager
 def local_copy(address: str) -> Iterator[Path]:
-    """Copy a log from an object store into a temporary folder; it goes when the block ends.
+    """Copy a log from an object store into a temporary folder, removed when the block ends.
 
     Parameters
     ----------
     address
         Of a file, or of a folder with a ROS 2 bag, in a file system that Arrow knows: ``s3://``,
-        ``gs://``, ``abfs://``, ``hdfs://``, ``file://``. Credentials are taken from where the
-        store's own tools take them.
+        ``gs://``, ``abfs://``, ``hdfs://``, ``file://``. Credentials are looked up as
+        the store's own tools do.
 
     Yields
     ------
@@ -64,14 +64,14 @@ def local_copy(address: str) -> Iterator[Path]:
     Raises
     ------
     UnreadableLogError
-        The store does not know the address, or does not let it be read.
+        There is no such object, or it may not be read.
     """
     name = without_secret(address)
     with tempfile.TemporaryDirectory(prefix="quatprop-") as folder:
         try:
             target = _interruptible(lambda: _copied(address, Path(folder)))
         except (OSError, ValueError) as error:
-            reason = shorten(str(error).replace(address, name), REASON, placeholder="...")
+            reason = shorten(str(error).replace(address, name), MAX_REASON, placeholder="...")
             raise UnreadableLogError(
                 name,
                 f"it cannot be read from its store ({reason}); check the address and access",
@@ -80,10 +80,10 @@ def local_copy(address: str) -> Iterator[Path]:
 
 
 def _copied(address: str, folder: Path) -> Path:
-    """Copy what is at an address into a folder, and return the copy."""
+    """Copy the object at an address into a folder, and return the copy."""
     from pyarrow.fs import FileSystem, FileType
 
-    store, place = FileSystem.from_uri(_impatient(address))
+    store, place = FileSystem.from_uri(_with_retry_limit(address))
     found = store.get_file_info(place)
     target = folder / PurePosixPath(place).name
     if found.type == FileType.NotFound:
@@ -96,21 +96,21 @@ def _copied(address: str, folder: Path) -> Path:
     return target
 
 
-def _impatient(address: str) -> str:
-    """Return an address whose store is not asked again for a quarter of an hour, as gs:// is."""
+def _with_retry_limit(address: str) -> str:
+    """Return an address with a limit of retries: gs:// goes on for a quarter of an hour."""
     if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
         return address
-    return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={PATIENCE_S}"
+    return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
 
 
 def _interruptible(work: Callable[[], Path]) -> Path:
-    """Do something that hears no Ctrl-C in a thread, so that the waiting for it does."""
+    """Run `work` in a thread and wait for it, so that Ctrl-C is noticed."""
     done: Future[Path] = Future()
 
     def run() -> None:
         try:
             done.set_result(work())
-        except BaseException as error:  # noqa: BLE001  # it is raised where it is waited for
+        except BaseException as error:  # noqa: BLE001  # raised in the thread that waits
             done.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()

@@ -1,7 +1,7 @@
-"""PX4 ULog files: messages of every topic instance, packed one behind the other.
+"""PX4 ULog files.
 
-A file is a row of records: two bytes of length, one of kind, the content. Their borders are found
-once, in one walk; what the messages mean is read like that of any other container.
+A file is a sequence of records: two bytes of length, one byte of kind, the content. They are
+located in one walk when the file is opened.
 
 References
 ----------
@@ -43,7 +43,7 @@ _WINDOW = 1 << 22
 """Bytes that are read at a time; a record has less than 65,539."""
 
 SYNC = bytes.fromhex("2f731320250cbb12")
-"""Content of records that are there to be found again behind damage."""
+"""Content of the synchronisation records from which reading resumes after damage."""
 
 _HEAD = struct.Struct("<HB")
 _FLAGS = struct.Struct("<8s8s3Q")
@@ -54,7 +54,7 @@ _WORD = re.compile(r"\w+")
 
 @dataclass(slots=True)
 class _Records:
-    """What a walk over the records found."""
+    """The result of a walk over the records."""
 
     losses: Losses
     formats: dict[str, str] = field(default_factory=dict)
@@ -67,7 +67,7 @@ class _Records:
 class UlogLog(MessageLog):
     """A ULog file; see :class:`quatprop.containers.base.MessageLog`.
 
-    Topics are named ``sensor_combined/0``: the message and which of its instances.
+    Topics are named ``sensor_combined/0``: the message and its instance.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class UlogLog(MessageLog):
     UnreadableLogError
         The file may not be read.
     UnsupportedLogError
-        It uses a feature that is not known.
+        It uses a feature that is not supported.
     DamagedLogError
         It ends within its header.
     """
@@ -90,17 +90,17 @@ class UlogLog(MessageLog):
         self._source = source_of(log)
         super().__init__(self._source.path)
         try:
-            records = self._walked()
+            records = self._walk()
         except BaseException:
             self._source.close()
             raise
         self._offsets = np.array(records.offsets, np.int64)
         self._sizes = np.array(records.sizes, np.int64)
         self._ids = np.array(records.ids, np.int64)
-        self._channels = self._found(records)
+        self._channels = _ids_by_channel(records)
 
-    def _walked(self) -> _Records:
-        """Follow the records, of the file as it was and of what was appended to it."""
+    def _walk(self) -> _Records:
+        """Follow the records of the file and of the data appended to it."""
         if self._source.size < HEADER_SIZE:
             raise DamagedLogError(self.path, "it ends within its header; was it copied whole?")
         records = _Records(self.losses)
@@ -110,7 +110,7 @@ class UlogLog(MessageLog):
         return records
 
     def _appended(self) -> list[int]:
-        """Return where data was appended, from the flags, which come first if at all."""
+        """Return where data was appended, from the flags at the beginning, if there are any."""
         begin = self._source.read(HEADER_SIZE, _HEAD.size + _FLAGS.size)
         if len(begin) < _HEAD.size + _FLAGS.size:
             return []
@@ -126,29 +126,14 @@ class UlogLog(MessageLog):
             )
         return [offset for offset in sorted(offsets) if HEADER_SIZE < offset < self._source.size]
 
-    def _found(self, records: _Records) -> dict[Channel, list[int]]:
-        """Return the ids of each channel; one that was left and taken up again may have two."""
-        ids: dict[Channel, list[int]] = {}
-        for id_, (name, instance) in sorted(records.subscriptions.items()):
-            channel = Channel(
-                topic=f"{name}/{instance}",
-                type_name=px4_name(name),
-                encoding="ulog",
-                schema_encoding="ulog",
-                schema=_definition(name, records.formats),
-            )
-            ids.setdefault(channel, []).append(id_)
-        return ids
-
     def channels(self) -> list[Channel]:
         """Return every topic instance, in order of topic."""
-        known, counts = np.unique(self._ids, return_counts=True)
-        count_of = dict(zip(known.tolist(), counts.tolist(), strict=True))
-        every = [
-            replace(channel, count=sum(count_of.get(one, 0) for one in ids))
+        counts = np.bincount(self._ids, minlength=1 << 16)
+        channels = [
+            replace(channel, count=int(counts[ids].sum()))
             for channel, ids in self._channels.items()
         ]
-        return sorted(every, key=lambda channel: channel.topic)
+        return sorted(channels, key=lambda channel: channel.topic)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.
@@ -164,8 +149,8 @@ class UlogLog(MessageLog):
             Log and publish times are the messages' own time stamps.
         """
         stamps = decoder_of(channel, ["timestamp"], self.path)
-        chosen = np.flatnonzero(np.isin(self._ids, self._channels.get(channel, [])))
-        for places in self._stretches(chosen):
+        selected = np.flatnonzero(np.isin(self._ids, self._channels.get(channel, [])))
+        for places in self._windows(selected):
             block = self._block(places)
             try:
                 (timestamp,) = stamps.columns(block)
@@ -177,18 +162,18 @@ class UlogLog(MessageLog):
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
 
-    def _stretches(self, chosen: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-        """Cut messages into parts that are not many and lie together."""
-        offsets = self._offsets[chosen]
+    def _windows(self, selected: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        """Split messages into parts of bounded number and extent."""
+        offsets = self._offsets[selected]
         start = 0
-        while start < len(chosen):
+        while start < len(selected):
             reach = int(offsets.searchsorted(offsets[start] + _WINDOW))
             stop = max(start + 1, min(start + BLOCK, reach))
-            yield chosen[start:stop]
+            yield selected[start:stop]
             start = stop
 
     def _block(self, places: NDArray[np.int64]) -> MessageBlock:
-        """Read messages; those that are not there any more are left out and told."""
+        """Read messages; those beyond a file that has become shorter are noted as lost."""
         offsets, sizes = self._offsets[places], self._sizes[places]
         base = int(offsets[0])
         try:
@@ -198,12 +183,12 @@ class UlogLog(MessageLog):
             self.losses.note(f"byte {base}", f"it cannot be read: {error.strerror}")
         begin = offsets - base + _HEAD.size
         ends = begin + sizes
-        there = int(ends.searchsorted(len(data), "right"))
-        if there < len(places):
+        whole = int(ends.searchsorted(len(data), "right"))
+        if whole < len(places):
             place = f"byte {base + len(data)}"
-            self.losses.note(place, "the file has become shorter", len(places) - there)
-        # The id of the subscription is no part of the message.
-        begin, ends = begin[:there] + 2, ends[:there]
+            self.losses.note(place, "the file has become shorter", len(places) - whole)
+        # The subscription id before the message is not part of it.
+        begin, ends = begin[:whole] + 2, ends[:whole]
         return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
 
     def close(self) -> None:
@@ -211,25 +196,40 @@ class UlogLog(MessageLog):
         self._source.close()
 
 
+def _ids_by_channel(records: _Records) -> dict[Channel, list[int]]:
+    """Return the ids of each channel; one that was unsubscribed and subscribed again has two."""
+    ids: dict[Channel, list[int]] = {}
+    for id_, (name, instance) in sorted(records.subscriptions.items()):
+        channel = Channel(
+            topic=f"{name}/{instance}",
+            type_name=px4_name(name),
+            encoding="ulog",
+            schema_encoding="ulog",
+            schema=_definition(name, records.formats),
+        )
+        ids.setdefault(channel, []).append(id_)
+    return ids
+
+
 def _walk(source: FileSource, position: int, end: int, records: _Records) -> None:
-    """Follow records by their lengths; behind damage go on at the next mark, if there is one."""
+    """Follow records by their lengths; after damage resume at the next synchronisation record."""
     while position + _HEAD.size <= end:
         data = source.read(position, min(_WINDOW, end - position))
         if len(data) < _HEAD.size:
             break
-        taken = _followed(data, position, records)
-        if not taken:
-            after = _behind_mark(source, position, end)
+        size = _add_records(data, position, records)
+        if not size:
+            after = _after_sync(source, position, end)
             reason = f"its records cannot be followed for {after - position} bytes"
             records.losses.note(f"byte {position}", reason)
-            taken = after - position
-        position += taken
+            size = after - position
+        position += size
     if position < end:
         records.losses.note(f"byte {position}", "the last record is cut off")
 
 
-def _followed(data: bytes, base: int, records: _Records) -> int:
-    """Take records up to the first that is none, or not whole; return how many bytes they have."""
+def _add_records(data: bytes, base: int, records: _Records) -> int:
+    """Add records up to the first that is damaged or not whole; return their bytes."""
     unpack, size_of_head = _HEAD.unpack_from, _HEAD.size
     offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
     position, last = 0, len(data) - size_of_head
@@ -254,13 +254,13 @@ def _followed(data: bytes, base: int, records: _Records) -> int:
     return position
 
 
-def _behind_mark(source: FileSource, position: int, end: int) -> int:
-    """Return where the next mark ends; `end` where there is none."""
+def _after_sync(source: FileSource, position: int, end: int) -> int:
+    """Return where the next synchronisation record ends; `end` if there is none."""
     while position < end:
         data = source.read(position, min(_WINDOW, end - position))
-        found = data.find(SYNC)
-        if found >= 0:
-            return position + found + len(SYNC)
+        at = data.find(SYNC)
+        if at >= 0:
+            return position + at + len(SYNC)
         if len(data) < _WINDOW:
             break
         position += len(data) - len(SYNC) + 1  # it may lie across the border
@@ -268,9 +268,9 @@ def _behind_mark(source: FileSource, position: int, end: int) -> int:
 
 
 def _definition(name: str, formats: dict[str, str]) -> bytes:
-    """Return the definition of a message and of all types inside it, a line each."""
+    """Return the definitions of a message and of all types inside it, one a line."""
     needed = [name] if name in formats else []
-    for one in needed:
-        inside = dict.fromkeys(_WORD.findall(formats[one]))
-        needed += [other for other in inside if other in formats and other not in needed]
-    return "\n".join(f"{one}:{formats[one]}" for one in needed).encode()
+    for type_name in needed:
+        words = dict.fromkeys(_WORD.findall(formats[type_name]))
+        needed += [word for word in words if word in formats and word not in needed]
+    return "\n".join(f"{type_name}:{formats[type_name]}" for type_name in needed).encode()

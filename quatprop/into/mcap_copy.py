@@ -13,10 +13,10 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
 
-from quatprop.containers.limits import UnpackBudget
-from quatprop.containers.mcap.messages import at_offsets, walk
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.mcap.messages import messages_at, walk_records
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
-from quatprop.containers.mcap.summary import MAGIC, MALFORMED, Content, Survey, read_footer
+from quatprop.containers.mcap.summary import MAGIC, MALFORMED, McapIndex, RecordStream, read_footer
 from quatprop.errors import DamagedLogError, UnreadableLogError
 from quatprop.writers.mcap.contents import McapContents
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.containers.mcap.messages import Messages
+    from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
 
@@ -72,8 +72,8 @@ class McapCopy:
     """
 
     def __init__(self, log: McapLog) -> None:
-        self._path, self._source, overview = log.path, log.source, log.contents
-        self._budget = UnpackBudget(self._source.size)
+        self._path, self._source, overview = log.path, log.source, log.index
+        self._budget = DecompressionBudget(self._source.size)
         try:
             footer = read_footer(self._source)
             self.header = _header(self._source)
@@ -110,7 +110,7 @@ class McapCopy:
     def _copy_messages(self, region: Region, file: McapFile) -> None:
         """Copy messages that are outside chunks."""
         data = self._read(region.start, region.length)
-        messages = at_offsets(data, walk(data).offsets)
+        messages = messages_at(data, walk_records(data).offsets)
         if messages:
             span = int(messages.log_ns.min()), int(messages.log_ns.max())
             self.contents.loose.append(span)
@@ -160,7 +160,7 @@ class McapCopy:
             data, *_ = load(self._source, region, self._budget)
         except RegionError:
             return {}  # copied as it is; the reader of its messages reports it
-        messages = at_offsets(data, walk(data).offsets)
+        messages = messages_at(data, walk_records(data).offsets)
         offsets = {}
         for id_, entries in _entries(messages).items() if messages else ():
             offsets[id_] = file.size
@@ -191,15 +191,15 @@ class McapCopy:
         content = self._read(at + RECORD.size, size)
         total = RECORD.size + length
         if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            defined = Survey()
+            defined = McapIndex()
             defined.define(opcode, content, "")
             return not defined.losses
         try:
             if opcode == Opcode.METADATA:
-                name = Metadata.read(Content(content)).name
+                name = Metadata.read(RecordStream(content)).name
                 self.contents.metadata.append(MetadataIndex(place, total, name))
             else:
-                self.contents.attachments.append(_attachment(Content(content), place, total))
+                self.contents.attachments.append(_attachment(RecordStream(content), place, total))
         except MALFORMED:
             return False
         return True
@@ -225,7 +225,7 @@ def _header(source: FileSource) -> Header:
     if opcode == Opcode.HEADER:
         try:
             content = source.read(len(MAGIC) + RECORD.size, min(length, _NAMES))
-            header: Header = Header.read(Content(content))
+            header: Header = Header.read(RecordStream(content))
         except MALFORMED:
             return Header("", "")
         return header
@@ -245,14 +245,14 @@ def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
     return offsets if at == len(index) else {}
 
 
-def _attachment(content: Content, place: int, length: int) -> AttachmentIndex:
+def _attachment(content: RecordStream, place: int, length: int) -> AttachmentIndex:
     """Return the index record of an attachment, from the beginning of its content."""
     log_ns, made_ns = content.read8(), content.read8()
     name, media_type = content.read_prefixed_string(), content.read_prefixed_string()
     return AttachmentIndex(place, length, log_ns, made_ns, content.read8(), name, media_type)
 
 
-def _entries(messages: Messages) -> Mapping[int, np.ndarray]:
+def _entries(messages: LocatedMessages) -> Mapping[int, np.ndarray]:
     """Return the message index of each channel of a chunk, in order of log times."""
     entries = np.empty(len(messages), _ENTRY)
     entries["log"] = messages.log_ns

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.rosbag1.index import content
+from quatprop.containers.rosbag1.index import read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.rosbag1.index import Chunk
+    from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
     from quatprop.writers.rosbag1.file import BagFile
@@ -76,7 +76,7 @@ class BagCopy:
             self._next += 1
             self._copy(chunk, bag)
 
-    def _copy(self, chunk: Chunk, bag: BagFile) -> None:
+    def _copy(self, chunk: BagChunk, bag: BagFile) -> None:
         try:
             record = None if chunk.loose else self._file.record(chunk.start)
             if record is not None and record.op == OP_CHUNK and record.end <= self._file.size:
@@ -84,7 +84,7 @@ class BagCopy:
                 if indexes is not None:
                     bag.append_chunk(self._pieces(record), indexes)
                     return
-            loaded = content(self._file, chunk)
+            loaded = read_chunk(self._file, chunk)
         except (CompressionError, MalformedRecordError):
             return  # the reader of its messages reports it
         indexes, end = _walked(loaded.data)
@@ -95,7 +95,7 @@ class BagCopy:
             whole = records.record(records.CHUNK, records.chunk_head("none", end), data)
             bag.append_chunk([whole], indexes)
 
-    def _index_of(self, chunk: Chunk, record: Record) -> Indexes | None:
+    def _index_of(self, chunk: BagChunk, record: Record) -> Indexes | None:
         """Return the index of a chunk where it is as complete as the bag's index says."""
         if not record.end <= chunk.end <= self._file.size:
             return None

@@ -6,7 +6,7 @@ import sqlite3
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
-from quatprop.containers.rosbag2.db3 import not_yet_inside, read_only
+from quatprop.containers.rosbag2.db3 import files_beside, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,7 +30,7 @@ def first_ns(path: Path) -> int:
 
 def _original(path: Path) -> sqlite3.Connection:
     """Open a database to be copied, with its write-ahead log."""
-    return sqlite3.connect(read_only(path, not_yet_inside(path)), uri=True)
+    return sqlite3.connect(read_only(path, files_beside(path)), uri=True)
 
 
 class SqlitePart:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
-from quatprop.containers.coalesce import joined
+from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
@@ -149,7 +149,7 @@ class MessageReader(Protocol):
         Raises
         ------
         MessageError
-            Messages do not fit; its `positions` say which.
+            LocatedMessages do not fit; its `positions` say which.
         """
 
 
@@ -263,7 +263,8 @@ def stamps_logged(
 
 
 def _in_log_order(log: MessageLog, channel: Channel, reader: MessageReader) -> Iterator[Columns]:
-    batches = (_readable(log, channel, reader, block) for block in joined(log.blocks(channel)))
+    blocks = coalesce_blocks(log.blocks(channel))
+    batches = (_readable(log, channel, reader, block) for block in blocks)
     return merge_by_time([batches])
 
 

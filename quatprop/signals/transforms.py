@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.containers.coalesce import joined
+from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.transforms import TransformDecoder
@@ -65,7 +65,7 @@ def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Fram
         The topic has no transforms at all.
     """
     decoder = TransformDecoder(channel, log.path)
-    for block in joined(log.blocks(channel)):
+    for block in coalesce_blocks(log.blocks(channel)):
         try:
             decoder.transforms(block)
         except MessageError as error:

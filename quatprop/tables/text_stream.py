@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import pyarrow as pa
 
-from quatprop.containers.packed_files import file_compression
+from quatprop.containers.compressed_files import file_compression
 from quatprop.text import plain
 
 if TYPE_CHECKING:

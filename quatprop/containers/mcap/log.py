@@ -12,13 +12,25 @@ import numpy as np
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import LARGE
 from quatprop.containers.file_source import source_of
-from quatprop.containers.limits import UnpackBudget
-from quatprop.containers.mcap.messages import at_offsets, indexed, walk, with_marks
-from quatprop.containers.mcap.metadata import recorded_provenance
-from quatprop.containers.mcap.picked import picked
-from quatprop.containers.mcap.regions import PEEK, Loaded, RegionError, chunk_head, is_plain, load
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.mcap.index import build_index
+from quatprop.containers.mcap.messages import (
+    indexed_offsets,
+    messages_at,
+    messages_past_damage,
+    walk_records,
+)
+from quatprop.containers.mcap.metadata import read_provenance
+from quatprop.containers.mcap.regions import (
+    PEEK,
+    Loaded,
+    RegionError,
+    chunk_head,
+    is_uncompressed,
+    load,
+)
+from quatprop.containers.mcap.selected import selected_messages
 from quatprop.containers.mcap.summary import MAGIC
-from quatprop.containers.mcap.survey import survey
 from quatprop.containers.prefetch import Deferred, prefetch
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
@@ -28,11 +40,11 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.messages import Messages
+    from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
-    from quatprop.containers.mcap.summary import Survey
+    from quatprop.containers.mcap.summary import McapIndex
 
-    Content = Loaded | tuple[Buffer, Messages] | RegionError
+    RegionContent = Loaded | tuple[Buffer, LocatedMessages] | RegionError
 
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
@@ -49,8 +61,8 @@ class McapLog(MessageLog):
     ----------
     source
         The open file.
-    contents
-        What it holds.
+    index
+        What it holds and where.
 
     Raises
     ------
@@ -71,17 +83,16 @@ class McapLog(MessageLog):
             magic = self.source.read(0, len(MAGIC))
             if magic != MAGIC:
                 self._refuse(magic)
-            found = survey(self.source)
+            self.index = index = build_index(self.source)
         except BaseException as error:
             self.close()
             if isinstance(error, OSError):
                 raise self._unreadable(error) from error
             raise
-        self.contents = found
-        self._regions = found.regions
-        self._ids = _by_identity(found)
-        self._stated = found.counts
-        self.losses = found.losses
+        self._regions = index.regions
+        self._ids = _ids_by_channel(index)
+        self._stated = index.counts
+        self.losses = index.losses
         if self.losses and not (self._ids or self._regions):
             first = self.losses[0]
             raise DamagedLogError(
@@ -95,25 +106,25 @@ class McapLog(MessageLog):
                 self.path, f"it is MCAP of version {version!r} and only version '0' is read"
             )
         raise DamagedLogError(
-            self.path, "it does not begin as an MCAP file; check that it was copied whole"
+            self.path, "it does not begin as an MCAP file; check that the whole file was copied"
         )
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with or without messages."""
-        every = [replace(channel, count=self._count(ids)) for channel, ids in self._ids.items()]
-        return sorted(every, key=lambda channel: (channel.topic, channel.type_name))
+        channels = [replace(channel, count=self._count(ids)) for channel, ids in self._ids.items()]
+        return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
     def _count(self, ids: Sequence[int]) -> int | None:
-        """Return how many messages the channels of these ids have, where that is known."""
+        """Return how many messages the channels of these ids have; None if that is unknown."""
         if self._stated is not None:
-            return sum(self._stated.get(one, 0) for one in ids)
-        return _total(self._regions, ids)
+            return sum(self._stated.get(id_, 0) for id_ in ids)
+        return _message_count(self._regions, ids)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
-        Packed chunks are read and unpacked ahead, in threads. Only chunks that hold the channel are
-        read, and nothing is kept, so that memory does not grow with the file.
+        Compressed chunks are read and decompressed ahead, in threads. Only chunks that hold the
+        channel are read, and none is kept, so memory use does not grow with the file.
 
         Parameters
         ----------
@@ -129,28 +140,28 @@ class McapLog(MessageLog):
         regions = [r for r in self._regions if r.holds is None or any(i in r.holds for i in ids)]
         regions.sort(key=lambda region: (region.first_ns, region.start))
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
-        found = 0
-        load_one = partial(_load, self.source, UnpackBudget(self.source.size), ids)
-        with closing(_each(self.source, load_one, regions)) as loaded:
+        count = 0
+        load_one = partial(_load, self.source, DecompressionBudget(self.source.size), ids)
+        with closing(_loaded(self.source, load_one, regions)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
-                    lost = _total([region], ids)
+                    lost = _message_count([region], ids)
                     self.losses.note(region.place, content.reason, lost, channel.topic)
-                    found += lost or 0
+                    count += lost or 0
                     continue
                 if isinstance(content, Loaded):
                     data, messages = content.data, self._messages(content, region, ids)
                 else:
                     data, messages = content
                 if messages:
-                    found += len(messages)
+                    count += len(messages)
                     yield _block(data, messages, bound)
-        self._check_count(channel.topic, ids, found)
+        self._check_count(channel.topic, ids, count)
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which a metadata record may carry, as JSON."""
         try:
-            return recorded_provenance(self.source)
+            return read_provenance(self.source, self.index.metadata)
         except OSError as error:
             raise self._unreadable(error) from error
 
@@ -158,11 +169,11 @@ class McapLog(MessageLog):
         """Close the file."""
         self.source.close()
 
-    def _check_count(self, topic: str, ids: Sequence[int], told: int) -> None:
-        """Note when the file states more messages than were read or told as lost."""
+    def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
+        """Note a loss if the file states more messages than were read or lost."""
         if self._stated is None:
             return
-        missing = sum(self._stated.get(one, 0) for one in ids) - told
+        missing = sum(self._stated.get(id_, 0) for id_ in ids) - count
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
             self.losses.note("summary", reason, missing, topic)
@@ -170,15 +181,17 @@ class McapLog(MessageLog):
     def _unreadable(self, error: OSError) -> UnreadableLogError:
         return UnreadableLogError(self.path, f"{error.strerror}; check the path")
 
-    def _messages(self, loaded: Loaded, region: Region, ids: Sequence[int]) -> Messages | None:
-        """Locate the messages of a region: by its index, or where that fails by its records."""
+    def _messages(
+        self, loaded: Loaded, region: Region, ids: Sequence[int]
+    ) -> LocatedMessages | None:
+        """Locate the messages of a region by its index or, if that fails, by its records."""
         data, raw, damage = loaded
-        offsets = indexed(raw, region.start, region, ids)
+        offsets = indexed_offsets(raw, region.start, region, ids)
         if offsets is not None:
-            messages = at_offsets(data, offsets)
+            messages = messages_at(data, offsets)
             if messages is not None and messages.are_all_of(ids):
                 return messages
-        walked = walk(data)
+        walked = walk_records(data)
         if damage:
             self.losses.note(region.place, damage)
         elif walked.end < len(data):
@@ -186,19 +199,19 @@ class McapLog(MessageLog):
             self.losses.note(region.place, reason)
         if walked.malformed:
             self.losses.note(region.place, "too short to be messages", walked.malformed)
-        every = indexed(raw, region.start, region, list(region.holds or ()))
-        if walked.end < len(data) and every is not None:
-            messages = with_marks(data, walked.offsets, every)
+        indexed = indexed_offsets(raw, region.start, region, list(region.holds or ()))
+        if walked.end < len(data) and indexed is not None:
+            messages = messages_past_damage(data, walked.offsets, indexed)
         else:
-            messages = at_offsets(data, walked.offsets)
+            messages = messages_at(data, walked.offsets)
         return messages.of(ids) if messages else None
 
 
-def _by_identity(found: Survey) -> dict[Channel, list[int]]:
-    """Return the ids of each channel; MCAP gives one to every publisher."""
+def _ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
+    """Return the ids of each channel; MCAP gives every publisher an id of its own."""
     ids: dict[Channel, list[int]] = {}
-    for id_, record in sorted(found.channels.items()):
-        schema = found.schemas.get(record.schema_id)
+    for id_, record in sorted(index.channels.items()):
+        schema = index.schemas.get(record.schema_id)
         channel = Channel(
             topic=record.topic,
             type_name=_type_name(schema.name if schema else "", record.message_encoding),
@@ -218,41 +231,42 @@ def _type_name(name: str, encoding: str) -> str:
     return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"
 
 
-def _each(
-    source: FileSource, load_one: Callable[[Region], Content], regions: Sequence[Region]
-) -> Generator[Content, None, None]:
-    """Load regions one after another, ahead where that is worth threads: where they are packed."""
+def _loaded(
+    source: FileSource, load_one: Callable[[Region], RegionContent], regions: Sequence[Region]
+) -> Generator[RegionContent, None, None]:
+    """Load regions one after another; ahead, in threads, if they are compressed."""
 
-    def load_or_defer(region: Region) -> Content | Deferred[Content]:
-        """Load a region; one that would be large only when it is asked for."""
+    def load_or_defer(region: Region) -> RegionContent | Deferred[RegionContent]:
+        """Load a region; a large one only when it is its turn."""
         start = source.read(region.start, PEEK) if region.is_chunk else b""
         head = chunk_head(start, region.length)
         is_large = head is not None and head.size > LARGE
         return Deferred(partial(load_one, region)) if is_large else load_one(region)
 
-    if not regions or is_plain(source, regions[0]):
+    if not regions or is_uncompressed(source, regions[0]):
         yield from map(load_one, regions)
         return
-    loaded: Generator[Content, None, None] = prefetch(load_or_defer, regions)
+    loaded: Generator[RegionContent, None, None] = prefetch(load_or_defer, regions)
     yield from loaded
 
 
-def _load(source: FileSource, budget: UnpackBudget, ids: Sequence[int], region: Region) -> Content:
-    """Return the picked messages of a region with the bytes around them, or all of it."""
+def _load(
+    source: FileSource, budget: DecompressionBudget, ids: Sequence[int], region: Region
+) -> RegionContent:
+    """Return the selected messages of a region or, where that is as quick, all of it."""
     try:
-        return picked(source, region, ids) or load(source, region, budget)
+        return selected_messages(source, region, ids) or load(source, region, budget)
     except RegionError as error:
         return error
 
 
-def _total(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
-    """Return how many messages of some channels the regions hold, where that is known."""
-    counts = [region.count(one) for region in regions for one in ids]
-    known = [count for count in counts if count is not None]
-    return sum(known) if len(known) == len(counts) else None
+def _message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
+    """Return how many messages of some channels the regions hold; None if that is unknown."""
+    counts = [region.count(id_) for region in regions for id_ in ids]
+    return None if None in counts else sum(count for count in counts if count is not None)
 
 
-def _block(data: Buffer, messages: Messages, not_before_ns: int) -> MessageBlock:
+def _block(data: Buffer, messages: LocatedMessages, not_before_ns: int) -> MessageBlock:
     return MessageBlock(
         np.frombuffer(data, np.uint8),
         messages.starts,

@@ -1,7 +1,7 @@
-"""The messages of one unpacked stretch of an MCAP file, located all at once.
+"""Locate the messages of a decompressed chunk of an MCAP file, all at once.
 
-Where messages begin is taken from the message index, and checked; where there is no index, or it
-does not agree with the records, the records are walked.
+Where messages begin is taken from the message index, and checked; if there is no index, or it
+disagrees with the records, the records are walked.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ _MESSAGE_HEAD = np.dtype(
 _HEAD = _MESSAGE_HEAD.itemsize
 _FIXED = _HEAD - RECORD.size
 _LONG_RUN = 16
-"""Equal lengths in a row after which more of the same are looked for in bulk."""
+"""Equal lengths in a row after which further records of that length are looked for in bulk."""
 
 
 @dataclass(slots=True)
-class Walk:
-    """What walking over records found.
+class WalkedRecords:
+    """The result of walking over records.
 
     Parameters
     ----------
     offsets
         Where each message record begins, shape ``(N,)``, int64.
     definitions
-        Opcode, begin and end of the content of each schema and channel.
+        Opcode, and begin and end of the content, of each schema and channel.
     end
-        Where the walk ended: after the last record that is whole and not to stop at.
+        Where the walk ended: after the last whole record, or before one to stop at.
     malformed
         Message records too short to be messages.
     """
@@ -67,7 +67,7 @@ class Walk:
     malformed: int = 0
 
 
-def walk(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk:
+def walk_records(data: Buffer, stop_at: Container[int] = frozenset({0})) -> WalkedRecords:
     """Follow the records of `data` by their lengths.
 
     Parameters
@@ -77,7 +77,7 @@ def walk(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk:
     stop_at
         Opcodes to stop at; no record has opcode 0.
     """
-    found = Walk(np.empty(0, np.int64))
+    result = WalkedRecords(np.empty(0, np.int64))
     parts: list[NDArray[np.int64]] = []
     single: list[int] = []
     size = len(data)
@@ -90,9 +90,9 @@ def walk(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk:
             break
         if opcode != MESSAGE:
             if opcode in {SCHEMA, CHANNEL}:
-                found.definitions.append((opcode, position + RECORD.size, end))
+                result.definitions.append((opcode, position + RECORD.size, end))
         elif length < _FIXED:
-            found.malformed += 1
+            result.malformed += 1
         else:
             single.append(position)
             run = run + 1 if length == previous else 0
@@ -105,9 +105,9 @@ def walk(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk:
                 end += stride * more
                 run = 0
         position = end
-    found.offsets = np.concatenate([*parts, np.array(single, np.int64)])
-    found.end = position
-    return found
+    result.offsets = np.concatenate([*parts, np.array(single, np.int64)])
+    result.end = position
+    return result
 
 
 def _run(data: Buffer, position: int, length: int) -> int:
@@ -128,7 +128,7 @@ def _run(data: Buffer, position: int, length: int) -> int:
 
 
 @dataclass(slots=True)
-class Messages:
+class LocatedMessages:
     """Where messages are in their buffer, and when they were recorded and published.
 
     Parameters
@@ -136,10 +136,10 @@ class Messages:
     starts, ends
         Begin and end of each message, shape ``(N,)``, int64.
     log_ns, publish_ns
-        Log and publish time, shape ``(N,)``, int64 ns; times after the year 2262, which only
-        fit 64 bits without a sign, are its last nanosecond.
+        Log and publish time, shape ``(N,)``, int64 ns; unsigned times after the year 2262 are
+        clamped to :data:`~quatprop.containers.base.LATEST`.
     channels
-        Channel ids, shape ``(N,)``, or the one id of all messages.
+        Channel ids, shape ``(N,)``, or the one id that all messages have.
     """
 
     starts: NDArray[np.int64]
@@ -148,13 +148,13 @@ class Messages:
     publish_ns: NDArray[np.int64]
     channels: NDArray[np.uint16] | int
 
-    def of(self, ids: Sequence[int]) -> Messages:
+    def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
         if isinstance(self.channels, int):
             wanted = np.full(len(self.starts), self.channels in ids)
         else:
             wanted = _is_one_of(self.channels, ids)
-        return Messages(
+        return LocatedMessages(
             self.starts[wanted],
             self.ends[wanted],
             self.log_ns[wanted],
@@ -181,59 +181,59 @@ class Messages:
 
 def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.bool_]:
     # For a few ids this is several times quicker than np.isin.
-    found = np.zeros(len(channels), np.bool_)
-    for one in ids:
-        found |= channels == one
-    return found
+    matches = np.zeros(len(channels), np.bool_)
+    for id_ in ids:
+        matches |= channels == id_
+    return matches
 
 
-def at_offsets(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
+def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
     """Return the messages at ascending offsets, or None where an offset is not a message's.
 
     Parameters
     ----------
     data
-        The unpacked records of a region.
+        The decompressed records of a region.
     offsets
         Where message records begin, shape ``(N,)``, int64.
     """
     if len(offsets) == 0:
-        return Messages(offsets, offsets, offsets, offsets, 0)
+        return LocatedMessages(offsets, offsets, offsets, offsets, 0)
     if offsets[0] < 0 or max(offsets[0], offsets[-1]) > len(data) - _HEAD:
         return None
     messages = _evenly_spaced(data, offsets)
     return _anywhere(data, offsets) if messages is None else messages
 
 
-def with_marks(
-    data: Buffer, walked: NDArray[np.int64], marks: NDArray[np.int64]
-) -> Messages | None:
-    """Return the messages of a walk that damage has ended, and those behind it.
+def messages_past_damage(
+    data: Buffer, walked: NDArray[np.int64], indexed: NDArray[np.int64]
+) -> LocatedMessages | None:
+    """Return the messages of a walk that ended at damage, and those after the damage.
 
     Parameters
     ----------
     data
-        The unpacked records of a region.
+        The decompressed records of a region.
     walked
-        Where the walk found messages, shape ``(N,)``, int64; the length of the last may be what
-        led it astray.
-    marks
+        Where the walk found messages, shape ``(N,)``, int64; the length of the last may be
+        damaged.
+    indexed
         Where messages begin by the index, shape ``(M,)``, int64, ascending.
     """
-    behind = marks[marks > walked[-1]] if len(walked) else marks
-    # Damaged may be the last that was walked to, or the first behind it.
-    for known, later in ((walked, behind), (walked[:-1], behind), (walked, behind[1:])):
-        messages = at_offsets(data, np.concatenate([known, later])) if len(later) else None
+    after = indexed[indexed > walked[-1]] if len(walked) else indexed
+    # The damaged message may be the last that was walked to, or the first after it.
+    for before, later in ((walked, after), (walked[:-1], after), (walked, after[1:])):
+        messages = messages_at(data, np.concatenate([before, later])) if len(later) else None
         if messages is not None:
             return messages
-    return at_offsets(data, walked)
+    return messages_at(data, walked)
 
 
-def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
-    """Return messages of one length and channel that follow each other without anything between.
+def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
+    """Return messages of one length and channel with no other records between them.
 
-    That is the usual chunk, and cheap: only the first and last offset are taken from the index,
-    the records themselves prove the others.
+    This is the usual chunk, and quick to check: the first and last offset are taken from the
+    index, and the records themselves confirm the others.
     """
     count, first = len(offsets), int(offsets[0])
     _, length = RECORD.unpack_from(data, first)
@@ -247,7 +247,7 @@ def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
     if head["opcode"][0] != MESSAGE or length < _FIXED:
         return None
     starts = np.arange(first + _HEAD, first + _HEAD + count * stride, stride)
-    return Messages(
+    return LocatedMessages(
         starts,
         starts + (length - _FIXED),
         _clamped(head["log"]),
@@ -256,8 +256,8 @@ def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
     )
 
 
-def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
-    """Return the messages at ascending offsets that may have others between them."""
+def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
+    """Return the messages at ascending offsets; other records may lie between them."""
     if (offsets[1:] <= offsets[:-1]).any():
         return None
     # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
@@ -271,20 +271,20 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> Messages | None:
     ends = offsets + length.astype(np.int64) + RECORD.size
     if ends[-1] > len(data) or (ends[:-1] > offsets[1:]).any():
         return None
-    return Messages(
+    return LocatedMessages(
         offsets + _HEAD, ends, _clamped(head["log"]), _clamped(head["publish"]), head["channel"]
     )
 
 
 def _clamped(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 64-bit stamps without sign, seen as signed ones, cut at the largest signed one."""
+    """Return unsigned 64-bit stamps, viewed as signed ones, clamped to the largest signed one."""
     stamps = stamps.copy()
     if stamps.min() < 0:
         stamps[stamps < 0] = LATEST
     return stamps
 
 
-def indexed(
+def indexed_offsets(
     raw: Buffer, origin: int, region: Region, ids: Sequence[int]
 ) -> NDArray[np.int64] | None:
     """Return the offsets that the message indexes of some channels list.

@@ -1,83 +1,55 @@
-"""What the metadata records of an MCAP file say about how its topics came about."""
+"""The metadata records of an MCAP file that tell how its topics came about."""
 
 from __future__ import annotations
 
-import struct
-from io import BytesIO
 from typing import TYPE_CHECKING
 
-from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.records import Metadata
 
 from quatprop.containers.mcap.regions import RECORD
-from quatprop.containers.mcap.summary import read_footer
-from quatprop.provenance import METADATA_KEY
+from quatprop.containers.mcap.summary import MALFORMED, RecordStream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable
 
     from quatprop.containers.file_source import FileSource
 
-_METADATA, _METADATA_INDEX = 12, 13
+_METADATA = 12
 _LARGEST = 1 << 24
-_DAMAGE = (McapError, struct.error, ValueError)
 
 
-def recorded_provenance(source: FileSource) -> dict[str, str]:
+def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str]:
     """Return the provenance of each topic, as JSON; under ``""`` that of all others.
-
-    They are found through the summary: a file that was cut off before it says nothing.
 
     Parameters
     ----------
     source
         The file.
+    offsets
+        Where its metadata records with provenance begin.
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    records = [_read(source, place) for place in _places(source)]
-    return {one.get("topic", ""): one["provenance"] for one in records if "provenance" in one}
+    entries = [_read(source, offset) for offset in offsets]
+    return {
+        entry.get("topic", ""): entry["provenance"] for entry in entries if "provenance" in entry
+    }
 
 
-def _places(source: FileSource) -> Iterator[int]:
-    """Yield where the records of this package are, by the index of the summary."""
-    footer = read_footer(source)
-    if footer is None or not 0 < footer.footer_start - footer.summary_start <= _LARGEST:
-        return
-    data = source.read(footer.summary_start, footer.footer_start - footer.summary_start)
-    position = 0
-    while position + RECORD.size <= len(data):
-        opcode, length = RECORD.unpack_from(data, position)
-        position += RECORD.size
-        if opcode == _METADATA_INDEX and length <= len(data) - position:
-            try:
-                index = records.MetadataIndex.read(_stream(data[position : position + length]))
-            except _DAMAGE:
-                return
-            if index.name == METADATA_KEY.decode():
-                yield index.offset
-        position += length
-
-
-def _read(source: FileSource, place: int) -> dict[str, str]:
-    """Return what one record says; nothing where it is damaged."""
-    head = source.read(place, RECORD.size)
+def _read(source: FileSource, offset: int) -> dict[str, str]:
+    """Return the entries of one record; none where it is damaged."""
+    head = source.read(offset, RECORD.size)
     if len(head) < RECORD.size:
         return {}
     opcode, length = RECORD.unpack(head)
     if opcode != _METADATA or length > _LARGEST:
         return {}
     try:
-        record = records.Metadata.read(_stream(source.read(place + RECORD.size, length)))
-    except _DAMAGE:
+        record = Metadata.read(RecordStream(source.read(offset + RECORD.size, length)))
+    except MALFORMED:
         return {}
-    said: dict[str, str] = record.metadata
-    return said
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))
+    entries: dict[str, str] = record.metadata
+    return entries

@@ -1,4 +1,4 @@
-"""The stretches of an MCAP file that hold messages: chunks, and runs of messages outside chunks.
+"""Regions of an MCAP file that hold messages: chunks, and runs of messages outside chunks.
 
 References
 ----------
@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
-from quatprop.containers.compression import CompressionError, decompress, front
+from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
 
 if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.limits import UnpackBudget
+    from quatprop.containers.limits import DecompressionBudget
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 5, 6, 7, 15
 """Opcodes."""
@@ -27,11 +27,11 @@ RECORD = struct.Struct("<BQ")
 """Opcode and length of the content: how every record begins."""
 CHUNK_HEAD = struct.Struct("<QQQII")
 """Start time, end time, unpacked size, CRC, length of the compression's name."""
-PLAIN_HEAD = RECORD.size + CHUNK_HEAD.size + 8
+UNCOMPRESSED_HEAD = RECORD.size + CHUNK_HEAD.size + 8
 """Bytes of a chunk record before its records, where it is not compressed."""
 
 PEEK = 128
-"""Bytes that are enough for the head of any record that is looked into."""
+"""Bytes that hold the head of any record that is looked into."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and size of the entries of a message index."""
@@ -52,12 +52,12 @@ class Region:
     first_ns
         Its earliest log time, ns.
     index_length
-        Bytes of message index right after it.
+        Bytes of message index that follow it.
     holds
-        Channel id to where its message index is in the file, 0 where there is none. None where it
-        is not known which channels the region holds.
+        Where in the file the message index of each channel is, by channel id; 0 where it has none.
+        None if it is unknown which channels the region holds.
     counts
-        Channel id to number of messages where they were counted.
+        Number of messages of each channel, by channel id, where they were counted.
     """
 
     start: int
@@ -75,11 +75,11 @@ class Region:
 
     @property
     def place(self) -> str:
-        """Where it is, for people."""
+        """Where it is, for a sentence."""
         return f"{'chunk' if self.is_chunk else 'messages'} at byte {self.start}"
 
     def count(self, channel: int) -> int | None:
-        """Return how many messages of a channel it holds, where that is known."""
+        """Return how many messages of a channel it holds; None if that is unknown."""
         if self.counts is not None:
             return self.counts.get(channel, 0)
         if self.holds is None:
@@ -92,7 +92,7 @@ class Region:
 
 
 class RegionError(Exception):
-    """A region that cannot be read.
+    """A region that cannot be read; the log notes it as a loss.
 
     Parameters
     ----------
@@ -105,15 +105,18 @@ class RegionError(Exception):
         self.reason = reason
 
 
-def is_plain(source: FileSource, region: Region) -> bool:
-    """Tell whether a region is a chunk that is not compressed, and begins where it should."""
+def is_uncompressed(source: FileSource, region: Region) -> bool:
+    """Tell whether a region is an uncompressed chunk, and begins where the index says."""
     if not region.is_chunk:
         return False
-    head = source.read(region.start, PLAIN_HEAD)
-    if len(head) < PLAIN_HEAD or RECORD.unpack_from(head) != (CHUNK, region.length - RECORD.size):
+    head = source.read(region.start, UNCOMPRESSED_HEAD)
+    if len(head) < UNCOMPRESSED_HEAD or RECORD.unpack_from(head) != (
+        CHUNK,
+        region.length - RECORD.size,
+    ):
         return False
     _, _, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
-    return bool(name_length == 0 and size == region.length - PLAIN_HEAD)
+    return bool(name_length == 0 and size == region.length - UNCOMPRESSED_HEAD)
 
 
 class Loaded(NamedTuple):
@@ -122,11 +125,11 @@ class Loaded(NamedTuple):
     Parameters
     ----------
     data
-        The unpacked records.
+        The decompressed records.
     raw
         The region and its message index as they are in the file.
     damage
-        Why `data` end early, or ``""``.
+        Why `data` ends early, or ``""``.
     """
 
     data: Buffer
@@ -135,11 +138,13 @@ class Loaded(NamedTuple):
 
 
 TORN = "the file ends inside it"
-"""The damage of what a recorder was writing when it died."""
+"""The damage of a record that the recorder was writing when it died."""
 
 
-def load(source: FileSource, region: Region, budget: UnpackBudget, *, check: bool = True) -> Loaded:
-    """Read a region, its message index with it, and unpack it.
+def load(
+    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
+) -> Loaded:
+    """Read a region with its message index, and decompress it.
 
     Parameters
     ----------
@@ -148,7 +153,7 @@ def load(source: FileSource, region: Region, budget: UnpackBudget, *, check: boo
     region
         Where in it.
     budget
-        How much may be unpacked.
+        How much may be decompressed.
     check
         Whether to refuse a chunk whose checksum is wrong.
 
@@ -168,12 +173,14 @@ def load(source: FileSource, region: Region, budget: UnpackBudget, *, check: boo
     chunk = chunk_head(raw, region.length)
     if chunk is None:
         raise RegionError("no chunk of the indexed length begins there")
-    packed = memoryview(raw)[chunk.begin : chunk.end]
+    data_on_disk = memoryview(raw)[chunk.begin : chunk.end]
     try:
         budget.check()
         if is_torn:
-            return Loaded(front(packed, chunk.compression, chunk.size), raw, damage)
-        data = decompress(packed, chunk.compression, chunk.size)
+            return Loaded(
+                decompress_prefix(data_on_disk, chunk.compression, chunk.size), raw, damage
+            )
+        data = decompress(data_on_disk, chunk.compression, chunk.size)
     except CompressionError as error:
         raise RegionError(error.reason) from error
     budget.spend(len(data) if chunk.compression else 0)
@@ -186,20 +193,20 @@ def load(source: FileSource, region: Region, budget: UnpackBudget, *, check: boo
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk says before its data.
+    """The fields of a chunk before its data.
 
     Parameters
     ----------
     first_ns
         Earliest log time, ns, without sign.
     size
-        Bytes unpacked.
+        Bytes of the decompressed data.
     crc
-        Checksum of the unpacked data; 0 where there is none.
+        Checksum of the decompressed data; 0 if there is none.
     compression
-        How it is packed.
+        How the data is compressed.
     begin, end
-        Where the packed data are, from the begin of the record.
+        Where the compressed data is, from the beginning of the record.
     """
 
     first_ns: int
@@ -232,8 +239,8 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     begin = fixed + name_length + 8
     if begin > len(record):
         return None
-    (packed,) = struct.unpack_from("<Q", record, begin - 8)
-    if begin + packed > length:
+    (size_in_file,) = struct.unpack_from("<Q", record, begin - 8)
+    if begin + size_in_file > length:
         return None
     compression = bytes(record[fixed : fixed + name_length]).decode(errors="replace")
-    return ChunkHead(first, size, crc, compression, begin, begin + packed)
+    return ChunkHead(first, size, crc, compression, begin, begin + size_in_file)

@@ -1,7 +1,7 @@
-"""Where the records of an MCAP file go on behind damage.
+"""Find the next record of an MCAP file after damage.
 
-Any 9 bytes could be the head of a record. One is believed where its lengths fit into each other
-as those of a chunk do, or where it leads to others: by its length to a second, and a third.
+Any 9 bytes could be the head of a record. A candidate is accepted if its lengths are consistent, as
+those of a chunk must be, or if its length leads to a second record, and that to a third.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
     from quatprop.containers.file_source import FileSource
 
 CHUNKS = frozenset({CHUNK})
-"""What is looked for where the messages of a plain chunk would be found too."""
+"""Opcodes to look for where the messages inside an uncompressed chunk would match, too."""
 
 RECORDS = frozenset({SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END})
-"""What is looked for elsewhere."""
+"""Opcodes to look for elsewhere."""
 
 _WINDOW = 1 << 22
 _CHAIN = 3
-"""Records that follow each other and are believed for that."""
+"""Records that must follow each other for the first to be accepted."""
 
 _TRIES = 200_000
-"""Places looked at before the search is given up: nobody waits for a file made of heads."""
+"""Candidates that are tried before the search is given up, so that it ends on hostile files."""
 
 _COMPRESSIONS = ("", "lz4", "zstd")
 _HIGH = slice(5, RECORD.size)
-"""The bytes of a length that are 0 in any record below a terabyte, within its head."""
+"""The bytes of a record head that are 0 in any record below a terabyte."""
 
 _MESSAGE_FIXED = 22
 _DATA_END_SIZE = 4
@@ -54,7 +54,7 @@ _DATA_END_SIZE = 4
 def next_record(
     source: FileSource, start: int, stop: int, end: int, kinds: Container[int]
 ) -> int | None:
-    """Return where the first record that is one beyond doubt begins.
+    """Return where the first record begins that can be accepted as one.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def next_record(
         size = min(_WINDOW, stop - position)
         window = source.read(position, size + RECORD.size - 1)
         for place in _candidates(window, kinds):
-            if _is_believed(source, position + place, end):
+            if _is_record(source, position + place, end):
                 return position + place
             tries -= 1
             if tries == 0:
@@ -86,20 +86,20 @@ def next_record(
 
 
 def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
-    """Return where bytes could be the head of a record."""
+    """Return where the bytes could be the head of a record."""
     count = len(window) - RECORD.size + 1
     if count <= 0:
         return []
     data = np.frombuffer(window, np.uint8)
     opcodes = np.array([opcode in kinds for opcode in range(256)])
-    could = opcodes[data[:count]]
+    matches = opcodes[data[:count]]
     for byte in range(_HIGH.start + 1, _HIGH.stop):
-        could &= data[byte : byte + count] == 0
-    return np.flatnonzero(could).tolist()
+        matches &= data[byte : byte + count] == 0
+    return np.flatnonzero(matches).tolist()
 
 
-def _is_believed(source: FileSource, position: int, end: int) -> bool:
-    """Tell whether a record begins at a place, and not by chance."""
+def _is_record(source: FileSource, position: int, end: int) -> bool:
+    """Tell whether a record begins at a place, rather than bytes that look like one."""
     for _ in range(_CHAIN):
         head = source.read(position, PEEK)
         if len(head) < RECORD.size:
@@ -108,7 +108,7 @@ def _is_believed(source: FileSource, position: int, end: int) -> bool:
         after = position + RECORD.size + length
         if opcode == CHUNK:
             return _is_chunk(head, length)
-        if after > end or not _fits(opcode, length, head):
+        if after > end or not _is_plausible(opcode, length, head):
             return False
         if after == end:
             return True
@@ -117,7 +117,7 @@ def _is_believed(source: FileSource, position: int, end: int) -> bool:
 
 
 def _is_chunk(head: bytes, length: int) -> bool:
-    """Tell whether the lengths of a chunk fit into each other exactly; its end may be missing."""
+    """Tell whether the lengths of a chunk are consistent; its end may be missing."""
     chunk = chunk_head(head, RECORD.size + length)
     return (
         chunk is not None
@@ -128,8 +128,8 @@ def _is_chunk(head: bytes, length: int) -> bool:
     )
 
 
-def _fits(opcode: int, length: int, head: bytes) -> bool:
-    """Tell whether a record of this length can be of this kind."""
+def _is_plausible(opcode: int, length: int, head: bytes) -> bool:
+    """Tell whether a record of this kind can have this length."""
     if opcode == MESSAGE:
         return length >= _MESSAGE_FIXED
     if opcode == DATA_END:
@@ -140,7 +140,7 @@ def _fits(opcode: int, length: int, head: bytes) -> bool:
         _, _, _, size = INDEX_HEAD.unpack_from(head)
         return bool(size + 6 == length and size % INDEX_ENTRY == 0)
     if opcode in {SCHEMA, CHANNEL}:
-        # Both begin with an id; a channel has that of its schema before the first text.
+        # Both begin with an id; in a channel, that of its schema follows before the first string.
         before = 2 if opcode == SCHEMA else 4
         at = RECORD.size + before
         return int.from_bytes(head[at : at + 4], "little") + before + 4 <= length

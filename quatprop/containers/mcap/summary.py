@@ -1,4 +1,4 @@
-"""What the summary at the end of an MCAP file says."""
+"""The footer and summary section of an MCAP file."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
+from quatprop.provenance import METADATA_KEY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,16 +24,16 @@ if TYPE_CHECKING:
     from quatprop.containers.file_source import FileSource
 
 MAGIC = b"\x89MCAP0\r\n"
-"""How every MCAP file begins and ends."""
-_FOOTER, _CHUNK_INDEX, _STATISTICS = 2, 8, 11
+"""The bytes with which every MCAP file begins and ends."""
+_FOOTER, _CHUNK_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 11, 13
 _FOOTER_FIELDS = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
 
 
 @dataclass(slots=True)
-class Survey:
-    """What a file holds.
+class McapIndex:
+    """The index of a file: what it holds and where.
 
     Parameters
     ----------
@@ -41,7 +42,9 @@ class Survey:
     channels, schemas
         The records by their ids.
     counts
-        Messages of each channel id, where the file states them.
+        LocatedNumber of messages of each channel id, where the file states them.
+    metadata
+        Where the metadata records with provenance begin, by the summary.
     losses
         What could not be read.
     """
@@ -50,31 +53,32 @@ class Survey:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     counts: dict[int, int] | None = None
+    metadata: list[int] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
 
     def define(self, opcode: int, content: Buffer, place: str) -> None:
-        """Take a schema or channel record; the first of an id stands."""
+        """Add a schema or channel record; the first with an id counts."""
         try:
             if opcode == SCHEMA:
-                schema = records.Schema.read(Content(content))
+                schema = records.Schema.read(RecordStream(content))
                 self.schemas.setdefault(schema.id, schema)
             else:
-                channel = records.Channel.read(Content(content))
+                channel = records.Channel.read(RecordStream(content))
                 self.channels.setdefault(channel.id, channel)
         except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"
             self.losses.note(f"{what} {place}", "it is damaged")
 
     def is_defined(self, channel: int) -> bool:
-        """Return whether a channel and its schema are known."""
+        """Return whether a channel and its schema are defined."""
         if channel not in self.channels:
             return False
         schema = self.channels[channel].schema_id
         return schema == 0 or schema in self.schemas
 
 
-class Content(ReadDataStream):
-    """The content of one record; refuses lengths that lead outside."""
+class RecordStream(ReadDataStream):
+    """The content of one record as a stream; refuses lengths that lead outside it."""
 
     def __init__(self, content: Buffer) -> None:
         super().__init__(BytesIO(content))
@@ -88,12 +92,12 @@ class Content(ReadDataStream):
 
 
 MALFORMED = (EndOfFile, ValueError, struct.error)
-"""What reading a record that is damaged raises."""
+"""Exceptions that are raised when a damaged record is read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """Where the data section ends and the summary begins (0: there is none), and its CRC."""
+    """Where the data section ends and the summary begins (0 if there is none), and its CRC."""
 
     data_end: int
     summary_start: int
@@ -102,7 +106,7 @@ class Footer:
 
 
 def read_footer(source: FileSource) -> Footer | None:
-    """Return the footer, or None where the file does not end with one."""
+    """Return the footer; None if the file does not end with one."""
     start = source.size - _TAIL
     tail = source.read(start, _TAIL) if start >= len(MAGIC) else b""
     if not tail.endswith(MAGIC) or RECORD.unpack_from(tail) != (_FOOTER, _FOOTER_FIELDS.size):
@@ -115,28 +119,28 @@ def read_footer(source: FileSource) -> Footer | None:
 
 @dataclass(slots=True)
 class Summary:
-    """What the summary section says.
+    """The content of the summary section.
 
     Parameters
     ----------
-    found
-        Channels, schemas and counts.
+    index
+        Channels, schemas, counts and metadata records.
     chunks
-        The chunks by where they are.
+        The chunks, by where they begin.
     is_complete
-        Whether all channels of the file are in it.
+        Whether it has all channels of the file.
     """
 
-    found: Survey = field(default_factory=Survey)
+    index: McapIndex = field(default_factory=McapIndex)
     chunks: dict[int, Region] = field(default_factory=dict)
     is_complete: bool = False
 
     def __bool__(self) -> bool:
-        return bool(self.found.channels or self.chunks)
+        return bool(self.index.channels or self.chunks)
 
 
 def read_summary(source: FileSource, footer: Footer) -> Summary:
-    """Return the summary, or an empty one where there is none or it is damaged."""
+    """Return the summary; an empty one if there is none or it is damaged."""
     size = footer.footer_start - footer.summary_start
     if footer.summary_start == 0 or size > MAX_SIZE:
         return Summary()
@@ -149,22 +153,26 @@ def read_summary(source: FileSource, footer: Footer) -> Summary:
     try:
         for opcode, content in _records(memoryview(data)[:size]):
             if opcode in {SCHEMA, CHANNEL}:
-                summary.found.define(opcode, content, "in the summary")
+                summary.index.define(opcode, content, "in the summary")
             elif opcode == _CHUNK_INDEX:
                 region = _indexed_chunk(content, footer.data_end)
                 summary.chunks[region.start] = region
             elif opcode == _STATISTICS:
-                statistics = records.Statistics.read(Content(content))
+                statistics = records.Statistics.read(RecordStream(content))
+            elif opcode == _METADATA_INDEX:
+                metadata = records.MetadataIndex.read(RecordStream(content))
+                if metadata.name == METADATA_KEY.decode():
+                    summary.index.metadata.append(metadata.offset)
     except MALFORMED:
         return Summary()
-    if summary.found.losses:
+    if summary.index.losses:
         return Summary()
     if statistics is None:
-        summary.is_complete = bool(summary.found.channels)
+        summary.is_complete = bool(summary.index.channels)
         return summary
-    summary.is_complete = statistics.channel_count == len(summary.found.channels)
+    summary.is_complete = statistics.channel_count == len(summary.index.channels)
     if sum(statistics.channel_message_counts.values()) == statistics.message_count:
-        summary.found.counts = statistics.channel_message_counts
+        summary.index.counts = statistics.channel_message_counts
     return summary
 
 
@@ -183,7 +191,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _indexed_chunk(content: memoryview, data_end: int) -> Region:
     """Return the chunk that a chunk index record describes.
 
-    A file has as many of these as chunks, so this is not left to the library.
+    Read without the library, for speed: a file has as many of these as chunks.
     """
     first, _, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size

@@ -1,8 +1,8 @@
-"""Which chunks a ROS 1 bag has: from its index, or by walking it where there is none.
+"""The chunks of a ROS 1 bag, from its index or, if it has none, by walking its records.
 
 A bag that was not closed (``.bag.active``, or cut off) has no index. Its records are walked from
-the start: what the index would say is in the index data that follow each chunk, and the
-connections are in the chunks themselves.
+the beginning: counts and times are in the index data that follows each chunk, and the connections
+are in the chunks themselves.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses
-from quatprop.containers.compression import CompressionError, decompress, front
+from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_CHUNK_INFO,
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LOOSE_SIZE = 1 << 20
-"""Bytes of messages outside any chunk that are read as if they were one."""
+"""Bytes of messages outside chunks that are read together."""
 
 
 @dataclass(slots=True)
-class Chunk:
+class BagChunk:
     """A chunk, or a run of messages outside any chunk.
 
     Parameters
@@ -47,11 +47,11 @@ class Chunk:
     start
         Where its record begins.
     end
-        Where its index data end at the latest.
+        Where its index data ends at the latest.
     start_ns
         Log time of its earliest message.
     counts
-        How many messages of which connection it has.
+        Number of messages of each connection.
     loose
         Whether it is a run of messages outside any chunk.
     """
@@ -64,22 +64,22 @@ class Chunk:
 
     @property
     def place(self) -> str:
-        """Where it is, in words."""
+        """Where it is, for a sentence."""
         return f"{'messages' if self.loose else 'chunk'} at byte {self.start}"
 
 
 @dataclass(slots=True)
-class Content:
-    """The unpacked records of a chunk.
+class ChunkRecords:
+    """The decompressed records of a chunk.
 
     Parameters
     ----------
     data
         The records, shape ``(B,)``, uint8.
     entries
-        What the index data say, for each connection.
+        Index entries of each connection.
     damage
-        Why `data` end early, or ``""``.
+        Why `data` ends early, or ``""``.
     """
 
     data: NDArray[np.uint8]
@@ -87,15 +87,15 @@ class Content:
     damage: str = ""
 
     @property
-    def marks(self) -> NDArray[np.int64]:
-        """Where records begin by what the index data say, shape ``(N,)``, int64, ascending."""
-        parts = [found["offset"].astype(np.int64) for found in self.entries.values()]
+    def indexed_offsets(self) -> NDArray[np.int64]:
+        """Where messages begin by the index data, shape ``(N,)``, int64, ascending."""
+        parts = [rows["offset"].astype(np.int64) for rows in self.entries.values()]
         return np.unique(np.concatenate([*parts, np.empty(0, np.int64)]))
 
 
 @dataclass(slots=True)
-class Index:
-    """What a bag holds.
+class BagIndex:
+    """The connections and chunks of a bag.
 
     Parameters
     ----------
@@ -108,55 +108,58 @@ class Index:
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
-    chunks: list[Chunk] = field(default_factory=list)
+    chunks: list[BagChunk] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
 
     def add_connection(self, record: Record, data: bytes) -> None:
-        """Keep the first record of a connection; later ones repeat it."""
+        """Add a connection record; the first of a connection counts, and later ones repeat it."""
         try:
             described = data_fields(data)
         except MalformedRecordError:
             described = {}
-        # Both name a topic. The one in the header is what the messages were recorded under.
+        # Both have a topic; messages were recorded under the one in the header.
         self.connections.setdefault(record.number(b"conn"), described | record.fields)
 
 
-def content(file: RecordFile, chunk: Chunk) -> Content:
-    """Read and unpack a chunk.
+def read_chunk(file: RecordFile, chunk: BagChunk) -> ChunkRecords:
+    """Read and decompress a chunk.
 
     Raises
     ------
     MalformedRecordError
-        There is no chunk where the index says.
+        There is no chunk where the index points.
     CompressionError
-        It cannot be unpacked.
+        It cannot be decompressed.
     """
     if chunk.loose:
         loose = file.at(chunk.start, chunk.end - chunk.start)
-        return Content(np.frombuffer(loose, np.uint8), {})
+        return ChunkRecords(np.frombuffer(loose, np.uint8), {})
     record = file.record(chunk.start)
     if record.op != OP_CHUNK:
         raise MalformedRecordError("there is no chunk")
     size = record.number(b"size")
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
-    # What lies between a chunk and the next is index data, 12 bytes a message: less than the
-    # chunk has. Anything longer is not believed.
+    # The index data after a chunk has 12 bytes a message, less than the chunk itself. Anything
+    # longer is damage.
     end = min(max(chunk.end, record.end), record.end + size)
     raw = memoryview(file.at(record.data, end - record.data))
     length = record.end - record.data
-    packed = raw[:length]
+    content = raw[:length]
     if compression == "none":
-        data: bytes | bytearray | memoryview = packed
-        damage = "its end is cut off" if len(packed) < length else ""
-    elif len(packed) < length:
-        data, damage = front(packed, compression, size), f"its {compression} data is cut off"
+        data: bytes | bytearray | memoryview = content
+        damage = "its end is cut off" if len(content) < length else ""
+    elif len(content) < length:
+        data, damage = (
+            decompress_prefix(content, compression, size),
+            f"its {compression} data is cut off",
+        )
     else:
-        data, damage = decompress(packed, compression, size), ""
-    return Content(np.frombuffer(data, np.uint8), index_offsets(bytes(raw[length:])), damage)
+        data, damage = decompress(content, compression, size), ""
+    return ChunkRecords(np.frombuffer(data, np.uint8), index_offsets(bytes(raw[length:])), damage)
 
 
-def indexed(file: RecordFile, header: Record) -> Index | None:
-    """Read the index at the end of a bag.
+def read_index(file: RecordFile, header: Record) -> BagIndex | None:
+    """Return the index at the end of a bag.
 
     Parameters
     ----------
@@ -167,10 +170,10 @@ def indexed(file: RecordFile, header: Record) -> Index | None:
 
     Returns
     -------
-    Index or None
-        None where there is no whole index.
+    BagIndex or None
+        None if it has no complete index.
     """
-    index = Index()
+    index = BagIndex()
     try:
         at = header.number(b"index_pos", 8)
         end = at
@@ -179,7 +182,7 @@ def indexed(file: RecordFile, header: Record) -> Index | None:
             OP_CONNECTION: header.number(b"conn_count"),
             OP_CHUNK_INFO: chunk_count,
         }
-        # Something before the index that is no chunk can only be found by walking.
+        # Messages before the index that are in no chunk can only be found by walking.
         if not header.end <= at <= file.size or (at > header.end and chunk_count == 0):
             return None
         while any(remaining.values()):
@@ -191,7 +194,7 @@ def indexed(file: RecordFile, header: Record) -> Index | None:
             if record.op == OP_CONNECTION:
                 index.add_connection(record, data)
             else:
-                index.chunks.append(_described(record, data))
+                index.chunks.append(_chunk_of_info(record, data))
             at = record.end
     except MalformedRecordError:
         return None
@@ -203,72 +206,71 @@ def indexed(file: RecordFile, header: Record) -> Index | None:
     return index
 
 
-def _described(record: Record, data: bytes) -> Chunk:
+def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
     """Return the chunk that a chunk info record describes."""
     if record.number(b"ver") != 1 or len(data) != 8 * record.number(b"count"):
         raise MalformedRecordError("its chunk info is damaged")
     counts = np.frombuffer(data, "<u4").reshape(-1, 2)
     start = record.number(b"chunk_pos", 8)
     start_ns = record.time(b"start_time") if len(counts) else 0
-    return Chunk(start, start, start_ns, dict(counts.tolist()))
+    return BagChunk(start, start, start_ns, dict(counts.tolist()))
 
 
-def walked(file: RecordFile, at: int) -> Index:
-    """Walk the records of a bag from `at` to its end; behind damage go on at the next record."""
-    index = Index()
+def rebuild_index(file: RecordFile, at: int) -> BagIndex:
+    """Build an index by walking the records from `at` to the end, beyond any damage."""
+    index = BagIndex()
     while at < file.size:
         try:
             record = file.record(at)
-            _take(file, index, record)
+            _add(file, index, record)
         except MalformedRecordError as error:
-            at = _behind(file, index, at, str(error))
+            at = _resumed(file, index, at, str(error))
         else:
             at = record.end
     chunks = index.chunks
     for chunk in chunks:
-        # The last chunk's index data may not all have been written, those of others be damaged.
+        # The index data of the last chunk may be incomplete, and that of others damaged.
         if (
             chunk is chunks[-1]
             or chunk.loose
             or not chunk.counts
             or not chunk.counts.keys() <= index.connections.keys()
         ):
-            _survey(file, index, chunk)
+            _read_inside(file, index, chunk)
     return index
 
 
-def _behind(file: RecordFile, index: Index, at: int, reason: str) -> int:
-    """Note that no record can be taken at a place; return where to go on."""
+def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
+    """Note that no record can be read at a place; return where to go on."""
     last = index.chunks[-1] if index.chunks else None
-    found = None
+    resumed_at = None
     if last is not None and not last.loose and last.end == at and not last.counts:
-        # It may be the chunk before whose length leads astray.
-        found = next_record(file, last.start + 1, at, CHUNKS)
-    if found is None:
-        found = next_record(file, at + 1, file.size, RECORDS)
-    if found is None:
+        # The length of the chunk before may be wrong.
+        resumed_at = next_record(file, last.start + 1, at, CHUNKS)
+    if resumed_at is None:
+        resumed_at = next_record(file, at + 1, file.size, RECORDS)
+    if resumed_at is None:
         index.losses.note(f"byte {at}", f"{reason}; what follows is not read")
         return file.size
-    size = max(0, found - at)
+    size = max(0, resumed_at - at)
     index.losses.note(f"byte {at}", f"{reason}; {size} bytes are skipped")
-    return found
+    return resumed_at
 
 
 def _is_damaged_chunk(file: RecordFile, record: Record) -> bool:
-    """Tell a chunk that must not be followed to its end: its fields or what comes contradict."""
+    """Tell whether a chunk cannot be followed to its end: its fields or what follows contradict."""
     if not is_chunk(record):
         return True
     beyond = record.end > file.size
     return beyond and next_record(file, record.start + 1, file.size, CHUNKS) is not None
 
 
-def _take(file: RecordFile, index: Index, record: Record) -> None:
-    """Enter one record into the index."""
-    whole = record.end <= file.size
+def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
+    """Add one record to the index."""
     if record.op == OP_CHUNK:
         if _is_damaged_chunk(file, record):
             raise MalformedRecordError("its chunk is damaged")
-        index.chunks.append(Chunk(record.start, min(record.end, file.size)))
+        index.chunks.append(BagChunk(record.start, min(record.end, file.size)))
     elif record.op == OP_MESSAGE:
         last = index.chunks[-1] if index.chunks else None
         if (
@@ -279,18 +281,18 @@ def _take(file: RecordFile, index: Index, record: Record) -> None:
         ):
             last.end = min(record.end, file.size)
         else:
-            index.chunks.append(Chunk(record.start, min(record.end, file.size), loose=True))
-    elif not whole:
+            index.chunks.append(BagChunk(record.start, min(record.end, file.size), loose=True))
+    elif record.end > file.size:
         raise MalformedRecordError("its record is cut off")
     elif record.op == OP_CONNECTION:
         index.add_connection(record, file.at(record.data, record.end - record.data))
     elif record.op == OP_INDEX_DATA and index.chunks:
-        _enter_times(index.chunks[-1], file.at(record.start, record.end - record.start))
+        _add_times(index.chunks[-1], file.at(record.start, record.end - record.start))
         index.chunks[-1].end = record.end
 
 
-def _enter_times(chunk: Chunk, record: bytes) -> None:
-    """Take counts and the earliest time from the index data of one connection."""
+def _add_times(chunk: BagChunk, record: bytes) -> None:
+    """Add counts and the earliest time from the index data of one connection."""
     for conn, entries in index_offsets(record).items():
         if len(entries):
             sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
@@ -299,16 +301,16 @@ def _enter_times(chunk: Chunk, record: bytes) -> None:
             chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
 
 
-def _survey(file: RecordFile, index: Index, chunk: Chunk) -> None:
-    """Walk the records of a chunk to learn its connections, counts and earliest time."""
+def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
+    """Walk the records of a chunk for its connections, counts and earliest time."""
     try:
-        loaded = content(file, chunk)
+        loaded = read_chunk(file, chunk)
     except (MalformedRecordError, CompressionError) as error:
         index.losses.note(chunk.place, str(error))
         return
     times: list[int] = []
     counts: Counter[int] = Counter()
-    records, damage = surviving_records(loaded.data, loaded.marks)
+    records, damage = surviving_records(loaded.data, loaded.indexed_offsets)
     try:
         for record in records:
             if record.op == OP_CONNECTION:

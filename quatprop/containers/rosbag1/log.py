@@ -15,11 +15,17 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import source_of
-from quatprop.containers.limits import UnpackBudget
+from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.prefetch import prefetch
-from quatprop.containers.rosbag1.index import Chunk, Content, Index, content, indexed, walked
+from quatprop.containers.rosbag1.index import (
+    BagChunk,
+    BagIndex,
+    ChunkRecords,
+    read_chunk,
+    read_index,
+    rebuild_index,
+)
 from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages
-from quatprop.containers.rosbag1.picked import picked
 from quatprop.containers.rosbag1.records import (
     OP_BAG_HEADER,
     OP_MESSAGE,
@@ -27,9 +33,10 @@ from quatprop.containers.rosbag1.records import (
     RecordFile,
     surviving_records,
 )
+from quatprop.containers.rosbag1.selected import selected_messages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
-from quatprop.text import quoted
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -81,19 +88,21 @@ class Rosbag1Log(MessageLog):
             raise
         self.losses = index.losses
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
-        self._channels = self._described(index)
+        self._channels = self._channels_of(index)
         self._recorded = {
             fields[b"topic"].decode(errors="replace"): fields[METADATA_KEY].decode(errors="replace")
             for fields in index.connections.values()
             if fields.keys() >= {b"topic", METADATA_KEY}
         }
 
-    def _index(self) -> Index:
-        """Check what the bag says about itself and find its chunks."""
+    def _index(self) -> BagIndex:
+        """Check magic and bag header, and return the index."""
         line = self._file.at(0, 64).partition(b"\n")[0] + b"\n"
         magic = _MAGIC.fullmatch(line)
         if magic is None:
-            raise DamagedLogError(self.path, "it does not begin like a ROS 1 bag; check --from")
+            raise DamagedLogError(
+                self.path, "it does not begin like a ROS 1 bag; check ", Setting("kind")
+            )
         version = magic[1].decode()
         if version != _VERSION:
             raise UnsupportedLogError(
@@ -115,9 +124,9 @@ class Rosbag1Log(MessageLog):
                 f"it is encrypted with {quoted(encryptor.decode(errors='replace'))}; "
                 "decrypt it with `rosbag decrypt`",
             )
-        return indexed(self._file, header) or walked(self._file, header.end)
+        return read_index(self._file, header) or rebuild_index(self._file, header.end)
 
-    def _described(self, index: Index) -> dict[int, Channel]:
+    def _channels_of(self, index: BagIndex) -> dict[int, Channel]:
         """Return the channel of each connection."""
         channels = {}
         for conn, fields in index.connections.items():
@@ -147,19 +156,20 @@ class Rosbag1Log(MessageLog):
         counts: Counter[Channel] = Counter()
         for conn, channel in self._channels.items():
             counts[channel] += totals[conn]
-        found = (replace(channel, count=count) for channel, count in counts.items())
-        return sorted(found, key=lambda channel: (channel.topic, channel.type_name))
+        channels = (replace(channel, count=count) for channel, count in counts.items())
+        return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk, in order of their start."""
-        wanted = {conn for conn, found in self._channels.items() if found == channel}
+        wanted = {conn for conn, described in self._channels.items() if described == channel}
         chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
-        load = partial(self._messages, wanted, UnpackBudget(self.source.size))
-        # Unpacking is worth threads; plain chunks are read sooner than a thread is told to.
-        packed = chunks and self._is_packed(chunks[0])
-        with closing(prefetch(load, chunks) if packed else (load(one) for one in chunks)) as found:
-            for chunk, bound, (data, messages, damage) in zip(chunks, bounds, found, strict=False):
+        load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
+        # Decompression is worth threads; uncompressed chunks are read sooner than handed over.
+        is_compressed = bool(chunks) and self._is_compressed(chunks[0])
+        loaded = prefetch(load, chunks) if is_compressed else (load(chunk) for chunk in chunks)
+        with closing(loaded):
+            for chunk, bound, (data, messages, damage) in zip(chunks, bounds, loaded, strict=False):
                 expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
                 missing = expected - len(messages.starts)
                 if damage or missing > 0:
@@ -172,29 +182,29 @@ class Rosbag1Log(MessageLog):
         """Return the provenance of each topic, which its connection may carry, as JSON."""
         return self._recorded
 
-    def _is_packed(self, chunk: Chunk) -> bool:
+    def _is_compressed(self, chunk: BagChunk) -> bool:
         try:
             return self._file.record(chunk.start).fields.get(b"compression", b"none") != b"none"
         except MalformedRecordError:
             return False
 
     def _messages(
-        self, wanted: set[int], budget: UnpackBudget, chunk: Chunk
+        self, wanted: set[int], budget: DecompressionBudget, chunk: BagChunk
     ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
-        """Read a chunk and find the messages of some connections in it; say what is damaged."""
-        part = picked(self._file, chunk, wanted)
-        if part is not None and (few := _indexed(part, chunk, wanted)) is not None:
-            return part.data, few, ""
+        """Read a chunk and locate the messages of some connections; the string is its damage."""
+        part = selected_messages(self._file, chunk, wanted)
+        if part is not None and (selected := _indexed(part, chunk, wanted)) is not None:
+            return part.data, selected, ""
         try:
             budget.check()
-            loaded = content(self._file, chunk)
+            loaded = read_chunk(self._file, chunk)
             budget.spend(0 if chunk.loose else len(loaded.data))
         except (MalformedRecordError, CompressionError) as error:
-            loaded = Content(np.empty(0, np.uint8), {}, str(error))
+            loaded = ChunkRecords(np.empty(0, np.uint8), {}, str(error))
         if not loaded.damage:
-            found = _indexed(loaded, chunk, wanted)
-            if found is not None:
-                return loaded.data, found, ""
+            messages = _indexed(loaded, chunk, wanted)
+            if messages is not None:
+                return loaded.data, messages, ""
         return loaded.data, *_walked(loaded, wanted)
 
     def close(self) -> None:
@@ -202,15 +212,15 @@ class Rosbag1Log(MessageLog):
         self.source.close()
 
 
-def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns | None:
-    """Find messages by the index data; None where they do not hold what they promise."""
+def _indexed(content: ChunkRecords, chunk: BagChunk, wanted: set[int]) -> MessageColumns | None:
+    """Locate messages by the index data; None if it disagrees with the records."""
     parts = []
     for conn in wanted & chunk.counts.keys():
         entries = content.entries.get(conn)
         if entries is None or len(entries) != chunk.counts[conn]:
             return None
         offsets = entries["offset"].astype(np.int64)
-        # Index data are in order of time; records of one time are in order of writing.
+        # Index data is in order of time; records of equal time are in order of writing.
         if not (offsets[1:] > offsets[:-1]).all():
             offsets.sort()
         part = indexed_messages(content.data, offsets, conn)
@@ -224,9 +234,9 @@ def _indexed(content: Content, chunk: Chunk, wanted: set[int]) -> MessageColumns
     return MessageColumns(starts[order], ends[order], log_ns[order])
 
 
-def _walked(content: Content, wanted: set[int]) -> tuple[MessageColumns, str]:
-    """Find messages record by record; say why there may be more, or ``""``."""
-    records, damage = surviving_records(content.data, content.marks)
+def _walked(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, str]:
+    """Locate messages record by record; the string says why there may be more, or is ``""``."""
+    records, damage = surviving_records(content.data, content.indexed_offsets)
     rows = [
         (record.data, record.end, record.time(b"time"))
         for record in records

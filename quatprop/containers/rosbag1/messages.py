@@ -1,4 +1,4 @@
-"""The messages of a connection in an unpacked chunk, located all at once by its index data."""
+"""Locate the messages of a connection in a decompressed chunk, all at once, by its index data."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ class MessageColumns(NamedTuple):
 def indexed_messages(
     data: NDArray[np.uint8], offsets: NDArray[np.int64], conn: int
 ) -> MessageColumns | None:
-    """Find the messages of one connection that the index points to.
+    """Locate the messages of one connection that the index points to.
 
-    All headers are compared with the first, so that an index that lies is found out.
+    All headers are compared with the first, so that a wrong index is detected.
 
     Parameters
     ----------
     data
-        The unpacked chunk, shape ``(B,)``.
+        The decompressed chunk, shape ``(B,)``.
     offsets
-        Where the index says their records begin, shape ``(N,)``, ascending.
+        Where their records begin by the index, shape ``(N,)``, ascending.
     conn
         Number of the connection.
 
     Returns
     -------
     MessageColumns or None
-        None where anything there is not a message of this connection.
+        None if anything there is not a message of this connection.
     """
     if len(offsets) == 0:
         return None
@@ -53,8 +53,8 @@ def indexed_messages(
     layout = _message_layout(data.data, first)
     if layout is None or last + layout.itemsize > len(data):
         return None
-    # An overlapping view makes the gather one copy of a few bytes for each message; what follows
-    # then works in a small array, not all over the chunk.
+    # An overlapping view gathers the heads with one copy of a few bytes a message; what follows
+    # then works in a small array instead of the whole chunk.
     size = layout.itemsize
     every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
     headers = every[offsets].view(layout)
@@ -75,7 +75,7 @@ def indexed_messages(
 
 
 def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
-    """Return where the fields of the message header at `at` are, relative to it."""
+    """Return where the fields of the message header at `at` are, relative to `at`."""
     try:
         header_end = header_end_of(data, at)
         places = {name: (begin - at, end - begin) for name, begin, end in

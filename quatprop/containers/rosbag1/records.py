@@ -1,7 +1,7 @@
-"""ROS 1 bag format 2.0: records, and the messages of a chunk as columns.
+"""The records of ROS 1 bags, format 2.0.
 
-A bag is a sequence of records: a header of ``name=value`` fields, then data, each with its length
-before it. A chunk is a record whose data are records again, and is followed by index data that
+A bag is a sequence of records: a header of ``name=value`` fields, then data, each preceded by its
+length. The data of a chunk record are records again, and it is followed by index data records that
 say where in it the messages of each connection are.
 
 References
@@ -39,7 +39,7 @@ MAX_HEADER = 1 << 20
 """Bytes that a record header may have; real ones have less than a thousand."""
 
 _HEAD = 512
-"""Bytes that are read for a header before its length is known."""
+"""Bytes that are read for a header whose length is unknown."""
 
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
@@ -47,12 +47,12 @@ _LENGTH = struct.Struct("<I")
 
 
 class MalformedRecordError(ValueError):
-    """Bytes that are not a record; caught by the readers, which know the place."""
+    """Bytes that are not a record; readers catch it and note the place."""
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Where a record is and what its header says.
+    """A record: its place in the file, and the fields of its header.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Record:
 
 
 class RecordFile:
-    """Reads records from a bag without believing a length beyond its end.
+    """Reads records from a bag, and checks every length against the end of the file.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class RecordFile:
         try:
             return self._source.read(start, size)
         except OSError as error:
-            # A worn card fails at one place; the rest of the bag is still good.
+            # A worn memory card fails at one place; the rest of the bag is still good.
             raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
 
     def record(self, start: int) -> Record:
@@ -168,7 +168,7 @@ def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, in
 def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
     """Return the index entries of each connection from the records that follow a chunk.
 
-    What is not index data, or not whole, ends the reading: its messages are then found by
+    Anything else, or a record that is not whole, ends the reading; its messages are then found by
     walking the chunk.
     """
     entries: dict[int, NDArray[np.void]] = {}
@@ -189,7 +189,7 @@ def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
 
 
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
-    """Yield the records of an unpacked chunk, one after another.
+    """Yield the records of a decompressed chunk, one after another.
 
     Raises
     ------
@@ -204,34 +204,33 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
 
 
 def surviving_records(
-    data: NDArray[np.uint8], marks: NDArray[np.int64]
+    data: NDArray[np.uint8], indexed: NDArray[np.int64]
 ) -> tuple[list[Record], str]:
-    """Return the records of an unpacked chunk that may be damaged, and what is, or ``""``.
+    """Return the intact records of a decompressed chunk, and what is damaged, or ``""``.
 
     Parameters
     ----------
     data
         The chunk, shape ``(B,)``.
-    marks
-        Where records begin by what the index data say, shape ``(N,)``, ascending. They are not
-        believed before the records themselves; behind damage they tell where to go on.
+    indexed
+        Where messages begin by the index data, shape ``(N,)``, ascending. The lengths of the
+        records come first; after damage the index says where to go on.
     """
-    found: list[Record] = []
+    records: list[Record] = []
     try:
-        found.extend(walked_records(data))
+        records.extend(walked_records(data))
     except MalformedRecordError as error:
-        others = _marked(data, marks)
-        return max(found, others, key=len), str(error)
-    return found, ""
+        return max(records, _indexed_records(data, indexed), key=len), str(error)
+    return records, ""
 
 
-def _marked(data: NDArray[np.uint8], marks: NDArray[np.int64]) -> list[Record]:
-    """Follow records by their lengths, none of which leads beyond a mark."""
+def _indexed_records(data: NDArray[np.uint8], indexed: NDArray[np.int64]) -> list[Record]:
+    """Follow records by their lengths, none of which leads beyond the next indexed one."""
     records: list[Record] = []
     at = 0
     while at < len(data):
-        after = int(marks.searchsorted(at, "right"))
-        limit = min(int(marks[after]), len(data)) if after < len(marks) else len(data)
+        after = int(indexed.searchsorted(at, "right"))
+        limit = min(int(indexed[after]), len(data)) if after < len(indexed) else len(data)
         try:
             records.append(_whole_record(data.data, at, limit))
             at = records[-1].end

@@ -1,7 +1,7 @@
-"""Where the records of a ROS 1 bag go on behind damage.
+"""Find the next record of a ROS 1 bag after damage.
 
-Every record has a field ``op`` in its header. Where one is found, the header around it is looked
-for; it is believed where its fields and lengths fit into each other, or where it leads to others.
+Every record has a field ``op`` in its header. Around each such field a header is looked for; it is
+accepted if its fields and lengths are consistent, or if it leads to further records.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ if TYPE_CHECKING:
     from quatprop.containers.rosbag1.records import Record, RecordFile
 
 CHUNKS = frozenset({OP_CHUNK})
-"""What is looked for where the messages of a plain chunk would be found too."""
+"""Kinds of record to look for where messages inside an uncompressed chunk would match, too."""
 
 RECORDS = frozenset({OP_MESSAGE, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION})
-"""What is looked for elsewhere."""
+"""Kinds of record to look for elsewhere."""
 
 COMPRESSIONS = (b"none", b"bz2", b"lz4")
 
 _OP = b"\x04\0\0\0op="
 _WINDOW = 1 << 22
 _REACH = 1 << 10
-"""Bytes of a header that may stand before the field that tells its kind."""
+"""Bytes of a header that may precede the field with its kind."""
 
 _TRIES = 50_000
-"""Places looked at before the search is given up."""
+"""Candidates that are tried before the search is given up, so that it ends on hostile files."""
 
 _CHAIN = 2
-"""Messages that follow each other and are believed for that."""
+"""Messages that must follow each other for the first to be accepted."""
 
 
 def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> int | None:
-    """Return where the first record that is one beyond doubt begins.
+    """Return where the first record begins that can be accepted as one.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
         None where there is no such record.
     """
     tries = _TRIES
-    for found in _ops(file, start, stop + _REACH, kinds):
-        record = _around(file, found, start)
-        if record is not None and record.start < stop and _is_believed(file, record):
+    for place in _ops(file, start, stop + _REACH, kinds):
+        record = _around(file, place, start)
+        if record is not None and record.start < stop and _is_record(file, record):
             return record.start
         tries -= 1
         if tries == 0:
@@ -74,7 +74,7 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
 
 
 def is_chunk(record: Record) -> bool:
-    """Tell whether what the header of a chunk says fits together."""
+    """Tell whether the fields of a chunk header are consistent."""
     try:
         size = record.number(b"size")
     except MalformedRecordError:
@@ -85,7 +85,7 @@ def is_chunk(record: Record) -> bool:
 
 
 def _ops(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> Iterator[int]:
-    """Yield where fields are that tell the kind of a record."""
+    """Yield the places of fields that hold the kind of a record."""
     for begin in range(start, min(stop, file.size), _WINDOW):
         window = file.at(begin, min(_WINDOW + len(_OP), stop - begin))
         at = window.find(_OP)
@@ -96,12 +96,12 @@ def _ops(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> Iter
 
 
 def _around(file: RecordFile, op: int, start: int) -> Record | None:
-    """Return the record that has its kind at a place; None where no header is around it."""
+    """Return the record whose kind is at a place; None if no header is around it."""
     first = max(start, op - _REACH)
     data = file.at(first, 2 * _REACH)
     for at in range(op - first - 4, -1, -1):
         size = int.from_bytes(data[at : at + 4], "little")
-        # The header ends behind the field, and not far from it.
+        # The header ends after the field, and not far from it.
         if not op - first + len(_OP) + 1 <= at + 4 + size <= len(data):
             continue
         try:
@@ -113,12 +113,12 @@ def _around(file: RecordFile, op: int, start: int) -> Record | None:
     return None
 
 
-def _is_believed(file: RecordFile, record: Record) -> bool:
-    """Tell whether a record is one, and not by chance."""
+def _is_record(file: RecordFile, record: Record) -> bool:
+    """Tell whether a candidate is a record, rather than bytes that look like one."""
     for _ in range(_CHAIN):
         try:
             if record.op != OP_MESSAGE:
-                return _fits(file, record)
+                return _is_plausible(file, record)
             record.number(b"conn")
             record.time(b"time")
             if record.end >= file.size:
@@ -129,8 +129,8 @@ def _is_believed(file: RecordFile, record: Record) -> bool:
     return True
 
 
-def _fits(file: RecordFile, record: Record) -> bool:
-    """Tell whether the fields of a record fit its length."""
+def _is_plausible(file: RecordFile, record: Record) -> bool:
+    """Tell whether the fields of a record agree with its length."""
     length = record.end - record.data
     if record.op == OP_CHUNK:
         return is_chunk(record)

@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, MessageBlock, MessageLog
-from quatprop.containers.packed_messages import is_packed, unpacked
+from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _ROWS = 256
-"""Rows that are fetched together: enough to share the costs, few enough to stay in the cache."""
+"""Rows that are fetched together: they fit the processor's cache."""
 
 _FETCHES = 16
-"""Fetches that make a block: enough to share the costs of decoding it."""
+"""Fetches in a block, so that decoding costs little per message."""
 
 _BYTES = 4 << 20
-"""Bytes above which a block is not made larger, for large messages."""
+"""Bytes from which a block is complete, for large messages."""
 
 
 class _Fetch(NamedTuple):
-    """Rows that were fetched together: times, ns, and lengths and bytes of the messages."""
+    """Rows fetched together: log times, ns, and the lengths and bytes of the messages."""
 
     times: NDArray[np.int64]
     lengths: NDArray[np.int64]
@@ -49,14 +49,14 @@ class Db3Log(MessageLog):
     path
         The database.
     message_compression
-        ``"zstd"`` where each message is packed by itself. Messages in CDR tell that themselves.
+        ``"zstd"`` if each message is compressed by itself; in CDR that is recognised.
 
     Raises
     ------
     DamagedLogError
-        It is no database, or damaged where it says what it holds.
+        It is no database, or its tables of topics cannot be read.
     UnsupportedLogError
-        It is a database of something else, or of a compression that is not read.
+        It is another database, or its compression is not supported.
     """
 
     kind = "db3"
@@ -65,15 +65,15 @@ class Db3Log(MessageLog):
         if message_compression not in (None, "zstd"):
             raise UnsupportedLogError(
                 path,
-                f"its messages are packed with {quoted(message_compression)} and only zstd is "
-                "read; unpack it with `ros2 bag convert`",
+                f"its messages are compressed with {quoted(message_compression)} and only zstd is "
+                "read; decompress it with `ros2 bag convert`",
             )
         super().__init__(path)
-        self._packed = message_compression is not None
+        self._is_zstd = message_compression is not None
         try:
-            self._database = self._connected()
+            self._database = self._connect()
             try:
-                self._topics = self._described()
+                self._topics = self._read_topics()
             except BaseException:
                 self._database.close()
                 raise
@@ -82,9 +82,9 @@ class Db3Log(MessageLog):
                 path, f"its database cannot be read ({error}); try `sqlite3 FILE .recover`"
             ) from error
 
-    def _connected(self) -> apsw.Connection:
-        """Open the database without ever writing to it."""
-        beside = not_yet_inside(self.path)
+    def _connect(self) -> apsw.Connection:
+        """Open the database, read-only."""
+        beside = files_beside(self.path)
         if beside:
             try:
                 database = _opened(read_only(self.path, beside))
@@ -100,7 +100,7 @@ class Db3Log(MessageLog):
         rows = self._database.execute("SELECT name FROM pragma_table_info(?)", (table,))
         return {str(name) for (name,) in rows}
 
-    def _described(self) -> dict[int, Channel]:
+    def _read_topics(self) -> dict[int, Channel]:
         """Return the channel of each topic number."""
         if not (
             self._columns("topics") >= {"id", "name", "type", "serialization_format"}
@@ -122,7 +122,7 @@ class Db3Log(MessageLog):
         return channels
 
     def _definitions(self) -> dict[str, tuple[str, bytes]]:
-        """Return how the definition of each type is written, and the definition."""
+        """Return language and text of the definition of each type."""
         wanted = {"topic_type", "encoding", "encoded_message_definition"}
         if not self._columns("message_definitions") >= wanted:
             return {}
@@ -136,7 +136,7 @@ class Db3Log(MessageLog):
         }
 
     def channels(self) -> list[Channel]:
-        """Return every channel, in order of topic; SQLite does not say how many messages it has."""
+        """Return every channel, in order of topic; how many messages it has is not known."""
         return sorted(
             set(self._topics.values()), key=lambda channel: (channel.topic, channel.type_name)
         )
@@ -145,10 +145,10 @@ class Db3Log(MessageLog):
         """Yield the messages of one channel, in order of their log times."""
         fetches = self._fetches(channel)
         damaged = 0
-        while some := _some(fetches):
-            block = _joined(some)
-            if self._packed or (channel.encoding == "cdr" and is_packed(block)):
-                block, lost = unpacked(block)
+        while group := _block_of(fetches):
+            block = _combined(group)
+            if self._is_zstd or (channel.encoding == "cdr" and is_compressed(block)):
+                block, lost = decompressed(block)
                 damaged += lost
             if len(block):
                 yield block
@@ -156,7 +156,7 @@ class Db3Log(MessageLog):
             self._lose(channel, "their zstd data is damaged", damaged)
 
     def _fetches(self, channel: Channel) -> Iterator[_Fetch]:
-        """Fetch messages in time order, until the end or the damage."""
+        """Fetch messages in time order, up to the end or to damage."""
         numbers = [number for number, found in self._topics.items() if found == channel]
         marks = ", ".join("?" * len(numbers))
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
@@ -180,18 +180,18 @@ class Db3Log(MessageLog):
                 damage = error
             if not fetched:
                 break
-            right = _of_right_types(fetched)
+            valid = _of_valid_types(fetched)
             count += len(fetched)
-            lost += len(fetched) - len(right)
-            if right:
-                stamps, messages = zip(*right, strict=True)
+            lost += len(fetched) - len(valid)
+            if valid:
+                stamps, messages = zip(*valid, strict=True)
                 fetch = _Fetch(
                     np.fromiter(stamps, np.int64, len(stamps)),
                     np.fromiter(map(len, messages), np.int64, len(messages)),
                     b"".join(messages),
                 )
                 yield fetch
-                rows = min(_ROWS, max(1, _BYTES * len(right) // (len(fetch.data) + 1)))
+                rows = min(_ROWS, max(1, _BYTES * len(valid) // (len(fetch.data) + 1)))
         if lost:
             self._lose(channel, "their log times or contents are of other types", lost)
         if damage is not None:
@@ -216,40 +216,37 @@ class Db3Log(MessageLog):
         self._database.close()
 
 
-def _of_right_types(rows: list[Any]) -> list[Any]:
-    """Return the rows of a whole number and bytes; SQLite takes anything.
-
-    Of the digits in bytes numpy would make a number.
-    """
+def _of_valid_types(rows: list[Any]) -> list[Any]:
+    """Return the rows of an integer and bytes; columns of SQLite hold values of any type."""
     stamps, messages = zip(*rows, strict=True)
     if set(map(type, stamps)) == {int} and set(map(type, messages)) == {bytes}:
         return rows
     return [row for row in rows if type(row[0]) is int and type(row[1]) is bytes]
 
 
-def _some(fetches: Iterator[_Fetch]) -> list[_Fetch]:
-    """Take as many fetches as make a block; none at the end."""
-    some: list[_Fetch] = []
+def _block_of(fetches: Iterator[_Fetch]) -> list[_Fetch]:
+    """Take the fetches of one block; none at the end."""
+    group: list[_Fetch] = []
     size = 0
     for fetch in fetches:
-        some.append(fetch)
+        group.append(fetch)
         size += len(fetch.data)
-        if len(some) == _FETCHES or size > _BYTES:
+        if len(group) == _FETCHES or size > _BYTES:
             break
-    return some
+    return group
 
 
-def _joined(fetches: list[_Fetch]) -> MessageBlock:
-    """Return fetches as one block."""
-    every, sizes, data = zip(*fetches, strict=True)
-    times, lengths = np.concatenate(every), np.concatenate(sizes)
+def _combined(fetches: list[_Fetch]) -> MessageBlock:
+    """Combine fetches into one block."""
+    times_of, lengths_of, data = zip(*fetches, strict=True)
+    times, lengths = np.concatenate(times_of), np.concatenate(lengths_of)
     ends = np.cumsum(lengths)
     buffer = np.frombuffer(b"".join(data), np.uint8)
     return MessageBlock(buffer, ends - lengths, ends, times, times, int(times[-1]))
 
 
-def not_yet_inside(path: Path) -> list[str]:
-    """Name the files beside a database with what a recorder has not yet moved into it."""
+def files_beside(path: Path) -> list[str]:
+    """Return the names of the journal files with changes not yet in the database."""
     return [
         name
         for name in (f"{path.name}-wal", f"{path.name}-journal")
@@ -258,17 +255,17 @@ def not_yet_inside(path: Path) -> list[str]:
 
 
 def read_only(path: Path, beside: Sequence[str] = ()) -> str:
-    """Return the address that opens a database and neither changes it nor leaves files beside it.
+    """Return the URI that opens a database without changing it or leaving files beside it.
 
     Parameters
     ----------
     path
         The database.
     beside
-        The files of :func:`not_yet_inside` where they are to be read, too.
+        The files of :func:`files_beside`, if they are to be read, too.
     """
     address = f"file:{quote(str(path.absolute()))}?mode=ro"
-    # Opened without this, a database in write-ahead mode gets files of its own beside it.
+    # Without this, files are created beside a database in write-ahead mode.
     return address if beside else f"{address}&immutable=1"
 
 

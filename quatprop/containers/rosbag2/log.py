@@ -1,16 +1,17 @@
-"""ROS 2 bag folders: SQLite or MCAP, split or not, packed or not, with or without metadata."""
+"""ROS 2 bag folders: SQLite or MCAP, split or not, compressed or not, with or without metadata."""
 
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
+from quatprop.containers.compressed_files import DecompressedCopy, file_compression
+from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.packed_files import UnpackedCopy, file_compression
-from quatprop.containers.packed_messages import is_packed, unpacked
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
@@ -23,20 +24,20 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Part:
-    """One file of the bag.
+    """A file of the bag.
 
     Parameters
     ----------
     path
-        The file as the user sees it.
+        The file in the folder.
     copy
-        Its unpacked copy, where it is packed.
+        Its decompressed copy, if it is compressed.
     channels
-        Its channels, each with the channel of the whole bag that it belongs to.
+        Its channels, each with the channel of the bag that it belongs to.
     """
 
     path: Path
-    copy: UnpackedCopy | None
+    copy: DecompressedCopy | None
     channels: dict[Channel, Channel]
 
 
@@ -68,12 +69,12 @@ class Rosbag2Log(MessageLog):
             raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
         self.losses = found.losses
         self._recorded = of_all_topics(found.custom)
-        self._packing = found.message_compression
-        if self._packing not in (None, "zstd"):
+        self._message_compression = found.message_compression
+        if self._message_compression not in (None, "zstd"):
             raise UnsupportedLogError(
                 path,
-                f"its messages are packed with {quoted(self._packing)} and only zstd is read; "
-                "unpack it with `ros2 bag convert`",
+                f"its messages are compressed with {quoted(self._message_compression)} and only "
+                "zstd is read; decompress it with `ros2 bag convert`",
             )
         self._parts: list[_Part] = []
         try:
@@ -87,19 +88,19 @@ class Rosbag2Log(MessageLog):
             raise DamagedLogError(
                 path, f"none of its parts can be read; {first.place}: {first.reason}"
             )
-        self._channels = self._united(found.counts)
+        self._channels = self._unite_channels(found.counts)
 
     def _add(self, file: Path) -> None:
-        """Open a part for the first time, or note why it cannot be."""
+        """Add a part, or note why it cannot be opened."""
         part = _Part(file, None, {})
         try:
             with file.open("rb") as opened:
                 head = opened.read(16)
             if file_compression(head):
-                part.copy = UnpackedCopy(file)
+                part.copy = DecompressedCopy(file)
                 if part.copy.damage:
                     self._note(part, [Loss("end of the file", part.copy.damage)])
-            with self._opened(part) as log:
+            with self._open(part) as log:
                 part.channels = {channel: channel for channel in log.channels()}
                 self._note(part, log.losses)
         except (LogError, CompressionError, OSError) as error:
@@ -109,15 +110,15 @@ class Rosbag2Log(MessageLog):
         else:
             self._parts.append(part)
 
-    def _opened(self, part: _Part) -> MessageLog:
-        """Open a part; its content tells which storage it has."""
+    def _open(self, part: _Part) -> MessageLog:
+        """Open a part, whose content tells its storage."""
         path = part.copy.path if part.copy else part.path
         with path.open("rb") as file:
             is_database = file.read(6) == b"SQLite"
         if is_database:
             from quatprop.containers.rosbag2.db3 import Db3Log
 
-            return Db3Log(path, self._packing)
+            return Db3Log(path, self._message_compression)
         from quatprop.containers.mcap.log import McapLog
 
         return McapLog(path)
@@ -132,24 +133,23 @@ class Rosbag2Log(MessageLog):
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
         self._note(part, [Loss("the whole part", str(reason))])
 
-    def _united(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
+    def _unite_channels(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
         """Group the channels of the parts, and count their messages.
 
-        A part may lack the definition of a type that another part carries.
+        A part may lack the definition of a type that another part has.
         """
-        every = [channel for part in self._parts for channel in part.channels]
-        definitions: dict[tuple[str, str], set[tuple[str, bytes]]] = {}
-        for channel in every:
+        definitions: defaultdict[tuple[str, str], set[tuple[str, bytes]]] = defaultdict(set)
+        for channel in (channel for part in self._parts for channel in part.channels):
             if channel.schema:
-                known = definitions.setdefault((channel.type_name, channel.encoding), set())
-                known.add((channel.schema_encoding, channel.schema))
+                definition = channel.schema_encoding, channel.schema
+                definitions[channel.type_name, channel.encoding].add(definition)
         counts: dict[Channel, list[int | None]] = {}
         for part in self._parts:
             for channel in part.channels:
-                known = definitions.get((channel.type_name, channel.encoding), set())
                 whole = channel
-                if not channel.schema and len(known) == 1:
-                    ((schema_encoding, schema),) = known
+                choices = definitions[channel.type_name, channel.encoding]
+                if not channel.schema and len(choices) == 1:
+                    ((schema_encoding, schema),) = choices
                     whole = replace(channel, schema_encoding=schema_encoding, schema=schema)
                 part.channels[channel] = whole
                 counts.setdefault(whole, []).append(channel.count)
@@ -168,10 +168,10 @@ class Rosbag2Log(MessageLog):
         return list(self._channels)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, from whichever part has the earliest next.
+        """Yield the messages of one channel, always from the part with the earliest next block.
 
         Parts that follow each other in time are read one after another; parts that overlap are
-        read side by side.
+        read alternately.
         """
         streams = [
             (part, own)
@@ -189,15 +189,15 @@ class Rosbag2Log(MessageLog):
             if block is None:
                 continue
             running[k] = stream
-            # No later than the block's end: a part that has ended is then closed at once.
+            # Not after the block's end, so that a part that has ended is closed at once.
             bound = min(block.not_before_ns, int(block.log_ns.max()))
             heapq.heappush(waiting, (bound, k))
             yield replace(block, not_before_ns=waiting[0][0])
 
     def _starts(self, streams: list[tuple[_Part, Channel]]) -> list[tuple[int, int]]:
-        """Return before what time no stream has a message, with its number.
+        """Return the number of each stream, after a time that none of its messages precedes.
 
-        The parts are asked, not the metadata: what a recorder that died wrote there is stale.
+        The times are those of the parts: the metadata of a recorder that died is stale.
         """
         starts = []
         for k, stream in enumerate(streams):
@@ -210,7 +210,7 @@ class Rosbag2Log(MessageLog):
     def _stream(self, part: _Part, own: Channel) -> Generator[MessageBlock, None, None]:
         """Yield the messages of one channel of one part."""
         try:
-            log = self._opened(part)
+            log = self._open(part)
         except (LogError, OSError) as error:
             self._give_up(part, error)
             return
@@ -218,7 +218,9 @@ class Rosbag2Log(MessageLog):
         with log:
             opened = len(log.losses)
             for block in log.blocks(own):
-                whole, lost = unpacked(block) if self._is_packed(log, own, block) else (block, 0)
+                whole, lost = (
+                    decompressed(block) if self._is_compressed(log, own, block) else (block, 0)
+                )
                 damaged += lost
                 if len(whole):
                     yield whole
@@ -231,20 +233,22 @@ class Rosbag2Log(MessageLog):
         """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""
         return self._recorded
 
-    def _is_packed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
-        """Tell whether the messages of a block are still packed one by one."""
+    def _is_compressed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
+        """Tell whether the messages of a block are compressed one by one."""
         if log.kind == "db3":
             return False
-        return self._packing is not None or (own.encoding == "cdr" and is_packed(block))
+        return self._message_compression is not None or (
+            own.encoding == "cdr" and is_compressed(block)
+        )
 
     def close(self) -> None:
-        """Remove the unpacked copies."""
+        """Remove the decompressed copies."""
         for part in self._parts:
             if part.copy:
                 part.copy.close()
 
 
-def _total(found: list[int | None], stated: int | None) -> int | None:
-    """Return the number of messages: as the parts count them, else as the metadata state it."""
-    known = [count for count in found if count is not None]
-    return sum(known) if len(known) == len(found) else stated
+def _total(counts: list[int | None], stated: int | None) -> int | None:
+    """Return the number of messages as the parts count them, or else as the metadata states it."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else stated

@@ -1,4 +1,4 @@
-"""Which files a ROS 2 bag folder is made of: from its metadata.yaml, or by their names."""
+"""The parts of a ROS 2 bag folder, from its metadata.yaml or by their names."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
 _PART = re.compile(
     r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
 )
-"""Names of parts: the bag's name, a number where it was split, storage, packing."""
+"""Names of parts: the bag's name, a number if it was split, storage, compression."""
 
 MAX_METADATA = 1 << 22
-"""Bytes that metadata.yaml may have; thousands of parts take less."""
+"""Bytes that metadata.yaml may have; that of thousands of parts is smaller."""
 
 
 @dataclass(slots=True)
 class Folder:
-    """What a bag folder says about itself.
+    """The content of a bag folder.
 
     Parameters
     ----------
     parts
         The files to read, in the order of the metadata or of their numbers.
     message_compression
-        How messages are packed one by one, or None.
+        How messages are compressed one by one, or None.
     counts
-        Messages by topic and type as the metadata spell them.
+        Number of messages by topic and type, from the metadata.
     losses
-        Parts that are not there or not read.
+        Parts that are missing or not read.
     custom
-        What others than the recorder have added, by their names.
+        Custom data in the metadata, by name.
     """
 
     parts: list[Path] = field(default_factory=list)
@@ -66,11 +66,11 @@ def folder(path: Path) -> Folder:
     Raises
     ------
     UnsupportedLogError
-        It holds no parts, or parts of several bags and nothing that tells which to read.
+        It holds no parts, or parts of several bags and no metadata.
     OSError
         It cannot be listed.
     """
-    # A pipe or a device under the name of a part would be read forever.
+    # A pipe or a device with the name of a part would be read forever.
     there = {
         file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
     }
@@ -85,7 +85,7 @@ def folder(path: Path) -> Folder:
 
 
 def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
-    """Return what metadata.yaml says, None where it is missing or says nothing of use."""
+    """Return the content of metadata.yaml; None if it is missing or not usable."""
     if not path.exists():
         return None
     try:
@@ -100,12 +100,12 @@ def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
 
 
 def _loaded(text: str) -> dict[str, Any]:
-    """Return what a text in YAML says; nothing where it is damaged."""
+    """Return the content of a text in YAML; empty if it is damaged."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        # The safe loader makes nothing but plain values, whatever the tags ask for.
+        # The safe loader creates plain values only, whatever the tags ask for.
         loaded = YAML(typ="safe").load(text)
     except (YAMLError, KeyError, TypeError, ValueError, RecursionError):
         return {}
@@ -113,12 +113,12 @@ def _loaded(text: str) -> dict[str, Any]:
 
 
 def custom_data(text: str) -> dict[str, str]:
-    """Return what others than the recorder have added to the metadata of a bag, by their names.
+    """Return the custom data in the metadata of a bag, by name.
 
     Parameters
     ----------
     text
-        The metadata as SQLite storage repeats them.
+        The metadata as SQLite storage repeats it.
     """
     return _custom(_loaded(text)) if len(text) <= MAX_METADATA else {}
 
@@ -131,12 +131,12 @@ def _custom(metadata: dict[str, Any]) -> dict[str, str]:
 
 
 def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
-    """Return the parts that are there in the order of their numbers."""
+    """Return the parts in the folder in order of their numbers."""
     parts: dict[tuple[str, int], Path] = {}
     for name, file in sorted(there.items()):
         match = _PART.fullmatch(name)
         if match:
-            # Unpacked by hand beside the packed file: sorted first, and one of them is enough.
+            # A file decompressed by hand, beside the compressed one, is sorted first and read.
             bag = match["bag"] + match["storage"]
             parts.setdefault((bag, int(match["number"] or 0)), file)
     bags = sorted({bag for bag, _ in parts})
@@ -155,23 +155,23 @@ def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
 
 
 def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) -> None:
-    """Look for every part that the metadata name."""
+    """Look for every part that the metadata lists."""
     sizes = {
         PurePosixPath(_text(entry.get("path"))).name: entry.get("message_count")
         for entry in _dicts(metadata.get("files"))
     }
-    named: set[str] = set()
+    listed_names: set[str] = set()
     for relative in _paths(metadata):
         name = PurePosixPath(relative).name
-        # Old metadata name the folder too. Nothing outside the folder is ever read.
-        file = next((there[one] for one in _spellings(name) if one in there), None)
-        named.update(_spellings(name))
+        # Old metadata has the folder's name too. Nothing outside the folder is ever read.
+        file = next((there[name] for name in _spellings(name) if name in there), None)
+        listed_names.update(_spellings(name))
         if file is None:
             count = sizes.get(name)
             found.losses.note(f"part {quoted(relative)}", "it is not in the folder", _count(count))
         elif file not in found.parts:
             found.parts.append(file)
-    for name in sorted(there.keys() - named):
+    for name in sorted(there.keys() - listed_names):
         reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
         found.losses.note(f"part {quoted(name)}", reason)
     if _text(metadata.get("compression_mode")).lower() == "message":
@@ -190,12 +190,12 @@ def _paths(metadata: dict[str, Any]) -> list[str]:
 
 
 def _text(value: object) -> str:
-    """Return a text; anything else may hold itself, or unfold without end, when it is written."""
+    """Return a string; ``""`` for anything else, which may be nested without end."""
     return value if isinstance(value, str) else ""
 
 
 def _spellings(name: str) -> Iterator[str]:
-    """Yield how a part may be named: a recorder that died may not have packed its last one."""
+    """Yield the names of a part: a recorder that died may not have compressed the last one."""
     yield name
     yield name.removesuffix(".zstd")
     yield name + ".zstd"

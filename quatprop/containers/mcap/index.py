@@ -1,9 +1,9 @@
 """What an MCAP file holds and where: channels, schemas, and the regions with messages.
 
-The summary at the end of the file is taken where it is whole and agrees with the file. What it
-does not cover, or the whole file where it is missing, is scanned: record by record, over the
-content of chunks and attachments without reading it. Where the records cannot be followed, it goes
-on at the next that is one beyond doubt.
+The summary at the end of the file is used if it is whole and agrees with the file. What it does
+not cover, or the whole file if it has none, is scanned record by record, skipping the content of
+chunks and attachments. Where the records cannot be followed, the scan goes on at the next place
+that is certain to be a record.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.limits import UnpackBudget, checksums_matter
-from quatprop.containers.mcap.messages import at_offsets, walk
+from quatprop.containers.limits import DecompressionBudget, checksums_matter
+from quatprop.containers.mcap.messages import messages_at, walk_records
 from quatprop.containers.mcap.regions import (
     CHANNEL,
     CHUNK,
@@ -43,16 +43,16 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.summary import Footer, Survey
+    from quatprop.containers.mcap.summary import Footer, McapIndex
 
-_STRETCH = 1 << 22
+_LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 _FIRST_PRIVATE_OPCODE = 0x80
 
 
-def survey(source: FileSource) -> Survey:
-    """Find out what a file that begins with :data:`MAGIC` holds.
+def build_index(source: FileSource) -> McapIndex:
+    """Build the index of a file that begins with :data:`MAGIC`.
 
     Parameters
     ----------
@@ -61,30 +61,30 @@ def survey(source: FileSource) -> Survey:
 
     Returns
     -------
-    Survey
-        All of it that can be read; `losses` says what cannot.
+    McapIndex
+        What can be read of the file; `losses` says what cannot.
     """
     footer = read_footer(source)
     summary = Summary() if footer is None else read_summary(source, footer)
     end = _end_of_data(source, footer, summary)
-    scan = _Scan(source, end, _where_it_says(source, summary))
+    scan = _Scan(source, end, _usable_chunks(source, summary))
     scan.run(is_closed=footer is not None)
     if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
         # Bytes are missing, or too many, before the summary: it is not where the footer says.
         summary = read_summary(source, replace(footer, summary_start=scan.summary_start))
-    if scan.known:  # chunks that the scan passed over: the summary does not fit the file
+    if scan.indexed:  # chunks that the scan did not come by: the summary does not fit the file
         summary = Summary()
         scan = _Scan(source, end, {})
         scan.run(is_closed=footer is not None)
-    found = summary.found
-    found.regions, found.losses = scan.regions, scan.losses
+    index = summary.index
+    index.regions, index.losses = scan.regions, scan.losses
     for opcode, content, place in scan.definitions:
-        found.define(opcode, content, place)
-    _look_inside(source, found, is_complete=summary.is_complete)
-    for channel in {id_ for region in found.regions for id_ in region.holds or ()}:
-        if channel not in found.channels:
-            found.losses.note(f"channel {channel}", "no record says what it is")
-    return found
+        index.define(opcode, content, place)
+    _read_definitions(source, index, is_complete=summary.is_complete)
+    for channel in {id_ for region in index.regions for id_ in region.holds or ()}:
+        if channel not in index.channels:
+            index.losses.note(f"channel {channel}", "no record defines it")
+    return index
 
 
 def _end_of_data(source: FileSource, footer: Footer | None, summary: Summary) -> int:
@@ -94,23 +94,19 @@ def _end_of_data(source: FileSource, footer: Footer | None, summary: Summary) ->
     return footer.data_end if summary else footer.footer_start
 
 
-def _where_it_says(source: FileSource, summary: Summary) -> dict[int, Region]:
-    """Return the chunks of the summary; none where bytes are missing or too many before the last.
+def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Region]:
+    """Return the chunks of the summary; none if bytes are missing or inserted before the last one.
 
-    What else it says stands then all the same.
+    The definitions of the summary are used all the same.
     """
     if not summary.chunks:
         return {}
     last = summary.chunks[max(summary.chunks)]
-    return summary.chunks if chunk_head(_beginning(source, last.start), last.length) else {}
-
-
-def _beginning(source: FileSource, position: int) -> bytes:
-    return source.read(position, PEEK)
+    return summary.chunks if chunk_head(source.read(last.start, PEEK), last.length) else {}
 
 
 class _Scan:
-    """Goes through the data section from record to record.
+    """A scan of the data section, from record to record.
 
     Parameters
     ----------
@@ -118,31 +114,31 @@ class _Scan:
         The file.
     end
         Where the data section ends.
-    known
-        Chunks that need not be looked at, by where they are. Those that the scan comes by are
-        taken out.
+    indexed
+        Chunks of the summary, which are not scanned, by where they begin. Those that the scan
+        comes by are removed.
 
     Attributes
     ----------
     summary_start
-        Where the record ends that ends the data; 0 while there is none.
+        Where the data end record ends; 0 while none was read.
     """
 
-    def __init__(self, source: FileSource, end: int, known: dict[int, Region]) -> None:
+    def __init__(self, source: FileSource, end: int, indexed: dict[int, Region]) -> None:
         self.source = source
         self.end = end
-        self.known = known
-        self.starts = sorted(known)
+        self.indexed = indexed
+        self.starts = sorted(indexed)
         self.regions: list[Region] = []
         self.definitions: list[tuple[int, Buffer, str]] = []
         self.losses = Losses()
         self.summary_start = 0
 
     def run(self, *, is_closed: bool) -> None:
-        """Scan everything; `is_closed` tells whether the file has its footer."""
+        """Scan the data section; `is_closed` says whether the file has a footer."""
         position = len(MAGIC)
         while position < self.end:
-            region = self.known.pop(position, None)
+            region = self.indexed.pop(position, None)
             if region is not None:
                 self.regions.append(region)
                 position = region.end
@@ -152,7 +148,7 @@ class _Scan:
             if opcode == DATA_END:
                 self.summary_start = position
                 self._check_data(begin)
-                position = self._next_known(position)
+                position = self._next_indexed(position)
         if is_closed or self.summary_start:
             return
         if not self.losses or self.losses[-1].reason != TORN:
@@ -165,7 +161,7 @@ class _Scan:
             self.regions[-1].holds = None
 
     def _step(self, position: int) -> tuple[int, int]:
-        """Take the record at `position`; return its opcode and where the next one begins."""
+        """Process the record at `position`; return its opcode and where the next one begins."""
         head = self.source.read(position, min(PEEK, self.end - position))
         opcode, length = RECORD.unpack_from(head.ljust(RECORD.size, b"\0"))
         end = position + RECORD.size + length
@@ -189,31 +185,34 @@ class _Scan:
         return opcode, end
 
     def _is_torn(self, position: int) -> bool:
-        """Note that a chunk is the last of a file that ends inside it; False where others follow.
+        """Tell whether the file ends inside a chunk, and note that; False where others follow.
 
-        Bytes that are missing in the middle of a chunk may let it seem to end beyond the file.
+        If bytes are missing in the middle of a chunk, it seems to end beyond the file, too.
         """
-        if self.end < self.source.size or self._found(position + 1, self.end, CHUNKS) is not None:
+        if (
+            self.end < self.source.size
+            or self._next_record(position + 1, self.end, CHUNKS) is not None
+        ):
             return False
         self.losses.note(f"chunk at byte {position}", TORN)
         return True
 
-    def _found(self, start: int, stop: int, kinds: Container[int]) -> int | None:
+    def _next_record(self, start: int, stop: int, kinds: Container[int]) -> int | None:
         return next_record(self.source, start, stop, self.end, kinds)
 
     def _damaged(self, position: int, opcode: int) -> int:
-        """Note that the record at `position` cannot be taken; return where to go on."""
-        limit = self._next_known(position)
+        """Note that no record can be read at `position`; return where to go on."""
+        limit = self._next_indexed(position)
         last = self.regions[-1] if self.regions else None
-        going_on = None
+        resumed_at = None
         if last is not None and last.is_chunk and last.end == position:
-            # It may be the chunk before whose length leads astray.
-            going_on = self._found(last.start + 1, position, CHUNKS)
-            # What is damaged may be the index of another channel that it holds.
+            # The length of the chunk before may be wrong.
+            resumed_at = self._next_record(last.start + 1, position, CHUNKS)
+            # The damage may have hit the message index of another channel of that chunk.
             last.holds, last.index_length = None, 0
-        if going_on is None:
-            going_on = self._found(position + 1, limit, RECORDS)
-        skipped_to = limit if going_on is None else going_on
+        if resumed_at is None:
+            resumed_at = self._next_record(position + 1, limit, RECORDS)
+        skipped_to = limit if resumed_at is None else resumed_at
         is_opcode = 0 < opcode <= DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
         if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
@@ -224,26 +223,25 @@ class _Scan:
             self.losses.note(f"byte {position}", reason)
         return skipped_to
 
-    def _next_known(self, position: int) -> int:
+    def _next_indexed(self, position: int) -> int:
         after = bisect_right(self.starts, position)
         return self.starts[after] if after < len(self.starts) else self.end
 
     def _check_data(self, end: int) -> None:
-        """Compare the checksum that the data end holds, where nothing else is checked.
+        """Compare the checksum in the data end record, if there are no other checksums.
 
-        Chunks have checksums of their own, and may be many gigabytes of which little is read.
+        Chunks have their own, and may be many gigabytes of which little is read.
         """
         record = self.source.read(end, RECORD.size + 4)
         crc = int.from_bytes(record[RECORD.size :], "little")
         if not crc or any(region.is_chunk for region in self.regions) or not checksums_matter():
             return
-        found = 0
-        for start in range(0, end, _STRETCH):
-            found = crc32(self.source.read(start, min(_STRETCH, end - start)), found)
-        if found != crc:
+        actual = 0
+        for start in range(0, end, _LOOSE_SIZE):
+            actual = crc32(self.source.read(start, min(_LOOSE_SIZE, end - start)), actual)
+        if actual != crc:
             reason = (
-                "its checksum is wrong: something in it is not what was recorded, and nothing "
-                "tells what"
+                "its checksum is wrong: it is not what was recorded, and there is no telling where"
             )
             self.losses.note("data section", reason)
 
@@ -262,20 +260,20 @@ class _Scan:
         region.index_length += RECORD.size + length
 
     def _messages(self, position: int, end: int) -> int:
-        """Take the messages outside chunks from `position` on; return where they end."""
+        """Add the messages outside chunks from `position` on; return where they end."""
         if end - position > MAX_SIZE:
             self.losses.note(f"message at byte {position}", "it is too large")
             return end
-        size = min(max(_STRETCH, end - position), self.end - position)
+        size = min(max(_LOOSE_SIZE, end - position), self.end - position)
         data = self.source.read(position, size)
-        walked = walk(data, stop_at=_NOT_MESSAGES)
+        walked = walk_records(data, stop_at=_NOT_MESSAGES)
         if walked.malformed:
             place = f"messages at byte {position}"
             self.losses.note(place, "too short to be messages", walked.malformed)
         for opcode, begin, stop in walked.definitions:
             place = f"at byte {position + begin - RECORD.size}"
             self.definitions.append((opcode, data[begin:stop], place))
-        messages = at_offsets(data, walked.offsets)
+        messages = messages_at(data, walked.offsets)
         if messages:
             counts = messages.counts()
             first = int(messages.log_ns.min())
@@ -286,37 +284,42 @@ class _Scan:
         return position + walked.end
 
 
-def _look_inside(source: FileSource, found: Survey, *, is_complete: bool) -> None:
-    """Read the chunks that may hold channels and schemas not seen yet."""
+def _read_definitions(source: FileSource, index: McapIndex, *, is_complete: bool) -> None:
+    """Read the chunks that may hold channels and schemas not yet defined."""
     suspect = []
-    take = partial(_take_definitions, source, found, UnpackBudget(source.size))
-    for region in found.regions:
+    define = partial(_define_from, source, index, DecompressionBudget(source.size))
+    for region in index.regions:
         if region.holds is None:
-            wanted = not is_complete or not all(map(found.is_defined, found.channels))
+            needed = not is_complete or not all(map(index.is_defined, index.channels))
         else:
-            wanted = not all(map(found.is_defined, region.holds))
-        if wanted and not take(region, check=True):
-            suspect.append(region)  # told when its messages are wanted
-    # What a chunk with a wrong checksum says of channels is better than nothing.
+            needed = not all(map(index.is_defined, region.holds))
+        if needed and not define(region, check=True):
+            suspect.append(region)  # noted as a loss when its messages are read
+    # Definitions in a chunk with a wrong checksum are better than none.
     for region in suspect:
-        if not (is_complete and all(map(found.is_defined, found.channels))):
-            take(region, check=False)
+        if not (is_complete and all(map(index.is_defined, index.channels))):
+            define(region, check=False)
 
 
-def _take_definitions(
-    source: FileSource, found: Survey, budget: UnpackBudget, region: Region, *, check: bool
+def _define_from(
+    source: FileSource,
+    index: McapIndex,
+    budget: DecompressionBudget,
+    region: Region,
+    *,
+    check: bool,
 ) -> bool:
-    """Take what a region defines; return whether it can be read."""
+    """Add the definitions in a region; return whether it can be read."""
     try:
         loaded = load(source, region, budget, check=check)
     except RegionError:
         return False
     data = loaded.data
-    walked = walk(data)
+    walked = walk_records(data)
     for opcode, begin, stop in walked.definitions:
-        found.define(opcode, memoryview(data)[begin:stop], f"in the {region.place}")
+        index.define(opcode, memoryview(data)[begin:stop], f"in the {region.place}")
     if region.holds is None and walked.end == len(data) and not loaded.damage:
-        messages = at_offsets(data, walked.offsets)
+        messages = messages_at(data, walked.offsets)
         region.counts = messages.counts() if messages else {}
         region.holds = dict.fromkeys(region.counts, 0)
     return True

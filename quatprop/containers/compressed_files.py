@@ -1,4 +1,4 @@
-"""Files packed as a whole, unpacked into a temporary copy."""
+"""Compressed files, decompressed into a temporary copy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import weakref
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.containers.compression import CompressionError, damage_of, pieces
-from quatprop.containers.limits import too_large, unpacked_limit
+from quatprop.containers.compression import (
+    CompressionError,
+    decompressed_pieces,
+    decompression_errors,
+)
+from quatprop.containers.limits import decompressed_limit, too_large
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,28 +28,28 @@ _MAGIC = {
 
 
 def file_compression(head: bytes) -> str:
-    """Return how a file is packed from its first 4 bytes.
+    """Return how a file is compressed, from its first 4 bytes.
 
     Returns
     -------
     str
-        ``"zstd"``, ``"lz4"``, ``"bz2"``, ``"gz"``, or ``""`` where it is not packed.
+        ``"zstd"``, ``"lz4"``, ``"bz2"``, ``"gz"``, or ``""`` where it is not compressed.
     """
     return next((name for magic, name in _MAGIC.items() if head.startswith(magic)), "")
 
 
-class UnpackedCopy:
-    """A file packed as a whole, unpacked into a temporary file that is always removed.
+class DecompressedCopy:
+    """The temporary copy of a compressed file, decompressed; it is always removed.
 
     Parameters
     ----------
     path
-        A file packed with zstd, lz4, bz2 or gzip.
+        A file compressed with zstd, lz4, bz2 or gzip.
 
     Attributes
     ----------
     path
-        The temporary file, with the suffix of the log inside. Where the packed file is damaged,
+        The temporary file, with the suffix of the log inside. If the compressed file is damaged,
         it holds what comes before the damage.
     damage
         Why the copy ends early, or ``""``.
@@ -53,37 +57,37 @@ class UnpackedCopy:
     Raises
     ------
     CompressionError
-        The file is not packed, nothing of it can be unpacked, or the copy does not fit.
+        The file is not compressed, nothing of it can be decompressed, or the disk is full.
     OSError
         The file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.damage = ""
-        with path.open("rb") as packed:
-            compression = file_compression(packed.read(4))
+        with path.open("rb") as compressed:
+            compression = file_compression(compressed.read(4))
             if not compression:
-                raise CompressionError("it is not packed with zstd, lz4, bz2 or gzip")
-            packed.seek(0)
+                raise CompressionError("it is not compressed with zstd, lz4, bz2 or gzip")
+            compressed.seek(0)
             handle, name = tempfile.mkstemp(prefix="quatprop-", suffix=Path(path.stem).suffix)
             os.close(handle)
             self.path = Path(name)
-            # Also runs when the interpreter ends, whatever the caller forgot.
+            # Also runs when the interpreter ends and nobody has closed the copy.
             self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
-            limit = unpacked_limit(path.stat().st_size)
+            limit = decompressed_limit(path.stat().st_size)
             try:
-                self._fill(pieces(packed, compression), compression, limit)
+                self._fill(decompressed_pieces(compressed, compression), compression, limit)
             except BaseException:
                 self.close()
                 raise
 
     def _fill(self, pieces: Iterator[bytes], compression: str, limit: int) -> None:
-        """Write the pieces up to the end or the damage."""
+        """Write the pieces up to the end or to the damage."""
         with self.path.open("wb") as copy:
             while True:
                 try:
                     piece = next(pieces, b"")
-                except damage_of(compression) as error:
+                except decompression_errors(compression) as error:
                     if copy.tell() == 0:
                         raise CompressionError(f"its {compression} data is damaged") from error
                     self.damage = f"its {compression} data is damaged or cut off"
@@ -97,7 +101,7 @@ class UnpackedCopy:
                     copy.flush()
                 except OSError as error:
                     raise CompressionError(
-                        f"its unpacked copy does not fit into {self.path.parent} "
+                        f"its decompressed copy does not fit into {self.path.parent} "
                         f"({error.strerror}); set TMPDIR to a folder with room"
                     ) from error
 

@@ -1,0 +1,101 @@
+"""Byte ranges of a buffer or file that hold selected messages, without what lies between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Int64 = NDArray[np.int64]
+
+
+LARGE = 1 << 17
+"""Bytes of a chunk below which it is read whole."""
+GAP = 1 << 14
+"""Bytes between messages that are quicker read than skipped."""
+SHARE = 4
+"""Selected messages are read by themselves where they are at most 1/SHARE of a chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class ByteRanges:
+    """Byte ranges that hold messages.
+
+    Parameters
+    ----------
+    begins, ends
+        Where each range begins and ends, shape ``(R,)``, int64.
+    moved
+        By how many bytes each message moves to the front when the ranges are put side by side,
+        shape ``(N,)``, int64.
+    """
+
+    begins: Int64
+    ends: Int64
+    moved: Int64
+
+    @property
+    def size(self) -> int:
+        """Bytes in all ranges."""
+        return int((self.ends - self.begins).sum())
+
+    def of(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a copy of the ranges of `data`, side by side."""
+        places = zip(self.begins.tolist(), self.ends.tolist(), strict=True)
+        return np.concatenate([data[begin:end] for begin, end in places])
+
+
+def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
+    """Return the byte ranges that hold messages.
+
+    Parameters
+    ----------
+    starts, ends
+        Where each message begins and ends, shape ``(N,)``, int64, at least one; messages that are
+        not in ascending order begin ranges of their own.
+    gap
+        Two messages are in one range if at most this many bytes are between them.
+
+    Examples
+    --------
+    >>> ranges = ranges_of(np.array([10, 20, 90]), np.array([18, 28, 95]), gap=4)
+    >>> ranges.begins.tolist(), ranges.ends.tolist(), ranges.moved.tolist()
+    ([10, 90], [28, 95], [10, 10, 72])
+    """
+    between = starts[1:] - ends[:-1]
+    first = np.concatenate([[0], np.flatnonzero((between < 0) | (between > gap)) + 1])
+    last = np.concatenate([first[1:], [len(starts)]])
+    begins, stops = starts[first], ends[last - 1]
+    sizes = stops - begins
+    moved = begins - (np.cumsum(sizes) - sizes)
+    return ByteRanges(begins, stops, np.repeat(moved, last - first))
+
+
+def ranges_worth_reading(selected: Int64, indexed: Int64, size: int) -> ByteRanges | None:
+    """Return the byte ranges of a chunk that hold selected records.
+
+    Parameters
+    ----------
+    selected
+        Where the selected records begin, shape ``(N,)``, int64, ascending.
+    indexed
+        Where all records begin that the index lists, shape ``(M,)``, int64, ascending.
+    size
+        Bytes of all records.
+
+    Returns
+    -------
+    ByteRanges or None
+        None where the whole chunk is as quick to read, or the index points outside it.
+    """
+    if not len(selected):
+        return None
+    ends = np.append(indexed, size)[np.searchsorted(indexed, selected, "right")]
+    if selected[0] < 0 or selected[-1] >= size or ends[-1] > size:
+        return None
+    ranges = ranges_of(selected, ends, GAP)
+    return ranges if ranges.size * SHARE <= size else None

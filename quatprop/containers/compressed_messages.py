@@ -1,0 +1,62 @@
+"""Messages that are compressed one by one, as in ROS 2 bags with ``compression_mode: message``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.compression import CompressionError, decompress
+
+if TYPE_CHECKING:
+    from quatprop.containers.base import MessageBlock
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""How a compressed message begins; one in CDR begins with 0."""
+
+
+def is_compressed(block: MessageBlock) -> bool:
+    """Tell whether the first message of a block is compressed with zstd."""
+    return block.data[block.starts[0] : block.ends[0]][:4].tobytes() == ZSTD_MAGIC
+
+
+def decompressed(block: MessageBlock) -> tuple[MessageBlock, int]:
+    """Decompress messages that are compressed with zstd one by one.
+
+    Parameters
+    ----------
+    block
+        The compressed messages.
+
+    Returns
+    -------
+    MessageBlock
+        The messages that could be decompressed.
+    int
+        How many could not.
+    """
+    from zstandard import ZstdError, frame_content_size
+
+    data = block.data.data
+    messages = []
+    intact = []
+    for k, (start, end) in enumerate(zip(block.starts.tolist(), block.ends.tolist(), strict=True)):
+        message = data[start:end]
+        try:
+            size = frame_content_size(message)
+            messages.append(decompress(message, "zstd", size if size >= 0 else None))
+        except (CompressionError, ZstdError):
+            continue
+        intact.append(k)
+    lengths = np.fromiter(map(len, messages), np.int64, len(messages))
+    ends = np.cumsum(lengths)
+    whole = replace(
+        block,
+        data=np.frombuffer(b"".join(messages), np.uint8),
+        starts=ends - lengths,
+        ends=ends,
+        log_ns=block.log_ns[intact],
+        publish_ns=block.publish_ns[intact],
+    )
+    return whole, len(block) - len(intact)
