@@ -77,7 +77,7 @@ def test_level_needs_rest(tmp_path):
     result = run(path, "-o", tmp_path / "out.csv", "--q0", "level")
     assert result.exit_code == 2
     assert re.search(
-        r"does not begin at rest .* choose --start in a rest, or give --q0", result.stderr
+        r"does not begin at rest .* choose --start at rest, or give --q0", result.stderr
     )
 
 

@@ -220,6 +220,50 @@ def test_other_gap_policies_know_one_segment():
     assert sum(map(len, segment)) == 3
 
 
+@pytest.mark.parametrize(
+    ("policy", "backwards", "nonfinite"),
+    [
+        (Policy(on_backwards="drop", on_nonfinite="drop"), "dropped", "dropped"),
+        (
+            Policy(on_backwards="sort", on_nonfinite="hold"),
+            "sorted",
+            "replaced by the last finite rate",
+        ),
+        (
+            OBSERVE,
+            "refused without on_backwards='drop' or 'sort'",
+            "refused without on_nonfinite='drop' or 'hold'",
+        ),
+    ],
+)
+def test_remarks_say_how_events_were_handled(policy, backwards, nonfinite):
+    """One sentence for each kind of event: how many, what was done, where the first was."""
+    rate = np.ones((5, 3))
+    rate[3] = np.nan
+    _, _, counts = applied(policy, gyro([0, 10, 20, 30, 5], rate))
+    assert list(map(str, remarks(counts, policy))) == [
+        f"1 non-monotonic timestamp ({backwards}), first at sample 4, t = 5000000 ns",
+        f"1 non-finite rate ({nonfinite}), first at sample 3, t = 30000000 ns",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("on_gap", "handled"),
+    [
+        ("hold", "propagated across"),
+        ("zero", "no rotation assumed"),
+        ("split", "restarted from q0"),
+    ],
+)
+def test_remarks_say_how_gaps_were_handled(on_gap, handled):
+    """The limit is part of the sentence, and several gaps are counted."""
+    policy = Policy(on_gap=on_gap, max_gap_ns=50 * MS)
+    _, _, counts = applied(policy, gyro([0, 10, 70, 80, 200]))
+    assert list(map(str, remarks(counts, policy))) == [
+        f"2 intervals longer than 50 ms ({handled}), first at sample 2, t = 70000000 ns"
+    ]
+
+
 def test_time_that_does_not_pass_is_remarked():
     """Stamps that are all equal turn nothing, and that is said."""
     _, _, counts = applied(Policy(), gyro([0, 0, 0]))

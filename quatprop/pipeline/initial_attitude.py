@@ -40,7 +40,7 @@ LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
 
 STEADY = 0.05
-"""Specific force that scatters more than this share of its mean is no rest."""
+"""Specific force that scatters by more than this share of its mean is not gravity alone."""
 
 _ACCELERATION = re.compile(
     r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
@@ -173,8 +173,10 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
     if not scatter <= AT_REST:
         raise UsageError(
             f"{quoted(log.path)} does not begin at rest (its rates scatter by {scatter:.3g} rad/s "
-            "in the first second), so gravity does not tell the attitude; choose --start in a "
-            "rest, or give --q0"
+            "in the first second), so gravity does not show the attitude; choose ",
+            Setting("start"),
+            " at rest, or give ",
+            Setting("q0"),
         )
 
 
@@ -189,15 +191,20 @@ def _force(
     parts = []
     for t_ns, force in takewhile(lambda row: row[0][0] <= first_ns + LEVEL_NS, rows):
         parts.append(force[(t_ns >= first_ns) & (t_ns <= first_ns + LEVEL_NS)])
-    felt = np.concatenate(parts) if parts else np.zeros((0, 3))
-    felt = felt[np.isfinite(felt).all(axis=1)]
-    mean = felt.mean(axis=0) if len(felt) else np.zeros(3)
+    force_rows = np.concatenate(parts) if parts else np.zeros((0, 3))
+    force_rows = force_rows[np.isfinite(force_rows).all(axis=1)]
+    mean = force_rows.mean(axis=0) if len(force_rows) else np.zeros(3)
     size = float(np.linalg.norm(mean))
-    scatter = float(np.sqrt(((felt - mean) ** 2).sum(axis=1).mean())) if len(felt) else 0.0
+    scatter = (
+        float(np.sqrt(((force_rows - mean) ** 2).sum(axis=1).mean())) if len(force_rows) else 0.0
+    )
     if size == 0.0 or scatter > STEADY * size:
         raise UsageError(
             f"{quoted(log.path)}: the accelerations of the first second do not show gravity alone; "
-            "choose --start in a rest, or give --q0"
+            "choose ",
+            Setting("start"),
+            " at rest, or give ",
+            Setting("q0"),
         )
     return mean
 
@@ -230,4 +237,6 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows:
 
 
 def _no_accelerations(log: MessageLog | TableLog) -> LogError:
-    return LogError(log.path, "it has no accelerations to take roll and pitch from; give --q0")
+    return LogError(
+        log.path, "it has no accelerations to take roll and pitch from; give ", Setting("q0")
+    )
