@@ -187,17 +187,15 @@ def _force(
     if is_table(log):
         rows = _table_forces(log, selection)
     else:
-        rows = _forces(cast("MessageLog", log), source, selection)
+        rows = _message_forces(cast("MessageLog", log), source, selection)
     parts = []
     for t_ns, force in takewhile(lambda row: row[0][0] <= first_ns + LEVEL_NS, rows):
         parts.append(force[(t_ns >= first_ns) & (t_ns <= first_ns + LEVEL_NS)])
-    force_rows = np.concatenate(parts) if parts else np.zeros((0, 3))
-    force_rows = force_rows[np.isfinite(force_rows).all(axis=1)]
-    mean = force_rows.mean(axis=0) if len(force_rows) else np.zeros(3)
+    forces = np.concatenate(parts) if parts else np.zeros((0, 3))
+    forces = forces[np.isfinite(forces).all(axis=1)]
+    mean = forces.mean(axis=0) if len(forces) else np.zeros(3)
     size = float(np.linalg.norm(mean))
-    scatter = (
-        float(np.sqrt(((force_rows - mean) ** 2).sum(axis=1).mean())) if len(force_rows) else 0.0
-    )
+    scatter = float(np.sqrt(((forces - mean) ** 2).sum(axis=1).mean())) if len(forces) else 0.0
     if size == 0.0 or scatter > STEADY * size:
         raise UsageError(
             f"{quoted(log.path)}: the accelerations of the first second do not show gravity alone; "
@@ -209,7 +207,7 @@ def _force(
     return mean
 
 
-def _forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Rows:
+def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Rows:
     for channel in channels_of(log, source.name):
         if channel.type_name != source.type_name:
             continue
