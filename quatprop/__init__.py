@@ -1,6 +1,6 @@
 """quatprop turns recorded gyroscope logs into attitude.
 
-It reads body-rate samples, multiplies up the exact constant-rate steps, and writes unit
+It reads body-rate samples, accumulates the exact constant-rate step of each, and writes unit
 quaternions. The conventions below hold in every module; equation numbers are those of the article
 "Quaternion kinematics and angular velocity" (PhysicsLibrary, object 1105, version 3) [1]_.
 
@@ -47,9 +47,9 @@ Half a turn about z in one second, sampled at 4 Hz:
 
 >>> import numpy as np
 >>> import quatprop
->>> t_ns = np.arange(5) * 250_000_000
->>> rate = np.tile([0.0, 0.0, np.pi], (5, 1))
->>> quatprop.attitudes(t_ns, rate)[-1].round(12).tolist()
+>>> rates = quatprop.GyroSeries(np.arange(5) * 250_000_000, np.tile([0, 0, np.pi], (5, 1)))
+>>> attitudes = quatprop.propagate(rates)
+>>> attitudes.wxyz[-1].round(12).tolist()
 [0.0, 0.0, 0.0, 1.0]
 """
 
@@ -58,45 +58,68 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from quatprop.errors import QuatpropError
-    from quatprop.formats import open_log
-    from quatprop.kinematics.propagate import attitudes
-    from quatprop.pipeline.job import Job, run
-    from quatprop.selection import RateSelection
+    from quatprop.api import (
+        PropagatedSeries,
+        compare,
+        convert,
+        propagate,
+        read_attitudes,
+        read_rates,
+        write,
+    )
+    from quatprop.comparison.result import Comparison
+    from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
+    from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.timeline import Policy
 
 __all__ = [
     "AttitudeSeries",
+    "Comparison",
+    "DataLossWarning",
     "GyroSeries",
-    "Job",
-    "Policy",
+    "PropagatedSeries",
     "QuatpropError",
-    "RateSelection",
-    "attitudes",
-    "open_log",
-    "run",
+    "QuatpropWarning",
+    "RemarkWarning",
+    "RunReport",
+    "compare",
+    "convert",
+    "propagate",
+    "read_attitudes",
+    "read_rates",
+    "write",
 ]
 
 __version__ = "0.1.0"
 
-_HOME = {
+_MODULES = {
     "AttitudeSeries": "quatprop.series",
+    "Comparison": "quatprop.comparison.result",
+    "DataLossWarning": "quatprop.errors",
     "GyroSeries": "quatprop.series",
-    "Job": "quatprop.pipeline.job",
-    "Policy": "quatprop.timeline",
+    "PropagatedSeries": "quatprop.api",
     "QuatpropError": "quatprop.errors",
-    "RateSelection": "quatprop.selection",
-    "attitudes": "quatprop.kinematics.propagate",
-    "open_log": "quatprop.formats",
-    "run": "quatprop.pipeline.job",
+    "QuatpropWarning": "quatprop.errors",
+    "RemarkWarning": "quatprop.errors",
+    "RunReport": "quatprop.pipeline.report",
+    "compare": "quatprop.api",
+    "convert": "quatprop.api",
+    "propagate": "quatprop.api",
+    "read_attitudes": "quatprop.api",
+    "read_rates": "quatprop.api",
+    "write": "quatprop.api",
 }
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first used: ``quatprop --help`` needs none of them."""
-    if name not in _HOME:
+    if name not in _MODULES:
         raise AttributeError(f"module 'quatprop' has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(_HOME[name]), name)
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """List what is public."""
+    return [*__all__, "__version__"]

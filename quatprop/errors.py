@@ -41,6 +41,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+class QuatpropWarning(UserWarning):
+    """Base of the warnings that the library's functions issue."""
+
+
+class DataLossWarning(QuatpropWarning):
+    """A part of a log could not be read, or samples were dropped."""
+
+
+class RemarkWarning(QuatpropWarning):
+    """Something was inferred, or looks wrong."""
+
+
 class QuatpropError(Exception):
     """Base of every error that is meant for the user: one sentence, no traceback.
 

@@ -1,6 +1,6 @@
-"""The nouns: a series of body rates and a series of attitudes.
+"""Series of body rates and series of attitudes.
 
-Both are frozen, validated once at birth, and hold read-only arrays. A whole log and a batch of
+Both are frozen, validated when they are made, and hold read-only arrays. A whole log and a batch of
 one are the same type: readers yield many short series in order, writers take them in order.
 """
 
@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.errors import SeriesError
+from quatprop.columns import rows_of, seconds_in_ns, stamps_of
+from quatprop.errors import SeriesError, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-    from typing import Self
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from typing import Any, Self
 
+    import pyarrow as pa
     from numpy.typing import NDArray
 
     Int64 = NDArray[np.int64]
@@ -38,13 +40,17 @@ def blocks(rows: int) -> Iterator[slice]:
 class GyroSeries:
     """Angular rates of the body relative to the reference, in time.
 
+    Arrays, lists, and columns or tables of pandas, polars and Arrow are taken, and kept as
+    read-only NumPy arrays.
+
     Parameters
     ----------
     t_ns
-        Time stamps, shape ``(N,)``, int64, nanoseconds of the chosen clock.
+        Time stamps, shape ``(N,)``: int64 nanoseconds, or dates. For seconds as floats see
+        :meth:`from_seconds`.
     rate
-        Angular rate, shape ``(N, 3)``, float64, rad/s. Resolved in the body frame unless the
-        propagation is told ``rates="inertial"``.
+        Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame unless
+        the propagation is told ``rates="inertial"``.
     span_ns
         For samples that are increments, integrated by the sensor: the time over which each was,
         shape ``(N,)``, int64, ns, ending at its stamp. The increment is the rate times this, and
@@ -57,8 +63,8 @@ class GyroSeries:
 
     Examples
     --------
-    >>> GyroSeries(np.array([0, 10]), np.zeros((2, 3))).rate.shape
-    (2, 3)
+    >>> GyroSeries([0, 10_000_000], [[0, 0, 1], [0, 0, 1]]).rate.dtype
+    dtype('float64')
     """
 
     t_ns: Int64
@@ -66,10 +72,11 @@ class GyroSeries:
     span_ns: Int64 | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _stamps("t_ns", self.t_ns))
-        object.__setattr__(self, "rate", _rows("rate", self.rate, self.t_ns, 3))
+        object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
+        rate = rows_of("rate", self.rate, len(self.t_ns), 3)
+        object.__setattr__(self, "rate", _read_only(rate))
         if self.span_ns is not None:
-            object.__setattr__(self, "span_ns", _stamps("span_ns", self.span_ns))
+            object.__setattr__(self, "span_ns", _read_only(stamps_of("span_ns", self.span_ns)))
             if len(self.span_ns) != len(self.t_ns):
                 raise SeriesError(
                     f"Expected `span_ns` of shape ({len(self.t_ns)},), got {self.span_ns.shape}"
@@ -82,6 +89,34 @@ class GyroSeries:
         """Return some samples: views for a slice, copies for a mask or positions."""
         span_ns = None if self.span_ns is None else self.span_ns[chosen]
         return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns)
+
+    @classmethod
+    def from_seconds(cls, t_s: Float64, rate: Float64) -> Self:
+        """Return a series whose stamps are seconds as floats.
+
+        Parameters
+        ----------
+        t_s
+            Time stamps, shape ``(N,)``, s; rounded to the nearest ns. Floats near 1.7e9 s, today's
+            Unix time, are 238 ns apart.
+        rate
+            As for the class.
+        """
+        return cls(seconds_in_ns("t_s", t_s), rate)
+
+    def to_arrow(self) -> pa.Table:
+        """Return a table with the columns ``t_ns``, ``wx``, ``wy``, ``wz`` (ns, rad/s)."""
+        return _table(self.t_ns, dict(zip(("wx", "wy", "wz"), self.rate.T, strict=True)))
+
+    def to_pandas(self) -> Any:
+        """Return a pandas data frame with the columns of :meth:`to_arrow`.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+        """
+        return _data_frame(self.to_arrow())
 
     def with_rate(self, rate: Float64) -> Self:
         """Return the same samples with other rates, shape ``(N, 3)``, rad/s."""
@@ -136,12 +171,15 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
 class AttitudeSeries:
     """Attitudes of the body, in time.
 
+    Takes what :class:`GyroSeries` takes.
+
     Parameters
     ----------
     t_ns
-        Time stamps, shape ``(N,)``, int64, nanoseconds.
+        Time stamps, shape ``(N,)``: int64 nanoseconds, or dates.
     wxyz
-        Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, float64.
+        Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
+        float64.
 
     Raises
     ------
@@ -153,28 +191,73 @@ class AttitudeSeries:
     wxyz: Float64
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _stamps("t_ns", self.t_ns))
-        object.__setattr__(self, "wxyz", _rows("wxyz", self.wxyz, self.t_ns, 4))
+        object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
+        wxyz = rows_of("wxyz", self.wxyz, len(self.t_ns), 4)
+        object.__setattr__(self, "wxyz", _read_only(wxyz))
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    @classmethod
+    def from_seconds(cls, t_s: Float64, wxyz: Float64) -> Self:
+        """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
+        return cls(seconds_in_ns("t_s", t_s), wxyz)
 
-def _stamps(name: str, values: Int64) -> Int64:
-    if values.ndim != 1 or values.dtype != np.int64:
-        raise SeriesError(
-            f"Expected `{name}` of shape (N,) and type int64, got {values.shape} {values.dtype}"
-        )
-    return _read_only(values)
+    def as_quat(self, *, scalar_first: bool) -> Float64:
+        """Return the quaternions as an array in a layout.
+
+        Parameters
+        ----------
+        scalar_first
+            Whether the columns are w, x, y, z; otherwise x, y, z, w, as
+            ``scipy.spatial.transform.Rotation.from_quat`` takes them.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(N, 4)``, float64; a copy.
+        """
+        return self.wxyz.copy() if scalar_first else np.roll(self.wxyz, -1, axis=1)
+
+    def to_arrow(self, *, scalar_first: bool = True) -> pa.Table:
+        """Return a table of the stamps and the quaternions.
+
+        Parameters
+        ----------
+        scalar_first
+            Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
+            the last.
+        """
+        names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
+        values = self.as_quat(scalar_first=scalar_first).T
+        return _table(self.t_ns, dict(zip(names, values, strict=True)))
+
+    def to_pandas(self, *, scalar_first: bool = True) -> Any:
+        """Return a pandas data frame with the columns of :meth:`to_arrow`.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+        """
+        return _data_frame(self.to_arrow(scalar_first=scalar_first))
 
 
-def _rows(name: str, values: Float64, t_ns: Int64, width: int) -> Float64:
-    if values.shape != (len(t_ns), width) or values.dtype != np.float64:
-        raise SeriesError(
-            f"Expected `{name}` of shape ({len(t_ns)}, {width}) and type float64, "
-            f"got {values.shape} {values.dtype}"
-        )
-    return _read_only(values)
+def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:
+    import pyarrow as pa
+
+    from quatprop.arrow_arrays import to_arrow
+
+    named = {"t_ns": t_ns, **columns}
+    return pa.table({name: to_arrow(values) for name, values in named.items()})
+
+
+def _data_frame(table: pa.Table) -> Any:
+    try:
+        import pandas  # noqa: F401, ICN001  # only whether it is there
+    except ImportError as error:
+        raise UsageError("to_pandas() needs pandas; install it with pip install pandas") from error
+    return table.to_pandas()
 
 
 def _read_only(values: NDArray[Scalar]) -> NDArray[Scalar]:

@@ -36,6 +36,8 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
 METHODS = ("start", "end", "mean", "coning")
 FRAMES = ("body", "inertial")
+CONVENTIONS = ("hamilton", "jpl")
+DIRECTIONS = ("body-to-ref", "ref-to-body")
 
 FROM_THE_LOG = ("level", "log")
 """Initial attitudes that are taken from the log itself."""
@@ -66,19 +68,43 @@ class StaticBias:
     window_ns: int = STATIC_WINDOW_NS
 
 
-class PropagateOptions(TypedDict, total=False):
-    """Keywords of :func:`quatprop.propagate`; each is documented there."""
+class SelectOptions(TypedDict, total=False):
+    """Keywords that choose a topic and its time base."""
 
     kind: str
     topic: str
-    rate_field: str
+    clock: str
     time_field: str
-    rate_cols: str | Sequence[str | int]
     time_col: str | int
-    rate_unit: str
     time_unit: str
     sample_rate: float | Fraction | str
-    clock: str
+
+
+class RateOptions(SelectOptions, total=False):
+    """Keywords of :func:`quatprop.read_rates`."""
+
+    rate_field: str
+    rate_cols: str | Sequence[str | int]
+    rate_unit: str
+
+
+class AttitudeOptions(SelectOptions, total=False):
+    """Keywords of :func:`quatprop.read_attitudes`."""
+
+    quat_field: str
+    quat_cols: str | Sequence[str | int]
+    frame: str
+    from_layout: str
+    from_convention: str
+    from_direction: str
+    from_angle_unit: str
+    normalize: bool
+    on_invalid: str
+
+
+class PropagateOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.propagate`; each is documented there."""
+
     method: str
     rates: str
     q0: str | PathLike[str] | Sequence[float]
@@ -116,22 +142,32 @@ def parse(name: str, value: object) -> Any:
     return PROPAGATE[name](value)
 
 
-def parse_all(options: Mapping[str, object]) -> dict[str, Any]:
+def parse_all(
+    options: Mapping[str, object], parsers: Mapping[str, Callable[[object], Any]] | None = None
+) -> dict[str, Any]:
     """Return settings by name with their parsed values; None counts as not given.
+
+    Parameters
+    ----------
+    options
+        Names and values.
+    parsers
+        The settings there are; None for :data:`PROPAGATE`.
 
     Raises
     ------
     UsageError
         There is no such setting, or a value cannot be used; the sentence names the setting.
     """
+    parsers = PROPAGATE if parsers is None else parsers
     values = {}
     for name, value in options.items():
-        if name not in PROPAGATE:
-            raise UsageError(f"there is no setting {quoted(name)}; choose from {listed(PROPAGATE)}")
+        if name not in parsers:
+            raise UsageError(f"there is no setting {quoted(name)}; choose from {listed(parsers)}")
         if value is None:
             continue
         try:
-            values[name] = parse(name, value)
+            values[name] = parsers[name](value)
         except UsageError as error:
             raise UsageError(Setting(name), ": ", error.text) from error
     return values
@@ -141,6 +177,13 @@ def text(value: object) -> str:
     """Return text that is not empty."""
     if not isinstance(value, str) or not value:
         raise UsageError(f"{quoted(value)} is not a name")
+    return value
+
+
+def flag(value: object) -> bool:
+    """Return True or False."""
+    if not isinstance(value, bool):
+        raise UsageError(f"{quoted(value)} is not true or false")
     return value
 
 
@@ -303,18 +346,43 @@ def _is_numbers(value: str) -> bool:
         return False
 
 
-SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
+SELECT: Mapping[str, Callable[[object], Any]] = {
     "topic": text,
-    "rate_field": text,
+    "clock": choice(*CLOCKS),
     "time_field": text,
-    "rate_cols": columns("X,Y,Z"),
     "time_col": lambda value: text(str(value)),
-    "rate_unit": choice(*RATE_UNITS),
     "time_unit": choice(*TIME_UNITS),
     "sample_rate": lambda value: float(frequency(value)),
-    "clock": choice(*CLOCKS),
 }
-"""Which samples of a log: setting -> its parser."""
+"""Which topic and which time: setting -> its parser."""
+
+SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
+    **SELECT,
+    "rate_field": text,
+    "rate_cols": columns("X,Y,Z"),
+    "rate_unit": choice(*RATE_UNITS),
+}
+"""Which rates of a log: setting -> its parser."""
+
+SELECT_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
+    **SELECT,
+    "quat_field": text,
+    "quat_cols": columns("A,B,C,D"),
+    "frame": text,
+    "from_layout": choice(*LAYOUTS),
+    "from_convention": choice(*CONVENTIONS),
+    "from_direction": choice(*DIRECTIONS),
+    "from_angle_unit": choice("rad", "deg"),
+}
+"""Which attitudes of a log, and what their numbers mean: setting -> its parser."""
+
+READ_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
+    "kind": choice(*KINDS),
+    **SELECT_ATTITUDES,
+    "normalize": flag,
+    "on_invalid": choice("error", "drop"),
+}
+"""How attitudes are read: setting -> its parser."""
 
 PROPAGATE: Mapping[str, Callable[[object], Any]] = {
     "kind": choice(*KINDS),

@@ -53,7 +53,7 @@ def test_every_module_imports_and_says_what_it_is(name):
 
 LAYERS = (
     {"errors", "text", "times", "checksum", "third_party_errors", "parallel", "provenance"},
-    {"series", "selection", "settings", "arrow_arrays"},
+    {"series", "selection", "settings", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "formats"},
@@ -62,7 +62,7 @@ LAYERS = (
     {"into", "simulate"},
     {"comparison", "pipeline"},
     {"conversion", "plot"},
-    {"batch", "check"},
+    {"api", "batch", "check"},
     {"cli", "pytest_plugin", "__main__"},
 )
 """Packages and modules of quatprop: each imports from its own layer and those above it here."""

@@ -1,5 +1,6 @@
 """What the README shows is what happens."""
 
+import re
 import shlex
 import subprocess
 import sys
@@ -36,3 +37,18 @@ def test_the_first_commands_say_what_is_shown(folder, command, output):
         [*program, *arguments], cwd=folder, capture_output=True, text=True, check=True
     )
     assert (done.stdout + done.stderr).rstrip("\n") == output
+
+
+def test_the_library_section_runs(folder, monkeypatch, capsys):
+    """Every line of Python, one block after the other."""
+    readme = (ROOT / "README.md").read_text()
+    section = readme.split("## From Python")[1].split("\n## ")[0]
+    monkeypatch.chdir(folder)
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", section, re.DOTALL):
+        exec(block, names)  # noqa: S102  # the README is ours
+    samples, passed = capsys.readouterr().out.splitlines()
+    assert samples.startswith("1000 [-9.99772140e-01 ")
+    assert passed.startswith("True 0.0001")
+    assert len(names["attitudes"]) == 1000
+    assert (folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg\n")

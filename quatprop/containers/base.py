@@ -193,15 +193,7 @@ class Log(ABC):
 
 
 class MessageLog(Log):
-    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog.
-
-    Attributes
-    ----------
-    has_publish_time
-        Whether it records when a message was published, besides when it was logged.
-    """
-
-    has_publish_time = False
+    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog."""
 
     @abstractmethod
     def channels(self) -> list[Channel]:

@@ -51,12 +51,6 @@ class Stamp:
         """Return the stamp in a ROS time at a dotted path."""
         return cls((f"{place}.sec", f"{place}.nanosec"))
 
-    @property
-    def place(self) -> str:
-        """The dotted path of the time, of which there may be two parts."""
-        first = self.fields[0]
-        return first if len(self.fields) == 1 else first.rpartition(".")[0]
-
     def under(self, prefix: str) -> Stamp:
         """Return the same stamp in a message inside another."""
         return Stamp(tuple(prefix + name for name in self.fields), self.unit)
@@ -152,8 +146,8 @@ def stamp_of(place: str, kind: Type) -> Stamp | None:
     return None
 
 
-def stamps_around(root: Struct, name: str) -> tuple[Stamp, ...]:
-    """Return the stamps of the structs around a field, the nearest first.
+def stamp_around(root: Struct, name: str) -> Stamp | None:
+    """Return the stamp of the nearest struct around a field that has one.
 
     Parameters
     ----------
@@ -162,12 +156,13 @@ def stamps_around(root: Struct, name: str) -> tuple[Stamp, ...]:
     name
         Dotted path of the field.
     """
-    stamps = []
     for prefix, kind in around(root, name):
-        places = ((place, find(kind, place)) for place in STAMPS)
-        own = (stamp_of(prefix + place, field) for place, field in places if field is not None)
-        stamps += [stamp for stamp in own if stamp is not None][:1]
-    return tuple(stamps)
+        for place in STAMPS:
+            field = find(kind, place)
+            stamp = None if field is None else stamp_of(prefix + place, field)
+            if stamp is not None:
+                return stamp
+    return None
 
 
 def time_field_at(

@@ -189,6 +189,13 @@ class RunReport:
         return report if self.seconds is None else {**report, "timings": {"seconds": self.seconds}}
 
 
+def convention_of(layout: str) -> dict[str, Any]:
+    """Return the metadata of attitudes of which nothing is known but what their numbers mean."""
+    stated = ("product", "attitude")
+    convention = {name: CONVENTION[name] for name in stated} | {"layout": layout}
+    return {"quatprop": __version__, "convention": convention}
+
+
 class ReportFile:
     """A report as JSON, put in its place only when everything else is.
 

@@ -12,10 +12,13 @@ from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
+from quatprop.settings import READ_ATTITUDES, SELECT_ATTITUDES, parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from quatprop.containers.base import Loss
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
@@ -102,6 +105,34 @@ class LoadedAttitudes:
         }
 
 
+def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
+    """Return which attitude series to read, from settings by name.
+
+    Parameters
+    ----------
+    path
+        As for :class:`AttitudeInput`.
+    options
+        Keys of :data:`quatprop.settings.READ_ATTITUDES` and their values.
+    side
+        As for :class:`AttitudeInput`.
+
+    Raises
+    ------
+    UsageError
+        There is no such setting, or a value cannot be used.
+    """
+    values = parse_all(options, READ_ATTITUDES)
+    return AttitudeInput(
+        path,
+        values.get("kind"),
+        AttitudeSelection(**{name: values.get(name) for name in SELECT_ATTITUDES}),
+        normalize=values.get("normalize", False),
+        drop=values.get("on_invalid") == "drop",
+        side=side,
+    )
+
+
 def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
     """Read an attitude series into memory.
 
@@ -130,10 +161,5 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
         )
-        zeros = int(np.count_nonzero(series.t_ns == 0))
-        # A series may begin at 0.
-        if signal.clock == "header" and zeros > 1:
-            remark = f"{zeros} of {len(series)} header stamps are zero"
-            signal = replace(signal, remarks=(*signal.remarks, remark))
         wanted = replace(wanted, path=without_secret(wanted.path))
         return LoadedAttitudes(wanted, log.kind, signal, series, check.counts, tuple(log.losses))

@@ -50,6 +50,19 @@ def choose_rates(log: MessageLog | TableLog, selection: RateSelection) -> RateSi
     return choose(log, rate_candidates(log, selection), RATES)
 
 
+def signal_of_series(series: GyroSeries) -> RateSignal:
+    """Return rates in memory as a signal."""
+    return RateSignal(
+        name="series",
+        type_name="",
+        field="rate",
+        clock="",
+        batches=lambda: iter([series]),
+        unit="rad/s",
+        increments=series.span_ns is not None,
+    )
+
+
 def rate_candidates(
     log: MessageLog | TableLog, selection: RateSelection
 ) -> list[Candidate[RateSignal]]:
@@ -119,14 +132,14 @@ def _of_field(
             f"the unit of field {quoted(field.name)} in topic {quoted(channel.topic)}",
             Setting("rate_unit", "rad/s|deg/s"),
         )
-    clock = choose_clock(log, channel, field.stamps, selection)
+    clock = choose_clock(log, channel, field.stamp, selection)
     reader = partial(rate_reader, log, channel, field, clock)
     return RateSignal(
         name=channel.topic,
         type_name=channel.type_name,
         field=field.name,
         clock=clock.name,
-        remarks=(*_remarks(channel, field, unit), *clock.remarks),
+        remarks=tuple(_remarks(channel, field, unit)),
         stamps=lambda: stamps_logged(log, channel, reader()),
         batches=lambda: _samples(log, channel, reader(), UNITS[unit]),
         unit=unit,

@@ -1,0 +1,432 @@
+"""The library: read, propagate, convert, compare and write attitude from Python.
+
+Each function is a few lines over the code that the command line uses, with the same settings by
+the same names; a value may be given as text, as on the command line, or as a Python value.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from quatprop.errors import DataLossWarning, RemarkWarning, SeriesError
+from quatprop.series import AttitudeSeries, GyroSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from os import PathLike
+    from typing import Unpack
+
+    from quatprop.comparison.result import Comparison
+    from quatprop.comparison.settings import CompareOptions
+    from quatprop.containers.base import Loss
+    from quatprop.pipeline.attitude_stream import AttitudeStream
+    from quatprop.pipeline.report import RunReport
+    from quatprop.settings import AttitudeOptions, PropagateOptions, RateOptions
+    from quatprop.text import Text
+
+    StrPath: TypeAlias = str | PathLike[str]
+
+
+@dataclass(frozen=True, slots=True)
+class PropagatedSeries(AttitudeSeries):
+    """Attitudes that were propagated, and the report of how.
+
+    Takes the parameters of :class:`quatprop.AttitudeSeries` too.
+
+    Parameters
+    ----------
+    report
+        What was read, done, counted and lost.
+    """
+
+    report: RunReport = field(kw_only=True, compare=False, repr=False)
+
+
+def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
+    """Read the body rates of a log.
+
+    Parameters
+    ----------
+    log
+        A file, a ROS 2 bag folder, or the address of one in an object store.
+    kind : str
+        Kind of the log; by default told by its content, then by its suffix.
+    topic : str
+        Which topic; by default the only one that has rates.
+    rate_field, time_field : str
+        Fields of a message, such as ``"imu.angular_velocity"``.
+    rate_cols, time_col : str or sequence
+        Columns of a table, by name or number from 0.
+    rate_unit, time_unit : str
+        ``"rad/s"`` or ``"deg/s"``; ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+    sample_rate : float
+        Rows a second of a table without a time, Hz.
+    clock : str
+        Timestamp source: ``"header"``, ``"log"`` or ``"publish"``.
+
+    Returns
+    -------
+    GyroSeries
+        All samples in the order of the log: stamps in ns, rates in rad/s. Irregular timestamps are
+        left as they are; :func:`propagate` handles them.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as asked.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read.
+    RemarkWarning
+        Something was inferred, or looks wrong.
+    """
+    from quatprop.formats import open_log
+    from quatprop.pipeline.settings import propagation_settings
+    from quatprop.signals.rates import choose_rates
+
+    path = _path(log)
+    settings = propagation_settings(options)
+    with open_log(path, settings.kind) as opened:
+        signal = choose_rates(opened, settings.selection)
+        batches = list(signal.batches())
+        _warn(path, opened.losses, (*signal.remarks, *opened.remarks))
+    return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+
+
+def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
+    """Read an attitude series, of a log or of a table.
+
+    Parameters
+    ----------
+    log, kind, topic, time_field, time_col, time_unit, sample_rate, clock
+        As for :func:`read_rates`.
+    quat_field : str
+        Field of a message that is the quaternion.
+    quat_cols : str or sequence
+        The four columns of a table as stored, by name or number from 0.
+    frame : str
+        Of a list of transforms, ``"child"`` or ``"parent:child"``.
+    from_layout : str
+        ``"scalar-first"`` or ``"scalar-last"``; needed where names and metadata do not say it.
+    from_convention : str
+        ``"hamilton"`` (the default) or ``"jpl"``.
+    from_direction : str
+        ``"body-to-ref"`` (the default) or ``"ref-to-body"``.
+    from_angle_unit : str
+        ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
+    normalize : bool
+        Scale quaternions to unit length; by default those off by more than 0.001 are refused.
+    on_invalid : str
+        ``"error"`` (the default) or ``"drop"``: invalid quaternions.
+
+    Returns
+    -------
+    AttitudeSeries
+        Hamilton, body to reference, scalar first, whatever the file has.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as asked.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or rows were dropped.
+    RemarkWarning
+        Something was inferred.
+    """
+    from quatprop.signals.attitude_input import attitude_input, load_attitudes
+
+    path = _path(log)
+    loaded = load_attitudes(attitude_input(path, options))
+    _warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+    return loaded.series
+
+
+def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
+    """Turn body rates into attitudes.
+
+    The exact constant-rate step of each sample is accumulated: q[k+1] = q[k] * dq[k] for body rates
+    (eq. 36), q[k+1] = dq[k] * q[k] for inertial ones (eq. 33), with dq = exp(w dt / 2) (eq. 35).
+
+    Parameters
+    ----------
+    log
+        A path as for :func:`read_rates`, or rates in memory.
+    kind, topic, rate_field, time_field, rate_cols, time_col, rate_unit, time_unit, sample_rate, \
+clock
+        Which samples of a log, as for :func:`read_rates`.
+    method : str
+        Integration rule: ``"start"`` (the default), ``"end"``, ``"mean"`` or ``"coning"``; see
+        :func:`quatprop.kinematics.increments.rotation_vectors`.
+    rates : str
+        Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
+        or ``"inertial"`` (on the left).
+    q0 : sequence of float, str or path
+        Attitude body to reference at the first sample: four numbers in the order of `q0_layout`;
+        ``"level"``, roll and pitch from the accelerometer at rest; ``"log"``, the log's own
+        orientation; or the path of an attitude series. By default the identity.
+    heading : float
+        For ``q0="level"``: rotation about the reference's z axis, deg.
+    reference_z : str
+        For ``q0="level"``: where that axis points, ``"up"`` (the default) or ``"down"``.
+    q0_layout : str
+        ``"scalar-first"`` (the default) or ``"scalar-last"``.
+    bias : sequence of float or str
+        Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
+        mean rate at rest, found in windows of a second, or of DUR with ``"static:DUR"``.
+    mount : str or sequence
+        Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
+        with v_body = m v_sensor m*.
+    start, end : str, int or datetime
+        The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
+        first (``"+10s"``) or the last sample (``"-30s"``).
+    on_backwards : str
+        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``.
+    on_nonfinite : str
+        Rates that are NaN or infinite: ``"error"`` (the default), ``"drop"`` or ``"hold"``.
+    max_gap : str, int or timedelta
+        Intervals longer than this count as gaps (text such as ``"20ms"``, or ns); by default 10
+        median intervals.
+    on_gap : str
+        ``"hold"`` (the default) propagates across gaps, ``"zero"`` takes the rate across as zero,
+        ``"split"`` begins again at q0, ``"error"`` refuses them.
+    every : int
+        Keep every N-th attitude.
+    rate : float, Fraction or str
+        Attitudes at this rate, Hz, exact at those times under the method.
+    at : path
+        Attitudes at the stamps of this series, exact at those times.
+
+    Returns
+    -------
+    PropagatedSeries
+        N samples give N attitudes, the first is q0; `report` holds what was read, done, counted and
+        lost.
+
+    Raises
+    ------
+    QuatpropError
+        The log or the settings cannot be used.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or samples were dropped.
+
+    Examples
+    --------
+    Half a turn about z in one second:
+
+    >>> rates = GyroSeries([0, 500_000_000, 1_000_000_000], [[0, 0, np.pi]] * 3)
+    >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    from quatprop.formats import open_log
+    from quatprop.pipeline.attitude_stream import AttitudeStream
+    from quatprop.pipeline.settings import propagation_settings
+    from quatprop.signals.rates import choose_rates, signal_of_series
+
+    settings = propagation_settings(options)
+    if isinstance(log, GyroSeries):
+        return _collect(AttitudeStream("series", signal_of_series(log), settings, None))
+    path = _path(log)
+    with open_log(path, settings.kind) as opened:
+        signal = choose_rates(opened, settings.selection)
+        result = _collect(AttitudeStream(path, signal, settings, opened))
+    report = result.report
+    _warn(path, report.losses, (), dropped=report.counts.dropped)
+    return result
+
+
+def compare(
+    a: StrPath | AttitudeSeries, b: StrPath | AttitudeSeries, **options: Unpack[CompareOptions]
+) -> Comparison:
+    """Measure the geodesic error between two attitude series.
+
+    Parameters
+    ----------
+    a, b
+        Paths as for :func:`read_attitudes`, or series in memory.
+    tol : str or float
+        Largest error that passes: text such as ``"0.1deg"``, or rad.
+    align : str
+        What B is rotated by first: ``"none"`` (the default), ``"first"``, ``"mean"`` or
+        ``"mount"``.
+    time_offset : str or int
+        Added to B's stamps: text such as ``"-12ms"``, ns, or ``"auto"`` to find it.
+    match : str
+        ``"exact"``, ``"nearest"`` or ``"interpolate"``; by default what fits the stamps.
+    max_dt : str or int
+        How far apart samples that are matched may be: text such as ``"5ms"``, or ns.
+    min_matched : float
+        Percentage of the shorter series that must be matched, 50 by default.
+    window : str or int
+        Compare also the rotations over windows of this length: text such as ``"1s"``, or ns.
+
+    Returns
+    -------
+    Comparison
+        The errors, their statistics, and what explains them; `passed` tells whether they are within
+        the tolerance.
+
+    Raises
+    ------
+    QuatpropError
+        The series cannot be read, or not compared as asked.
+
+    Examples
+    --------
+    >>> a = AttitudeSeries([0, 1], [[1, 0, 0, 0], [1, 0, 0, 0]])
+    >>> compare(a, a, tol="1e-9rad").passed
+    True
+    """
+    from quatprop.comparison.compare import compare as compare_series
+    from quatprop.comparison.settings import comparison_settings
+
+    settings = comparison_settings(**options)
+    first, second = (
+        side if isinstance(side, AttitudeSeries) else read_attitudes(side) for side in (a, b)
+    )
+    return compare_series(first, second, settings)
+
+
+def write(
+    series: AttitudeSeries, path: StrPath, *, to: str | None = None, layout: str | None = None
+) -> None:
+    """Write an attitude series to a file.
+
+    Parameters
+    ----------
+    series
+        What to write.
+    path
+        Where; it is replaced when the new content is complete.
+    to
+        Format; by default told by the suffix.
+    layout
+        ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
+        scalar-first where it leaves the choice.
+
+    Raises
+    ------
+    QuatpropError
+        It cannot be written there, or not so.
+    """
+    from quatprop.pipeline.report import convention_of
+    from quatprop.writers import kind_of, layout_of, open_writer
+
+    if not isinstance(series, AttitudeSeries):
+        raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
+    place = _path(path)
+    order = layout_of(kind_of(place, to), layout).name
+    if isinstance(series, PropagatedSeries):
+        report = series.report
+        convention = replace(report.convention, layout=order)
+        provenance = replace(report, convention=convention).as_json()
+    else:
+        provenance = convention_of(order)
+    with open_writer(place, to, layout=order) as writer:
+        writer.write(series)
+        writer.commit(provenance)
+
+
+def convert(  # noqa: PLR0913  # one keyword for each option
+    source: StrPath,
+    output: StrPath,
+    *,
+    to: str | None = None,
+    layout: str | None = None,
+    convention: str = "hamilton",
+    direction: str = "body-to-ref",
+    sign: str = "keep",
+    representation: str = "quaternion",
+    **options: Unpack[AttitudeOptions],
+) -> None:
+    """Write an attitude series in another layout, convention, direction, form or format.
+
+    Parameters
+    ----------
+    source, **options
+        What to read, as for :func:`read_attitudes`.
+    output, to, layout
+        Where and how to write, as for :func:`write`.
+    convention
+        ``"hamilton"`` or ``"jpl"``.
+    direction
+        ``"body-to-ref"`` or ``"ref-to-body"``.
+    sign
+        Of q and -q ``"keep"`` what is there, ``"continuous"`` the one nearer to the row before, or
+        ``"positive"`` the one with w >= 0.
+    representation
+        ``"quaternion"``, ``"rotvec"`` (rad), ``"euler-zyx"`` (rad), ``"euler-zyx-deg"`` or
+        ``"matrix"``.
+
+    Raises
+    ------
+    QuatpropError
+        The source cannot be read as asked, or the output cannot be written.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the source could not be read, or rows were dropped.
+    """
+    from quatprop.conventions import Meaning
+    from quatprop.conversion import Conversion
+    from quatprop.conversion import convert as convert_file
+    from quatprop.signals.attitude_input import attitude_input
+
+    wanted = attitude_input(_path(source), options)
+    report = convert_file(
+        Conversion(
+            log=wanted.path,
+            output=_path(output),
+            kind=wanted.kind,
+            to=to,
+            selection=wanted.selection,
+            layout=layout,
+            meaning=Meaning(convention, direction),
+            sign=sign,
+            representation=representation,
+            normalize=wanted.normalize,
+            drop=wanted.drop,
+        )
+    )
+    if report["data_lost"]:
+        warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
+
+
+def _path(path: StrPath) -> str:
+    from quatprop.settings import path as parse_path
+
+    return parse_path(path)
+
+
+def _collect(stream: AttitudeStream) -> PropagatedSeries:
+    parts = list(stream)
+    return PropagatedSeries(
+        np.concatenate([part.t_ns for part in parts]),
+        np.concatenate([part.wxyz for part in parts]),
+        report=stream.report(),
+    )
+
+
+def _warn(
+    path: str, losses: Iterable[Loss], remarks: Iterable[str | Text], *, dropped: int = 0
+) -> None:
+    """Warn of losses and remarks where the caller's caller is."""
+    for loss in losses:
+        message = f"{path}: lost: {loss.place}: {loss.reason}"
+        warnings.warn(message, DataLossWarning, stacklevel=3)
+    if dropped:
+        warnings.warn(f"{path}: {dropped} rows were dropped", DataLossWarning, stacklevel=3)
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=3)

@@ -1,0 +1,158 @@
+"""Stamps and numbers as NumPy arrays, whatever library they come from.
+
+Arrays, lists, and the columns and tables of pandas, polars and Arrow are taken; nothing is
+guessed: stamps are integers in ns or dates, never floats.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quatprop.errors import SeriesError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+NS_PER_S = 1_000_000_000
+
+INT64 = np.iinfo(np.int64)
+
+
+def stamps_of(name: str, values: object) -> NDArray[np.int64]:
+    """Return time stamps in ns.
+
+    Parameters
+    ----------
+    name
+        What errors call them.
+    values
+        Integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are UTC.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(N,)``, int64, ns; the same array where it is one already.
+
+    Raises
+    ------
+    SeriesError
+        They are floats, have another shape, are missing, or do not fit 64 bits.
+    """
+    array = _as_array(name, values)
+    if array.ndim != 1:
+        raise SeriesError(f"Expected `{name}` to have shape (N,), got {array.shape}")
+    if array.dtype == np.int64:
+        return array
+    if array.dtype.kind == "M":
+        return _dates_in_ns(name, array)
+    # Integers beyond 64 bits are floats to NumPy, or objects.
+    exact = values if isinstance(values, list | tuple) else array
+    if array.dtype.kind in "Of" and all(isinstance(value, int) for value in exact):
+        if all(INT64.min <= value <= INT64.max for value in exact):
+            return np.array(exact, np.int64)
+        raise SeriesError(f"`{name}` has values that do not fit 64 bits")
+    if array.dtype.kind not in "iu":
+        hint = "; for seconds as floats use from_seconds(), and look for missing values"
+        raise SeriesError(
+            f"Expected `{name}` to be int64 nanoseconds or dates, got {array.dtype}"
+            + (hint if array.dtype.kind == "f" else "")
+        )
+    if array.dtype.kind == "u" and len(array) and array.max() > INT64.max:
+        raise SeriesError(f"`{name}` has values that do not fit 64 bits")
+    return np.asarray(array, np.int64)
+
+
+def seconds_in_ns(name: str, values: object) -> NDArray[np.int64]:
+    """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
+
+    Parameters
+    ----------
+    name
+        What errors call them.
+    values
+        Seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart.
+
+    Raises
+    ------
+    SeriesError
+        They are not numbers of shape ``(N,)``, are not finite, or do not fit 64 bits of ns.
+    """
+    array = _as_array(name, values)
+    if array.ndim != 1 or array.dtype.kind not in "iuf":
+        raise SeriesError(
+            f"Expected `{name}` to be seconds of shape (N,), got {array.dtype} {array.shape}"
+        )
+    whole = np.floor(array.astype(np.float64))
+    if not (np.isfinite(whole).all() and (np.abs(whole) < INT64.max // NS_PER_S).all()):
+        raise SeriesError(f"`{name}` has values that are not finite, or not within 292 years of 0")
+    rest = np.rint((array - whole) * NS_PER_S).astype(np.int64)
+    return np.asarray(whole.astype(np.int64) * NS_PER_S + rest)
+
+
+def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.float64]:
+    """Return rows of numbers.
+
+    Parameters
+    ----------
+    name
+        What errors call them.
+    values
+        Numbers of any type, shape ``(count, width)``; a table with `width` columns too.
+    count, width
+        The shape that is needed.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(count, width)``, float64; the same array where it is one already.
+
+    Raises
+    ------
+    SeriesError
+        They are not numbers, or have another shape.
+    """
+    array = _as_array(name, values)
+    if array.dtype.kind == "O" and array.ndim == 1 and len(array):
+        # Rows as lists, as a column of lists gives them.
+        try:
+            array = np.stack([np.asarray(row) for row in array])
+        except ValueError as error:
+            raise SeriesError(f"`{name}` has rows of different lengths") from error
+    if array.shape != (count, width):
+        raise SeriesError(f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}")
+    if array.dtype.kind not in "iuf":
+        raise SeriesError(f"Expected `{name}` to be numbers, got {array.dtype}")
+    return array.astype(np.float64, copy=False)
+
+
+def _as_array(name: str, values: object) -> NDArray[Any]:
+    if isinstance(values, np.ndarray):
+        return values
+    if hasattr(values, "column_names") and hasattr(values, "columns"):
+        # An Arrow table; its columns are Arrow columns.
+        columns = [_as_array(name, column) for column in values.columns]
+        return np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+    if getattr(getattr(values, "dtype", None), "tz", None) is not None:
+        # Dates of pandas with a zone, as UTC.
+        return np.asarray(values.to_numpy(dtype="datetime64[ns]"))  # type: ignore[attr-defined]
+    if hasattr(values, "to_numpy"):
+        try:
+            # Arrow's arrays copy only if they are allowed to; its chunked arrays always may.
+            return np.asarray(values.to_numpy(zero_copy_only=False))
+        except TypeError:
+            return np.asarray(values.to_numpy())
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise SeriesError(f"`{name}` has rows of different lengths") from error
+
+
+def _dates_in_ns(name: str, dates: NDArray[Any]) -> NDArray[np.int64]:
+    in_ns = dates.astype("datetime64[ns]")
+    if np.isnat(in_ns).any():
+        raise SeriesError(f"`{name}` has missing dates")
+    if (in_ns.astype(dates.dtype) != dates).any():
+        raise SeriesError(f"`{name}` has dates that do not fit 64 bits of nanoseconds")
+    return in_ns.view(np.int64)

@@ -1,0 +1,340 @@
+"""The library: what a notebook sees."""
+
+import ast
+import datetime as dt
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.cli import cli
+from quatprop.errors import LogError, SeriesError, UsageError
+
+SAMPLES = Path(__file__).parents[1] / "sample_logs"
+T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
+RATE = np.array([[0.1, 0.2, 0.3], [-0.4, 0.5, 0.6], [0.7, -0.8, 0.9]])
+
+
+def dates(unit):
+    """Return the stamps as dates of a resolution, and as the ns that it leaves of them."""
+    per = {"ns": 1, "us": 1000, "ms": 1_000_000}[unit]
+    return (T_NS // per).astype(f"datetime64[{unit}]"), T_NS // per * per
+
+
+FRAME = pd.DataFrame({"t": T_NS, "wx": RATE[:, 0], "wy": RATE[:, 1], "wz": RATE[:, 2]})
+STAMPS = {
+    "array": T_NS,
+    "list": T_NS.tolist(),
+    "tuple": tuple(T_NS.tolist()),
+    "objects": np.array(T_NS.tolist(), object),
+    "uint64": T_NS.astype(np.uint64),
+    "pandas": FRAME["t"],
+    "polars": pl.Series(T_NS),
+    "arrow": pa.array(T_NS),
+    "arrow chunks": pa.chunked_array([T_NS[:1], T_NS[1:]]),
+    "datetime64": T_NS.astype("datetime64[ns]"),
+    "pandas dates": pd.Series(T_NS.astype("datetime64[ns]")),
+    "pandas dates with a zone": pd.Series(
+        pd.to_datetime(T_NS, utc=True).tz_convert("Europe/Berlin")
+    ),
+    "pandas index": pd.to_datetime(T_NS),
+    "polars dates": pl.Series(T_NS).cast(pl.Datetime("ns")),
+    "arrow dates": pa.array(T_NS, pa.timestamp("ns", tz="UTC")),
+}
+RATES = {
+    "array": RATE,
+    "lists": RATE.tolist(),
+    "Fortran order": np.asfortranarray(RATE),
+    "pandas": FRAME[["wx", "wy", "wz"]],
+    "polars": pl.DataFrame(FRAME[["wx", "wy", "wz"]].to_dict("list")),
+    "arrow table": pa.table(FRAME[["wx", "wy", "wz"]].to_dict("list")),
+    "arrow lists": pa.FixedSizeListArray.from_arrays(pa.array(RATE.ravel()), 3),
+}
+
+
+@pytest.mark.parametrize("stamps", STAMPS.values(), ids=STAMPS)
+@pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
+def test_series_take_columns_of_any_library(stamps, rate):
+    """Arrays, lists, pandas, polars and Arrow give the same series."""
+    series = GyroSeries(stamps, rate)
+    assert series.t_ns.dtype == np.int64
+    assert series.t_ns.tolist() == T_NS.tolist()
+    assert series.rate.dtype == np.float64
+    assert series.rate.tolist() == RATE.tolist()
+    assert not series.rate.flags.writeable
+
+
+@pytest.mark.parametrize("unit", ["us", "ms"])
+def test_coarser_dates_are_exact(unit):
+    """Dates of any resolution become nanoseconds."""
+    stamps, expected = dates(unit)
+    assert GyroSeries(stamps, RATE).t_ns.tolist() == expected.tolist()
+    assert GyroSeries(pd.Series(stamps), RATE).t_ns.tolist() == expected.tolist()
+    assert GyroSeries(pl.Series(stamps), RATE).t_ns.tolist() == expected.tolist()
+
+
+def test_float32_becomes_float64():
+    """The value of each number stays what it is."""
+    single = RATE.astype(np.float32)
+    assert GyroSeries(T_NS, single).rate.tolist() == single.astype(float).tolist()
+    assert GyroSeries(T_NS, [[0, 0, 1]] * 3).rate.dtype == np.float64
+
+
+def test_float_seconds_only_where_the_caller_says_so():
+    """They are rounded to the nearest ns; elsewhere they are refused with the way out."""
+    series = GyroSeries.from_seconds([0.1, 0.2, 1e9 + 0.25], RATE)
+    assert series.t_ns.tolist() == [100_000_000, 200_000_000, 1_000_000_000_250_000_000]
+    assert AttitudeSeries.from_seconds([-0.5], [[1, 0, 0, 0]]).t_ns.tolist() == [-500_000_000]
+    with pytest.raises(SeriesError, match=r"got float64; for seconds as floats use from_seconds"):
+        GyroSeries([0.1, 0.2, 0.3], RATE)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "rate", "sentence"),
+    [
+        (T_NS, RATE[:2], r"Expected `rate` to have shape \(3, 3\), got \(2, 3\)"),
+        (T_NS, RATE.T[:2].T, r"Expected `rate` to have shape \(3, 3\), got \(3, 2\)"),
+        (T_NS, RATE.ravel(), r"Expected `rate` to have shape \(3, 3\), got \(9,\)"),
+        (T_NS, RATE.astype(str), "Expected `rate` to be numbers, got <U"),
+        (T_NS, RATE.astype(complex), "Expected `rate` to be numbers, got complex128"),
+        (T_NS, [[1, 2, 3], [1, 2], [1, 2, 3]], "`rate` has rows of different lengths"),
+        (T_NS, None, r"Expected `rate` to have shape \(3, 3\), got \(\)"),
+        (T_NS, pa.array([[1.0], [1.0, 2.0], []]), "`rate` has rows of different lengths"),
+        (T_NS[None], RATE, r"Expected `t_ns` to have shape \(N,\), got \(1, 3\)"),
+        (5, RATE, r"Expected `t_ns` to have shape \(N,\), got \(\)"),
+        (["a", "b", "c"], RATE, "Expected `t_ns` to be int64 nanoseconds or dates, got <U1"),
+        ([True, False, True], RATE, "Expected `t_ns` to be int64 nanoseconds or dates, got bool"),
+        ([1, 2, 2**63], RATE, "`t_ns` has values that do not fit 64 bits"),
+        ([1, 2, -(2**70)], RATE, "`t_ns` has values that do not fit 64 bits"),
+        (pa.array([1, None, 3]), RATE, "got float64; for seconds as floats .* missing values"),
+        (np.array(["2020", "NaT", "2021"], "M8[s]"), RATE, "`t_ns` has missing dates"),
+        (np.array(["2020", "2021", "9020"], "M8[s]"), RATE, "dates that do not fit 64 bits"),
+    ],
+)
+def test_what_is_no_series_is_one_sentence(stamps, rate, sentence):
+    """Wrong shapes, types and values are refused by name."""
+    with pytest.raises(SeriesError, match=sentence):
+        GyroSeries(stamps, rate)
+
+
+@pytest.mark.parametrize("seconds", [["a"], [np.nan], [np.inf], [1e10], [[0.1]]])
+def test_seconds_that_are_none_are_refused(seconds):
+    """Not finite, too far away, or no column."""
+    with pytest.raises(SeriesError, match=r"`t_s`"):
+        AttitudeSeries.from_seconds(seconds, [[1, 0, 0, 0]])
+
+
+def test_rates_as_tables():
+    """Columns in SI units, by the names that the tool reads back."""
+    series = GyroSeries(T_NS, RATE)
+    table = series.to_arrow()
+    assert table.column_names == ["t_ns", "wx", "wy", "wz"]
+    assert table["t_ns"].to_pylist() == T_NS.tolist()
+    assert table["wy"].to_pylist() == RATE[:, 1].tolist()
+    assert series.to_pandas().equals(table.to_pandas())
+
+
+def test_attitudes_as_arrays_and_tables():
+    """A layout is an order of columns; scipy reads the scalar-last one as the same rotation."""
+    rotations = Rotation.random(3, random_state=1)
+    series = AttitudeSeries(T_NS, rotations.as_quat(scalar_first=True))
+    assert series.as_quat(scalar_first=True).tolist() == series.wxyz.tolist()
+    again = Rotation.from_quat(series.as_quat(scalar_first=False))
+    assert (again.inv() * rotations).magnitude().max() < 1e-15
+    assert series.to_arrow().column_names == ["t_ns", "qw", "qx", "qy", "qz"]
+    last = series.to_pandas(scalar_first=False)
+    assert list(last.columns) == ["t_ns", "qx", "qy", "qz", "qw"]
+    assert last["qw"].tolist() == series.wxyz[:, 0].tolist()
+    with pytest.raises(TypeError, match="scalar_first"):
+        series.as_quat()
+
+
+def test_without_pandas_the_sentence_names_it(monkeypatch):
+    """It is not a dependency."""
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UsageError, match="needs pandas; install it with pip install pandas"):
+        GyroSeries(T_NS, RATE).to_pandas()
+
+
+@pytest.mark.parametrize("as_path", [str, Path])
+def test_rates_and_attitudes_of_logs(as_path):
+    """Paths are text or Path; the series are those of the log."""
+    rates = quatprop.read_rates(as_path(SAMPLES / "tumbling.bag"))
+    assert (len(rates), rates.rate.shape) == (1000, (1000, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        truth = quatprop.read_attitudes(as_path(SAMPLES / "tumbling.truth.csv"))
+    assert np.abs(np.linalg.norm(truth.wxyz, axis=1) - 1).max() < 1e-15
+
+
+def test_propagation_is_that_of_the_command_line(tmp_path):
+    """A log, its rates in memory and the command give the same attitudes to the bit."""
+    from click.testing import CliRunner
+
+    log, out = SAMPLES / "tumbling.bag", tmp_path / "out.parquet"
+    options = ["--method", "coning", "--mount", "y,-x,z", "--bias", "0.1,0,0", "--start", "+1s"]
+    assert CliRunner().invoke(cli, ["propagate", str(log), "-o", str(out), *options]).exit_code == 0
+    expected = pyarrow.parquet.read_table(out)
+    keywords = {"method": "coning", "mount": "y,-x,z", "bias": (0.1, 0, 0), "start": "+1s"}
+    for source in (log, quatprop.read_rates(log)):
+        result = quatprop.propagate(source, **keywords)
+        assert result.to_arrow().equals(expected.select(range(5)).replace_schema_metadata())
+        assert result.report.counts.used == len(result) == 900
+        assert result.report.convention.method == "coning"
+    quatprop.write(quatprop.propagate(log, **keywords), tmp_path / "again.parquet")
+    again = pyarrow.parquet.read_metadata(tmp_path / "again.parquet").metadata[b"quatprop"]
+    kept = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"quatprop"])
+    assert json.loads(again)["convention"] == kept["convention"]
+
+
+def test_policies_hold_for_rates_in_memory():
+    """Stamps that go backwards are refused, or handled as asked."""
+    series = GyroSeries(T_NS[[0, 2, 1]], RATE)
+    with pytest.raises(LogError, match=r"^series: .*choose on_backwards='drop' or 'sort'"):
+        quatprop.propagate(series)
+    assert len(quatprop.propagate(series, on_backwards="drop")) == 2
+    assert quatprop.propagate(series, on_backwards="sort").t_ns.tolist() == T_NS.tolist()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
+        ({"q0": (1, 0, 0)}, "q0: '1,0,0' is not W,X,Y,Z, 4 numbers"),
+        ({"q0": (0, 0, 0, 0)}, "direction"),
+        ({"method": "euler"}, "method: 'euler' is not one of"),
+        ({"metod": "end"}, "there is no setting 'metod'"),
+        ({"mount": "x,y,-z"}, "is left-handed, so it is not a rotation"),
+        ({"start": dt.datetime(2024, 1, 1)}, "start: "),  # noqa: DTZ001  # no zone is the mistake
+    ],
+)
+def test_a_wrong_argument_is_a_clear_error(keywords, sentence):
+    """Never an AttributeError from inside; the parameter is named as Python has it."""
+    with pytest.raises(quatprop.QuatpropError, match=sentence):
+        quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
+
+
+@pytest.mark.parametrize("path", [7, None, b"", ""])
+def test_what_is_no_path_is_refused(path):
+    """In every function that takes one."""
+    for function in (quatprop.read_rates, quatprop.read_attitudes, quatprop.propagate):
+        with pytest.raises(UsageError, match="is not a path"):
+            function(path)
+
+
+def test_an_error_names_the_parameter_not_the_option(tmp_path):
+    """Settings are spelled as the library has them."""
+    log = tmp_path / "log.csv"
+    log.write_text("t,wx,wy,wz\n0,0,0,1\n1,0,0,1\n")
+    with pytest.raises(LogError, match=r"(time|rate)_unit=") as caught:
+        quatprop.read_rates(log)
+    assert "--" not in str(caught.value)
+
+
+def test_losses_are_warnings(tmp_path):
+    """What could not be read is not silent."""
+    log = tmp_path / "cut.bag"
+    content = (SAMPLES / "tumbling.bag").read_bytes()
+    log.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.warns(quatprop.DataLossWarning, match=r"cut\.bag: lost: ") as caught:
+        series = quatprop.read_rates(log)
+    assert caught[0].filename == __file__
+    assert 0 < len(series) < 1000
+    with pytest.warns(quatprop.DataLossWarning, match="lost"):
+        quatprop.propagate(log)
+
+
+def test_comparison_of_files_and_series():
+    """The known error of a method is found; the tolerance is text or rad."""
+    truth, log = SAMPLES / "tumbling.truth.csv", SAMPLES / "tumbling.bag"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        by_method = {
+            method: quatprop.compare(
+                quatprop.propagate(log, method=method), truth, align="first", tol="0.05deg"
+            )
+            for method in ("start", "coning")
+        }
+        again = quatprop.compare(truth, truth, tol=1e-9)
+    assert by_method["coning"].passed
+    assert not by_method["start"].passed
+    assert again.passed
+
+
+def test_conversion_to_another_layout_and_convention(tmp_path):
+    """Layout and convention are those asked for, and read back without a word."""
+    truth = SAMPLES / "tumbling.truth.csv"
+    quatprop.convert(truth, tmp_path / "jpl.parquet", layout="scalar-last", convention="jpl")
+    table = pyarrow.parquet.read_table(tmp_path / "jpl.parquet")
+    assert table.column_names == ["t_ns", "qx", "qy", "qz", "qw"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        before = quatprop.read_attitudes(truth)
+        after = quatprop.read_attitudes(tmp_path / "jpl.parquet")
+    assert after.wxyz.tolist() == before.wxyz.tolist()
+    assert np.array_equal(table["qx"].to_numpy(), -before.wxyz[:, 1])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz", ".tum", ".mcap", ".bag"])
+def test_what_is_written_is_read_back(tmp_path, suffix):
+    """In any format."""
+    series = AttitudeSeries(T_NS, Rotation.random(3, random_state=2).as_quat(scalar_first=True))
+    quatprop.write(series, tmp_path / f"a{suffix}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        again = quatprop.read_attitudes(tmp_path / f"a{suffix}")
+    assert again.t_ns.tolist() == T_NS.tolist()
+    assert again.wxyz.tolist() == series.wxyz.tolist()
+
+
+def test_only_attitudes_are_written(tmp_path):
+    """Rates are no attitudes."""
+    with pytest.raises(SeriesError, match="Expected an AttitudeSeries, got GyroSeries"):
+        quatprop.write(GyroSeries(T_NS, RATE), tmp_path / "a.csv")
+
+
+def test_the_public_names_are_listed():
+    """`dir` shows what is public, and no package takes the name of a function."""
+    assert set(quatprop.__all__) <= set(dir(quatprop))
+    packages = {path.stem for path in Path(quatprop.__file__).parent.iterdir()}
+    assert not packages & set(quatprop.__all__)
+
+
+def test_importing_changes_nothing_for_the_host():
+    """No signal handler, no warning filter (but ruamel.yaml's own), no environment, no state."""
+    code = """
+import json, os, pkgutil, random, signal, sys, warnings
+import importlib
+import numpy, pyarrow
+def state():
+    handlers = {str(s): str(signal.getsignal(s)) for s in signal.valid_signals()}
+    filters = [str(filter) for filter in warnings.filters if "ruamel" not in str(filter)]
+    return [handlers, dict(os.environ), filters, str(random.getstate()), str(numpy.geterr()),
+            os.getcwd(), sys.getrecursionlimit(), pyarrow.cpu_count()]
+before = state()
+import quatprop
+for module in pkgutil.walk_packages(quatprop.__path__, "quatprop."):
+    if not module.name.startswith(("quatprop.cli", "quatprop.__main__", "quatprop.plot",
+                                   "quatprop.pytest_plugin")):
+        importlib.import_module(module.name)
+print(json.dumps(before == state()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) is True
+    package = Path(quatprop.__file__).parent
+    for path in package.rglob("*.py"):
+        if path.relative_to(package).parts[0] not in {"cli", "__main__.py"}:
+            for node in ast.walk(ast.parse(path.read_text())):
+                name = getattr(node, "attr", "")
+                assert name not in {"enable_signal_handlers", "set_cpu_count", "simplefilter"}, path
