@@ -61,9 +61,9 @@ class SuiteFile(pytest.File):
 
     def collect(self) -> Iterable[CaseItem]:
         """Return its cases."""
+        from quatprop.check.cases import load_cases
         from quatprop.check.lock import read_lock
         from quatprop.check.spelling import sentence
-        from quatprop.cli.cases import load_cases
         from quatprop.errors import QuatpropError
 
         try:

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from quatprop.check import cases
 from quatprop.check.case_run import propagate_case
-from quatprop.cli import cases, cli, compare, propagate
+from quatprop.cli import cli, compare, propagate
 from quatprop.third_party_errors import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
@@ -65,26 +66,11 @@ tol = "0.1deg"
 # Keys and values.
 
 
-OF_PROPAGATION = {
-    "from", "topic", "rate-field", "time-field", "rate-cols", "time-col", "rate-unit", "time-unit",
-    "sample-rate", "clock", "method", "rates", "q0", "heading", "reference-z", "q0-layout", "bias",
-    "mount", "start", "end", "on-backwards", "on-nonfinite", "max-gap", "on-gap", "every", "rate",
-    "at",
+OUTPUT_ONLY = {
+    "output", "to", "layout", "header-comment", "message", "out-topic", "frames", "into",
+    "report", "quiet", "verbose", "plot", "json",
 }  # fmt: skip
-"""Options of propagate that decide what the attitudes are."""
-
-OF_COMPARISON = {
-    "tol", "align", "time-offset", "match", "max-dt", "min-matched", "window", "normalize",
-    "on-invalid",
-}  # fmt: skip
-"""Options of compare that decide what the error is, without those of one side."""
-
-OF_A_SIDE = {
-    "from", "topic", "quat-field", "quat-cols", "frame", "from-layout", "from-convention",
-    "from-direction", "from-angle-unit", "clock", "time-field", "time-col", "time-unit",
-    "sample-rate",
-}  # fmt: skip
-"""Options of compare that say how one side is read, without the side."""
+"""Options of propagate and compare that are about what they write: no keys of a case."""
 
 
 def long_names(command):
@@ -99,36 +85,45 @@ def long_names(command):
 
 
 def test_every_option_is_a_key_of_a_case_or_about_the_output():
-    """Whoever adds an option to propagate or compare has to decide here which it is."""
-    output = cases.OUTPUT_ONLY
-    assert long_names(propagate.command) - output == OF_PROPAGATION
-    sides = {f"{name}-{side}" for name in OF_A_SIDE for side in "ab"}
-    assert long_names(compare.command) - output == OF_COMPARISON | sides
-    assert output <= long_names(propagate.command) | long_names(compare.command)
-    assert output.isdisjoint(OF_PROPAGATION | OF_COMPARISON)
-    own = {"log", "reference", "reference-log", "pin-log"}
-    reference = {f"reference-{name}" for name in OF_A_SIDE}
-    assert own | OF_PROPAGATION | OF_COMPARISON | reference == cases.KEYS
+    """A new option of propagate or compare is a key by itself, unless it is about the output."""
+    assert long_names(propagate.command) - OUTPUT_ONLY == set(cases.PROPAGATION_KEYS)
+    own = {name for name in long_names(compare.command) if not name.endswith(("-a", "-b"))}
+    of_b = {name for name in long_names(compare.command) if name.endswith("-b")}
+    once = {"normalize", "on-invalid"}
+    assert own - OUTPUT_ONLY - once == set(cases.COMPARISON_KEYS)
+    reference = {f"reference-{name.removesuffix('-b')}" for name in of_b}
+    assert reference | once == set(cases.REFERENCE_KEYS)
+    assert OUTPUT_ONLY.isdisjoint(cases.PARSERS)
+
+
+def test_the_plugin_and_the_suites_need_no_command_line():
+    """Cases are made of settings: click is not imported."""
+    code = (
+        "import sys, quatprop.pytest_plugin, quatprop.check.runner, quatprop.check.cases\n"
+        "print({name for name in sys.modules if name == 'click' or 'quatprop.cli' in name})"
+    )
+    command = [sys.executable, "-c", code]
+    result = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert result.stdout == "set()\n"
 
 
 @pytest.mark.parametrize(
     ("more", "where", "words"),
     [
         ('methd = "end"', ", 'methd'", "no such key; did you mean 'method'?"),
-        ("xyzzy = 1", ", 'xyzzy'", "no such key; see quatprop propagate --help"),
-        ('output = "a.csv"', ", 'output'", "a case writes no such output; leave it out"),
+        ("xyzzy = 1", ", 'xyzzy'", "no such key; a case has the options of propagate that"),
+        ('output = "a.csv"', ", 'output'", "no such key; a case has the options of propagate"),
         ('method = "middle"', ", 'method'", "'middle' is not one of 'start', 'end', 'mean', "),
         ("every = 0", ", 'every'", "'0' is not a whole number above 0"),
-        ("every = true", ", 'every'", "this takes a value, not true or false"),
+        ("every = true", ", 'every'", "'True' is not a whole number above 0"),
         ('pin-log = "no"', ", 'pin-log'", "this is true or false"),
-        ("normalize = 1", ", 'normalize'", "this is true or false"),
+        ("normalize = 1", ", 'normalize'", "'1' is not true or false"),
         ("bias = [0.1, 0.2]", ", 'bias'", "'0.1,0.2' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
         ("bias = {x = 1}", ", 'bias'", "this takes text, a number or a list of them"),
         ('start = "soon"', ", 'start'", "'soon' is not a time; write RFC 3339"),
         ('tol = "0.1"', ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
         ("tol = 0.1", ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
-        ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'mean', 'mount'."),
-        ('at = "none.csv"', ", 'at'", "none.csv' does not exist."),
+        ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'mean', 'mount'"),
         ('q0 = "none.csv"', ", 'q0'", "none.csv' is neither four numbers W,X,Y,Z nor level or log"),
         ("heading = 90", "", 'heading goes with q0 = "level"'),
         ('reference-topic = "/a"', ", 'reference'", "goes without 'reference-topic'"),
@@ -189,11 +184,11 @@ def test_a_suite_that_is_no_text_is_told(folder):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[case.a]\nreference = "a.parquet"\n', 'there is no log; say log = "PATH"'),
-        ('[case.a]\nlog = "-"\nreference = "a.parquet"\n', "'log': this is no path"),
-        ('[case.a]\nlog = "a.csv"\n', "nothing to hold it against; say reference = "),
-        ('[case.a]\nlog = "a.csv"\nreference-topic = "/b"\n', "'tol': no tolerance; say tol"),
-        ('[case.a]\nlog = "a.csv"\nreference = "a.csv"\n', "'reference': a stored reference is P"),
+        ('[case.a]\nreference = "a.parquet"\n', 'there is no log; name it with log = "PATH"'),
+        ('[case.a]\nlog = "-"\nreference = "a.parquet"\n', "'log': this is not a path"),
+        ('[case.a]\nlog = "a.csv"\n', "there is no reference; name the file that an"),
+        ('[case.a]\nlog = "a.csv"\nreference-topic = "/b"\n', "'tol': there is no toler"),
+        ('[case.a]\nlog = "a.csv"\nreference = "a.csv"\n', "'reference': a stored reference is "),
     ],
 )  # fmt: skip
 def test_what_a_case_lacks_is_told(folder, text, words):

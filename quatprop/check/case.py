@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from quatprop.check.lock import Pin
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.pipeline.job import Job
+    from quatprop.pipeline.settings import PropagationSettings
     from quatprop.signals.attitude_input import AttitudeInput
 
 Verdict = Literal["pass", "fail", "error"]
@@ -24,9 +24,11 @@ class Case:
     ----------
     name
         Name in the suite.
-    job
-        How the log is propagated; the output is chosen when the case is run.
-    settings
+    log
+        Path of the log.
+    propagation
+        How the log is propagated.
+    comparison
         How the attitudes are compared, with the tolerance.
     reference
         Path of the stored reference, which an update writes; None where there is `external`.
@@ -47,8 +49,9 @@ class Case:
     """
 
     name: str
-    job: Job
-    settings: ComparisonSettings
+    log: str
+    propagation: PropagationSettings
+    comparison: ComparisonSettings
     reference: str | None
     external: AttitudeInput | None
     options: Mapping[str, str]

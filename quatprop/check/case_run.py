@@ -93,16 +93,16 @@ def propagate_case(case: Case, every: int | None) -> CaseRun:
     """
     with TemporaryDirectory(prefix="quatprop-") as folder:
         output = str(Path(folder) / "attitude.parquet")
-        settings = case.job.settings
+        settings = case.propagation
         if not chooses_rows(case):
             settings = replace(settings, every=every)
-        report = run(Job(case.job.log, OutputSettings(output, to="parquet"), settings))
+        report = run(Job(case.log, OutputSettings(output, to="parquet"), settings))
         return CaseRun(load_attitudes(AttitudeInput(output, "parquet")).series, report)
 
 
 def chooses_rows(case: Case) -> bool:
     """Return whether the case itself says which attitudes are kept."""
-    settings = case.job.settings
+    settings = case.propagation
     return any(choice is not None for choice in (settings.every, settings.rate, settings.at))
 
 
@@ -114,13 +114,13 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     ComparisonError
         They cannot be compared with these settings.
     """
-    limit = math.inf if case.settings.tol is None else case.settings.tol
+    limit = math.inf if case.comparison.tol is None else case.comparison.tol
     if len(a) == len(b) == 1 and a.t_ns[0] == b.t_ns[0]:
         # A comparison needs two pairs; a log of one sample has one attitude.
         error = float(geodesic_angle(a.wxyz[0], b.wxyz[0]))
         failure = "" if error <= limit else "the only attitude is above the tolerance"
         return CaseComparison(error, "at the only sample", failure)
-    result = compare(a, b, case.settings)
+    result = compare(a, b, case.comparison)
     first_ns = result.association.first_ns
     failure = ""
     if result.first_exceeding is not None:
@@ -177,7 +177,7 @@ def error_text(case: Case, comparison: CaseComparison) -> str:
         return ""
     error, *limit = (
         angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (comparison.error_rad, case.settings.tol)
+        for angle in (comparison.error_rad, case.comparison.tol)
         if angle is not None
     )
     return f"{' of '.join([error, *limit])} {comparison.where}"

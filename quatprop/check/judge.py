@@ -17,6 +17,7 @@ from quatprop.check.case_run import (
     propagate_case,
     try_compare,
 )
+from quatprop.check.cases import same_option
 from quatprop.check.lock import sha256_of
 from quatprop.check.reference import describe_provenance, read_reference
 from quatprop.check.spelling import sentence
@@ -67,7 +68,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
         reason = f"{sentence(error)}; the same bytes could be used by quatprop {pin.quatprop}"
         return CaseResult(case.name, "error", reason)
     if run.report.data_lost:
-        notes.append(f"data of {plain(case.job.log)} were lost or left out, see propagate")
+        notes.append(f"data of {plain(case.log)} were lost or left out, see propagate")
     failures = []
     if run.samples != pin.samples and (case.strict or case.pins_log):
         failures.append(f"{run.samples} samples were propagated, and {pin.samples} when pinned")
@@ -112,6 +113,15 @@ def differences(
     ]
 
 
+def option_differences(pin: Pin, case: Case) -> list[tuple[str, str | None, str | None]]:
+    """Return the options that have another value than the pinned one, however it is written."""
+    return [
+        (key, old, new)
+        for key, old, new in differences(pin.options, case.options)
+        if not same_option(key, old, new)
+    ]
+
+
 def option_text(value: str | None) -> str:
     """Return the value of an option in quotes; None is the default."""
     return "the default" if value is None else quoted(value)
@@ -129,7 +139,7 @@ def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
                 f"{new[:DIGITS]})",
                 accept,
             )
-    if options := differences(pin.options, case.options):
+    if options := option_differences(pin, case):
         changes = ", ".join(
             f"{key} is {option_text(new)}, not {option_text(old)}" for key, old, new in options
         )
@@ -157,8 +167,8 @@ def _refuse(case: Case, *reason: str | Setting | Text) -> NoReturn:
 
 def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
     """Return how the last attitude differs, which the reference may lack."""
-    tolerance = case.settings.tol
-    if not case.strict or case.settings.align != "none" or tolerance is None:
+    tolerance = case.comparison.tol
+    if not case.strict or case.comparison.align != "none" or tolerance is None:
         return ""
     error = float(geodesic_angle(np.array(pin.final_wxyz), np.array(run.final_wxyz)))
     if error <= tolerance:

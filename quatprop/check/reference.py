@@ -68,7 +68,7 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
     target = Path(str(case.reference))
     report = replace(run.report, seconds=None).as_json()
     # The content must not depend on the folder in which it was made.
-    report["source"] = {**report["source"], "path": Path(case.job.log).name}
+    report["source"] = {**report["source"], "path": Path(case.log).name}
     if "q0" in hashes:
         report["convention"] = {**report["convention"], "q0_from": case.options["q0"]}
     report[PROVENANCE_KEY] = {

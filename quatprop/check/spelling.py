@@ -14,16 +14,19 @@ if TYPE_CHECKING:
 KEY_NAMES = {"kind": "from"}
 """Settings whose key has another name."""
 
+ONCE = {"normalize", "on_invalid"}
+"""Settings of attitudes that a case has once, not with ``reference-`` for the reference."""
+
 COMMAND_OPTIONS = {"update"}
 """Settings that are options of the command, not keys of a case."""
 
 
-def key(setting: Setting, side: str = "") -> str:
+def suite_key(setting: Setting, side: str = "") -> str:
     """Return a setting as a key of a case, such as ``clock = "log"``; B is the reference."""
     name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
     if name in COMMAND_OPTIONS:
         return f"--{name}"
-    if side == "b":
+    if side == "b" and setting.name not in ONCE:
         name = f"reference-{name}"
     if not setting.value:
         return name
@@ -32,9 +35,9 @@ def key(setting: Setting, side: str = "") -> str:
 
 def sentence(error: QuatpropError) -> str:
     """Return the sentence of an error, with keys in place of the settings it mentions."""
-    return error.text.spelled(partial(key, side=error.side))
+    return error.text.spelled(partial(suite_key, side=error.side))
 
 
 def spelled(text: str | Text) -> str:
     """Return a remark, with keys in place of the settings it mentions."""
-    return text.spelled(key) if isinstance(text, Text) else text
+    return text.spelled(suite_key) if isinstance(text, Text) else text

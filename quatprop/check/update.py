@@ -16,7 +16,14 @@ from quatprop.check.case_run import (
     propagate_case,
     try_compare,
 )
-from quatprop.check.judge import DIGITS, differences, hash_inputs, judge, option_text
+from quatprop.check.judge import (
+    DIGITS,
+    differences,
+    hash_inputs,
+    judge,
+    option_differences,
+    option_text,
+)
 from quatprop.check.lock import Pin, refuse_lfs_pointer, sha256_of
 from quatprop.check.reference import (
     MAX_ROWS,
@@ -134,7 +141,7 @@ def _changes(case: Case, pin: Pin, run: CaseRun, hashes: Mapping[str, str]) -> l
     ]
     changes += [
         f"{key}: {option_text(old)} -> {option_text(new)}"
-        for key, old, new in differences(pin.options, case.options)
+        for key, old, new in option_differences(pin, case)
     ]
     if pin.quatprop != __version__:
         changes.append(f"quatprop: {pin.quatprop} -> {__version__}")

@@ -76,9 +76,9 @@ def command(suite: str, **options: Any) -> None:
     that is pinned changed), whatever the other cases do.
     """
     from quatprop.check.case import exit_code
+    from quatprop.check.cases import load_cases
     from quatprop.check.lock import read_lock
     from quatprop.check.runner import run_cases, select_cases
-    from quatprop.cli.cases import load_cases
 
     loaded, all_cases = load_cases(suite)
     patterns = options["patterns"]

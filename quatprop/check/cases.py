@@ -1,0 +1,242 @@
+"""Make the cases of a suite of its tables.
+
+The keys of a case are the settings of a propagation, of a comparison, and, with ``reference-``, of
+the attitudes that it is compared with. Their values are parsed as those of the library and of the
+command line are: a new setting is a key by itself.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, NoReturn
+
+from quatprop.check.case import BrokenCase, Case
+from quatprop.check.spelling import sentence, suite_key
+from quatprop.check.suite import read_suite
+from quatprop.comparison.settings import COMPARE, comparison_settings
+from quatprop.errors import QuatpropError, SuiteError, UsageError
+from quatprop.pipeline.settings import propagation_settings
+from quatprop.settings import FROM_THE_LOG, PROPAGATE, READ_ATTITUDES
+from quatprop.signals.attitude_input import attitude_input
+from quatprop.text import Setting, Text, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+    from typing import Any
+
+    from quatprop.check.suite import CaseTable, Suite
+
+DEFAULT_TOLERANCE = "1e-9rad"
+"""Tolerance for a stored reference, unless the case has its own."""
+
+PROPAGATION_KEYS = {suite_key(Setting(name)): name for name in PROPAGATE}
+COMPARISON_KEYS = {suite_key(Setting(name)): name for name in COMPARE}
+REFERENCE_KEYS = {suite_key(Setting(name), "b"): name for name in READ_ATTITUDES}
+
+PARSERS: Mapping[str, Callable[[object], Any]] = {
+    **{key: PROPAGATE[name] for key, name in PROPAGATION_KEYS.items()},
+    **{key: COMPARE[name] for key, name in COMPARISON_KEYS.items()},
+    **{key: READ_ATTITUDES[name] for key, name in REFERENCE_KEYS.items()},
+}
+"""Key of a case -> parser of its value."""
+
+OWN_KEYS = {"log", "reference", "reference-log", "pin-log"}
+"""Keys of a case that are no settings."""
+
+PATHS = {"at": (), "q0": FROM_THE_LOG}
+"""Settings that name a file, and their values that do not."""
+
+
+def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
+    """Read a suite and make its cases.
+
+    Returns
+    -------
+    Suite
+        The suite as it is written.
+    list
+        Its cases, in their order; one that cannot be used does not affect the others.
+
+    Raises
+    ------
+    SuiteError
+        The suite cannot be read, or its defaults cannot be used.
+    """
+    suite = read_suite(path)
+    for name in suite.defaults:
+        _refuse_unknown(suite, name, None)
+    cases: list[Case | BrokenCase] = []
+    owners: dict[str, str] = {}
+    for table in suite.tables:
+        try:
+            case = _CaseParser(suite, table).case()
+            if case.reference is not None:
+                owner = owners.setdefault(os.path.realpath(case.reference), case.name)
+                if owner != case.name:
+                    reason = f"case {quoted(owner)} has it already; give each case its own"
+                    raise SuiteError(suite.path, reason, case.name, "reference")
+            cases.append(case)
+        except QuatpropError as error:
+            cases.append(BrokenCase(table.name, sentence(error), table.line))
+    return suite, cases
+
+
+def same_option(key: str, one: str | None, other: str | None) -> bool:
+    """Return whether two texts are the same value of a key, as ``50`` and ``50.0`` are."""
+    if one is None or other is None or one == other or key in PATHS:
+        return one == other
+    try:
+        return bool(PARSERS[key](one) == PARSERS[key](other))
+    except (KeyError, UsageError):
+        return False
+
+
+def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
+    known = OWN_KEYS | PARSERS.keys()
+    if key in known:
+        return
+    near = get_close_matches(key, sorted(known), 1)
+    way_out = (
+        f"did you mean {quoted(near[0])}?"
+        if near
+        else "a case has the options of propagate that determine the attitudes, and of compare"
+    )
+    place = key if case is not None else f"defaults.{key}"
+    raise SuiteError(suite.path, f"no such key; {way_out}", case, place)
+
+
+class _CaseParser:
+    """Makes a case of its table."""
+
+    def __init__(self, suite: Suite, table: CaseTable) -> None:
+        self._suite, self._table, self._values = suite, table, table.values
+        self._inputs: dict[str, str] = {}
+
+    def case(self) -> Case:
+        """Return the case.
+
+        Raises
+        ------
+        SuiteError
+            A key or a value cannot be used, or something is missing.
+        """
+        values = self._values
+        for key in values:
+            _refuse_unknown(self._suite, key, self._table.name)
+        pins_log = values.get("pin-log", True)
+        if not isinstance(pins_log, bool):
+            self._refuse("this is true or false", "pin-log")
+        if "log" not in values:
+            self._refuse('there is no log; name it with log = "PATH"')
+        log = self._inputs["log"] = self._path("log")
+        texts = self._texts(PROPAGATION_KEYS)
+        parsed = self._parse(PROPAGATION_KEYS, texts)
+        reference = self._reference()
+        given = self._parse(REFERENCE_KEYS, self._texts(REFERENCE_KEYS))
+        external = None
+        if reference is None:
+            path = self._path("reference-log") if "reference-log" in values else log
+            if path != log:
+                self._inputs["reference-log"] = path
+            external = attitude_input(path, given, "b")
+        try:
+            propagation = propagation_settings(parsed)
+        except UsageError as error:
+            self._refuse(sentence(error))
+        return Case(
+            name=self._table.name,
+            log=log,
+            propagation=propagation,
+            comparison=comparison_settings(**self._comparison(stored=reference is not None)),
+            reference=reference,
+            external=external,
+            options=_options(parsed, texts),
+            inputs=self._inputs,
+            strict=not {"time-offset", "match", "max-dt"} & values.keys(),
+            pins_log=pins_log,
+            in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
+            line=self._table.line,
+        )
+
+    def _reference(self) -> str | None:
+        """Return the path of the stored reference; None where the case names a series."""
+        values = self._values
+        others = sorted(key for key in values if key.startswith("reference-"))
+        if "reference" not in values:
+            if not {"reference-log", "reference-topic"} & values.keys():
+                self._refuse(
+                    "there is no reference; name the file that an update writes with reference = "
+                    '"NAME.parquet", or an independent series with reference-log or reference-topic'
+                )
+            return None
+        if others:
+            reason = f"a stored reference goes without {quoted(others[0])}; leave one out"
+            self._refuse(reason, "reference")
+        reference = self._path("reference")
+        if not reference.lower().endswith((".parquet", ".pq")):
+            self._refuse(
+                "a stored reference is a .parquet file; name an independent series as "
+                "reference-log",
+                "reference",
+            )
+        return reference
+
+    def _comparison(self, *, stored: bool) -> dict[str, Any]:
+        if "tol" not in self._values and not stored:
+            self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
+        return self._parse(
+            COMPARISON_KEYS, {"tol": DEFAULT_TOLERANCE, **self._texts(COMPARISON_KEYS)}
+        )
+
+    def _path(self, key: str) -> str:
+        value = self._values[key]
+        if not isinstance(value, str) or not value or value == "-":
+            self._refuse("this is not a path; write one as text, relative to the suite", key)
+        return str(self._suite.path.parent / value)
+
+    def _texts(self, keys: Mapping[str, str]) -> dict[str, object]:
+        """Return values as text, as on the command line: 5 is no duration; true and false stay."""
+        return {key: self._text(key, value) for key, value in self._values.items() if key in keys}
+
+    def _text(self, key: str, value: object) -> object:
+        if isinstance(value, list):
+            return ",".join(str(self._text(key, part)) for part in value)
+        if isinstance(value, dt.datetime):
+            return value.isoformat()
+        if not isinstance(value, str | int | float):
+            self._refuse("this takes text, a number or a list of them", key)
+        return value if isinstance(value, bool) else str(value)
+
+    def _parse(self, keys: Mapping[str, str], texts: Mapping[str, object]) -> dict[str, Any]:
+        """Return name of the setting -> parsed value."""
+        parsed = {}
+        for key, text in texts.items():
+            value = text
+            if isinstance(text, str) and key in PATHS and text not in PATHS[key]:
+                path = self._suite.path.parent / text
+                if "," not in text or path.exists():
+                    value = self._inputs[key] = str(path)
+            try:
+                parsed[keys[key]] = PARSERS[key](value)
+            except UsageError as error:
+                self._refuse(error.text, key)
+        return parsed
+
+    def _refuse(self, reason: str | Text, key: str | None = None) -> NoReturn:
+        raise SuiteError(self._suite.path, reason, self._table.name, key)
+
+
+def _options(parsed: Mapping[str, object], texts: Mapping[str, object]) -> dict[str, str]:
+    """Return the settings that are not the default, by key, as text."""
+    settings = propagation_settings(parsed)
+
+    def matters(name: str) -> bool:
+        try:
+            return propagation_settings({**parsed, name: None}) != settings
+        except UsageError:
+            return True
+
+    return {key: str(text) for key, text in sorted(texts.items()) if matters(PROPAGATION_KEYS[key])}
