@@ -30,7 +30,7 @@ def test_an_Imu_is_a_rate_with_its_stamp_and_its_mark_of_absence(encoding):
     field = fields.rate
     assert field.fields == ("angular_velocity",)
     assert field.unit == "rad/s"
-    assert field.stamp == HEADER
+    assert field.stamps[0] == HEADER
     assert field.absent == "angular_velocity_covariance[0]"
     assert field.measured
     assert fields.orientation.name == "orientation"
@@ -48,12 +48,12 @@ def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
         (fields,) = signal_fields(channel, "log", kind)
         paths = []
         if row.rate:
-            assert replace(fields.rate, stamp=None) == row.rate
-            paths += [*fields.rate.fields, fields.rate.absent, *fields.rate.stamp.fields]
+            assert replace(fields.rate, stamps=()) == row.rate
+            paths += [*fields.rate.fields, fields.rate.absent, *fields.rate.stamps[0].fields]
         if row.orientation:
-            assert replace(fields.orientation, stamp=None, fields=()) == row.orientation
+            assert replace(fields.orientation, stamps=(), fields=()) == row.orientation
             paths += [*fields.orientation.fields, fields.orientation.absent]
-            paths += fields.orientation.stamp.fields
+            paths += fields.orientation.stamps[0].fields
         assert fields.acceleration == row.acceleration
         paths = [path for path in (*paths, *(row.acceleration or ())) if path]
         columns = BinaryDecoder(channel, paths, "log").columns(
@@ -67,7 +67,7 @@ def test_a_gyroscope_of_PX4_has_its_rate_in_three_numbers_and_its_stamp_in_us():
     text = "uint64 timestamp\nuint64 timestamp_sample\nuint32 id\nfloat32 x\nfloat32 y\nfloat32 z\n"
     (field,) = rate_fields(channel_of(text, "px4_msgs/msg/SensorGyro"), "log")
     assert field.fields == ("x", "y", "z")
-    assert field.stamp == Stamp(("timestamp_sample",), "us")
+    assert field.stamps[0] == Stamp(("timestamp_sample",), "us")
     assert field.name == "x,y,z"
 
 
@@ -76,7 +76,7 @@ def test_an_Imu_inside_another_message_is_found_with_its_own_header():
     (field,) = rate_fields(channel_of("std_msgs/Header header\nsensor_msgs/Imu imu\n"), "log")
     assert field.fields == ("imu.angular_velocity",)
     assert field.absent == "imu.angular_velocity_covariance[0]"
-    assert field.stamp == Stamp(("imu.header.stamp.sec", "imu.header.stamp.nanosec"), "s")
+    assert field.stamps[0] == Stamp(("imu.header.stamp.sec", "imu.header.stamp.nanosec"), "s")
 
 
 def test_an_Imu_without_a_header_takes_the_one_around_it():
@@ -86,7 +86,7 @@ def test_an_Imu_without_a_header_takes_the_one_around_it():
         "geometry_msgs/Vector3 angular_velocity\n"
     )
     (fields,) = signal_fields(channel_of(text), "log", "rate")
-    assert fields.rate.stamp == HEADER
+    assert fields.rate.stamps[0] == HEADER
     assert fields.rate.absent is None
     assert fields.orientation is None
 
@@ -148,7 +148,7 @@ def test_any_three_numbers_can_be_named_and_take_the_nearest_stamp():
         field = rate_field_at(channel, name, "log")
         assert field.fields == rate
         assert field.unit is None
-        assert field.stamp == HEADER
+        assert field.stamps[0] == HEADER
 
 
 def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
@@ -158,7 +158,7 @@ def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
     field = rate_field_at(channel, "vector", "log")
     assert field.fields == ("vector",)
     assert field.unit is None
-    assert field.stamp == HEADER
+    assert field.stamps[0] == HEADER
 
 
 def test_an_odometry_of_foxglove_in_ROS_2_is_known():
@@ -166,7 +166,7 @@ def test_an_odometry_of_foxglove_in_ROS_2_is_known():
     text = "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n"
     (fields,) = signal_fields(channel_of(text, "foxglove_msgs/msg/Odometry"), "log", "rate")
     assert fields.rate.fields == ("angular_velocity",)
-    assert fields.rate.stamp == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
+    assert fields.rate.stamps[0] == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
     assert fields.orientation is None
     assert not fields.rate.measured
 
@@ -257,13 +257,13 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
             channel = _channel(reader, connection)
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
             for field in rate_fields(channel, name) if raw else ():
-                decoder = BinaryDecoder(channel, [*field.fields, *field.stamp.fields], name)
+                decoder = BinaryDecoder(channel, [*field.fields, *field.stamps[0].fields], name)
                 rate, *stamp = decoder.columns(_block(raw))
-                t_ns = field.stamp.ns(stamp, name)
+                t_ns = field.stamps[0].ns(stamp, name)
                 for position, message in enumerate(raw):
                     decoded = reader.deserialize(message, connection.msgtype)
                     vector = _attribute(decoded, field.fields[0])
-                    time = _attribute(decoded, field.stamp.fields[0].removesuffix(".sec"))
+                    time = _attribute(decoded, field.stamps[0].fields[0].removesuffix(".sec"))
                     assert rate[position].tolist() == [vector.x, vector.y, vector.z]
                     assert t_ns[position] == time.sec * 10**9 + time.nanosec
                 seen += len(raw)

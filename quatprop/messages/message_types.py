@@ -61,8 +61,8 @@ class RateField:
         ``"rad/s"``, or None where only the user can know.
     absent
         A number that is -1 where the rate is absent.
-    stamp
-        Its time; None in the table, and where the message has none.
+    stamps
+        Its time, the nearest first; empty in the table, and where the message has none.
     measured
         Whether a gyroscope measured it; estimated or commanded velocities do not compete with one.
     method
@@ -79,7 +79,7 @@ class RateField:
     fields: tuple[str, ...]
     unit: str | None = "rad/s"
     absent: str | None = None
-    stamp: Stamp | None = None
+    stamps: tuple[Stamp, ...] = ()
     measured: bool = True
     method: str | None = None
     span: Stamp | None = None
@@ -108,8 +108,8 @@ class OrientationField:
     fields
         Paths of the numbers: one of four in the order of `layout`, or w, x, y, z; empty in the
         table.
-    stamp
-        Its time; None in the table, and where the message has none.
+    stamps
+        Its time, the nearest first; empty in the table, and where the message has none.
     """
 
     name: str
@@ -117,7 +117,7 @@ class OrientationField:
     absent: str | None = None
     frames: str = ""
     fields: tuple[str, ...] = ()
-    stamp: Stamp | None = None
+    stamps: tuple[Stamp, ...] = ()
 
 
 class AccelerationField(NamedTuple):

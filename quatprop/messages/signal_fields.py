@@ -21,7 +21,7 @@ from quatprop.messages.message_types import (
     fields_of_type,
 )
 from quatprop.messages.schema import Struct, find, numbers, structs
-from quatprop.messages.stamps import stamp_around
+from quatprop.messages.stamps import stamps_around
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
     -------
     RateField or None
         That of a recognised type where the path leads to its rate; otherwise without unit, and
-        with the stamp of the nearest header around it.
+        with the stamps of the headers around it.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
             f"field {quoted(rate_field)} of {quoted(channel.type_name)} is not three numbers; "
             "name a field of x, y, z or three numbers as a,b,c",
         )
-    return RateField(names, unit=None, stamp=stamp_around(root, names[0]))
+    return RateField(names, unit=None, stamps=stamps_around(root, names[0]))
 
 
 def orientation_field_at(
@@ -166,8 +166,8 @@ def orientation_field_at(
     Returns
     -------
     OrientationField or None
-        That of a recognised type where the path leads to it; otherwise with the stamp of the
-        nearest header around it, and without a layout for an array.
+        That of a recognised type where the path leads to it; otherwise with the stamps of
+        the headers around it, and without a layout for an array.
 
     Raises
     ------
@@ -187,8 +187,8 @@ def orientation_field_at(
             f"field {quoted(quat_field)} of {quoted(channel.type_name)} is no quaternion; "
             "name a field with parts w, x, y, z or an array of four numbers",
         )
-    stamp = stamp_around(root, components[0])
-    return OrientationField(quat_field, layout, fields=components, stamp=stamp)
+    stamps = stamps_around(root, components[0])
+    return OrientationField(quat_field, layout, fields=components, stamps=stamps)
 
 
 def _root_with(channel: Channel, names: tuple[str, ...], path: Path | str) -> Struct | None:
@@ -222,10 +222,10 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
         has_it = name is not None and find(root, prefix + name) is not None
         return f"{prefix}{name}" if has_it else None
 
-    def stamp_for(name: str) -> Stamp | None:
+    def stamps_for(name: str) -> tuple[Stamp, ...]:
         stamps = (stamp.under(prefix) for stamp in row.stamps)
         own = (s for s in stamps if all(find(root, field) is not None for field in s.fields))
-        return next(own, None) or stamp_around(root, name)
+        return tuple(dict.fromkeys((*own, *stamps_around(root, name))))
 
     rate, orientation, acceleration = row.rate, row.orientation, row.acceleration
     if rate is not None:
@@ -233,7 +233,7 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
         rate = replace(
             rate,
             fields=names,
-            stamp=stamp_for(names[0]),
+            stamps=stamps_for(names[0]),
             absent=existing(rate.absent),
             span=rate.span and rate.span.under(prefix),
             burst=rate.burst and rate.burst.under(prefix),
@@ -249,7 +249,7 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
                 layout=layout or orientation.layout,
                 absent=existing(orientation.absent),
                 fields=components,
-                stamp=stamp_for(components[0]),
+                stamps=stamps_for(components[0]),
             )
         ) or None
     if acceleration is not None:

@@ -51,6 +51,12 @@ class Stamp:
         """Return the stamp in a ROS time at a dotted path."""
         return cls((f"{place}.sec", f"{place}.nanosec"))
 
+    @property
+    def place(self) -> str:
+        """The dotted path of the time, of which there may be two parts."""
+        first = self.fields[0]
+        return first if len(self.fields) == 1 else first.rpartition(".")[0]
+
     def under(self, prefix: str) -> Stamp:
         """Return the same stamp in a message inside another."""
         return Stamp(tuple(prefix + name for name in self.fields), self.unit)
@@ -146,8 +152,8 @@ def stamp_of(place: str, kind: Type) -> Stamp | None:
     return None
 
 
-def stamp_around(root: Struct, name: str) -> Stamp | None:
-    """Return the stamp of the nearest struct around a field that has one.
+def stamps_around(root: Struct, name: str) -> tuple[Stamp, ...]:
+    """Return the stamps of the structs around a field, the nearest first.
 
     Parameters
     ----------
@@ -156,13 +162,12 @@ def stamp_around(root: Struct, name: str) -> Stamp | None:
     name
         Dotted path of the field.
     """
+    stamps = []
     for prefix, kind in around(root, name):
-        for place in STAMPS:
-            field = find(kind, place)
-            stamp = None if field is None else stamp_of(prefix + place, field)
-            if stamp is not None:
-                return stamp
-    return None
+        places = ((place, find(kind, place)) for place in STAMPS)
+        own = (stamp_of(prefix + place, field) for place, field in places if field is not None)
+        stamps += [stamp for stamp in own if stamp is not None][:1]
+    return tuple(stamps)
 
 
 def time_field_at(

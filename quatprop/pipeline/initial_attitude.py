@@ -215,7 +215,7 @@ def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelectio
         if beside.rate is None or beside.acceleration is None:
             continue
         name, absent = beside.acceleration
-        clock = choose_clock(log, channel, beside.rate.stamp, selection)
+        clock = choose_clock(log, channel, beside.rate.stamps, selection)
         reading = FieldReader(log, channel, [name], clock, absent)
         rows: Rows = timed_values(log, channel, reading)
         return rows

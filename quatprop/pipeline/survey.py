@@ -18,6 +18,7 @@ from quatprop.errors import (
     NoAttitudesError,
     NoRatesError,
     NoSuchTopicError,
+    TimelineError,
     UndeclaredError,
     UsageError,
 )
@@ -114,7 +115,7 @@ def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[Facts]:
         list_again = partial(rate_candidates, log)
         try:
             source, unknown, missing = _declared(candidate, list_again, selection, _ASSUMED)
-        except UndeclaredError as error:
+        except (TimelineError, UndeclaredError) as error:
             yield _unread(error, candidate.topic or None)
             continue
         facts = _measured(source, path)

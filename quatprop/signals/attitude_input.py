@@ -161,5 +161,10 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
         )
+        zeros = int(np.count_nonzero(series.t_ns == 0))
+        # A series may begin at 0.
+        if signal.clock == "header" and zeros > 1:
+            remark = f"{zeros} of {len(series)} header stamps are zero"
+            signal = replace(signal, remarks=(*signal.remarks, remark))
         wanted = replace(wanted, path=without_secret(wanted.path))
         return LoadedAttitudes(wanted, log.kind, signal, series, check.counts, tuple(log.losses))

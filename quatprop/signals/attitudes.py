@@ -12,11 +12,17 @@ from typing import TYPE_CHECKING, cast
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import UsageError
 from quatprop.messages.signal_fields import orientation_field_at, orientation_fields
-from quatprop.messages.stamps import Stamp
 from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
-from quatprop.signals.message_values import FieldReader, choose_clock, stamps_logged, timed_values
+from quatprop.signals.message_values import (
+    FieldReader,
+    are_zero,
+    choose_clock,
+    stamps_logged,
+    timed_values,
+    zero_stamps,
+)
 from quatprop.signals.signal import ATTITUDES, AttitudeSignal, Candidate, choose, message_candidates
 from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
@@ -100,7 +106,7 @@ def _of_field(
     # Fields with names are fetched in the order w, x, y, z.
     order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
     meaning = meaning_of(log.path, selection, recorded)
-    clock = choose_clock(log, channel, field.stamp, selection)
+    clock = choose_clock(log, channel, field.stamps, selection)
     reader = FieldReader(log, channel, field.fields, clock, field.absent)
     return AttitudeSignal(
         name=channel.topic,
@@ -109,7 +115,7 @@ def _of_field(
         layout=layout,
         meaning=meaning,
         clock=clock.name,
-        remarks=(f"by its type {field.frames}",) if field.frames else (),
+        remarks=((f"by its type {field.frames}",) if field.frames else ()) + clock.remarks,
         provenance=provenance,
         rows=partial(_message_rows, log, channel, reader, order, meaning),
         stamps=partial(stamps_logged, log, channel, reader),
@@ -127,10 +133,13 @@ def _of_transforms(
             f" says {layout}, but transforms are scalar-last by definition; leave it out",
         )
     provenance = log.provenance(channel.topic)
-    clock = choose_clock(log, channel, Stamp.of_time("header.stamp"), selection)
+    clock = choose_clock(log, channel, (), selection, has_stamp=True)
     frames = chosen_frames(log, channel, selection.frame)
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
     reader = TransformReader(log, channel, frames, clock)
+    stamps = partial(stamps_logged, log, channel, reader)
+    if clock.name == "header" and are_zero(t_ns for t_ns, _ in stamps()):
+        raise zero_stamps(log, channel)
     return AttitudeSignal(
         name=channel.topic,
         type_name=channel.type_name,
@@ -140,7 +149,7 @@ def _of_transforms(
         clock=clock.name,
         provenance=provenance,
         rows=partial(_message_rows, log, channel, reader, SCALAR_FIRST.order, meaning),
-        stamps=partial(stamps_logged, log, channel, reader),
+        stamps=stamps,
     )
 
 

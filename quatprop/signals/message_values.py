@@ -15,13 +15,13 @@ import numpy as np
 
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns, merge_by_time
-from quatprop.errors import MessageError, UndeclaredError, UsageError
+from quatprop.errors import MessageError, TimelineError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.stamps import time_field_at
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -46,10 +46,13 @@ class Clock(NamedTuple):
         ``"header"``, ``"log"`` or ``"publish"``.
     stamp
         The field of the message, for a header clock.
+    remarks
+        What is unusual about it.
     """
 
     name: str
     stamp: Stamp | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -74,7 +77,12 @@ class Clock(NamedTuple):
 
 
 def choose_clock(
-    log: MessageLog, channel: Channel, stamp: Stamp | None, selection: SignalSelection
+    log: MessageLog,
+    channel: Channel,
+    stamps: Sequence[Stamp],
+    selection: SignalSelection,
+    *,
+    has_stamp: bool = False,
 ) -> Clock:
     """Return the time base to read: as selected, else the header stamp, else the log time.
 
@@ -82,10 +90,13 @@ def choose_clock(
     ----------
     log, channel
         Where the messages are.
-    stamp
-        The message's own stamp, if it is known to have one.
+    stamps
+        The stamps that belong to the values, the nearest first. One that is zero in all messages
+        was never set: then the next is used.
     selection
         Its `clock`, `time_field` and `time_unit` count.
+    has_stamp
+        Whether the values have stamps of their own, such as those in a list of transforms.
 
     Raises
     ------
@@ -93,8 +104,10 @@ def choose_clock(
         A header stamp is asked for and there is none.
     UndeclaredError
         The unit of a time field is not declared.
+    TimelineError
+        All header stamps are zero.
     """
-    has_stamp = stamp is not None or selection.time_field is not None
+    has_stamp = has_stamp or bool(stamps) or selection.time_field is not None
     if selection.clock == "header" and not has_stamp:
         raise UsageError(
             f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
@@ -103,9 +116,9 @@ def choose_clock(
             " or name the stamp with ",
             Setting("time_field"),
         )
-    clock = selection.clock or ("header" if has_stamp else "log")
-    if clock != "header":
-        return Clock(clock)
+    name = selection.clock or ("header" if has_stamp else "log")
+    if name != "header":
+        return Clock(name)
     if selection.time_field is not None:
         stamp = time_field_at(channel, selection.time_field, selection.time_unit, log.path)
         if stamp is None:
@@ -114,7 +127,50 @@ def choose_clock(
                 f"the unit of the time in field {quoted(selection.time_field)}",
                 Setting("time_unit", "s|ms|us|ns"),
             )
-    return Clock(clock, stamp)
+        stamps = (stamp,)
+    for stamp in stamps:
+        if not are_zero(_stamps_alone(log, channel, stamp)):
+            remark = (
+                f"the stamps in {quoted(stamps[0].place)} are all zero; those in "
+                f"{quoted(stamp.place)} are used"
+            )
+            return Clock(name, stamp, () if stamp is stamps[0] else (remark,))
+    if stamps:
+        raise zero_stamps(log, channel)
+    return Clock(name)
+
+
+def zero_stamps(log: MessageLog, channel: Channel) -> TimelineError:
+    """Return the error for messages whose stamps were never set."""
+    return TimelineError(
+        log.path,
+        f"all header stamps of topic {quoted(channel.topic)} are zero; for the time of recording "
+        "choose ",
+        Setting("clock", "log"),
+    )
+
+
+def are_zero(batches: Iterable[Int64]) -> bool:
+    """Tell whether several stamps are all zero; reads only up to the first that is not."""
+    count = 0
+    for t_ns in batches:
+        if t_ns.any():
+            return False
+        count += len(t_ns)
+    return count > 1
+
+
+def _stamps_alone(log: MessageLog, channel: Channel, stamp: Stamp) -> Iterator[Int64]:
+    """Yield the stamps of one channel in no order, without noting what cannot be read."""
+    decoder = GroupDecoder(log, channel, Clock("header", stamp))
+    for block in log.blocks(channel):
+        try:
+            yield decoder.decode(block)[0]
+        except MessageError as error:
+            if not error.positions:
+                raise
+            # Messages that do not fit are noted when they are read for good.
+            yield np.ones(1, np.int64)
 
 
 def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:

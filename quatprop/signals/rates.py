@@ -132,14 +132,14 @@ def _of_field(
             f"the unit of field {quoted(field.name)} in topic {quoted(channel.topic)}",
             Setting("rate_unit", "rad/s|deg/s"),
         )
-    clock = choose_clock(log, channel, field.stamp, selection)
+    clock = choose_clock(log, channel, field.stamps, selection)
     reader = partial(rate_reader, log, channel, field, clock)
     return RateSignal(
         name=channel.topic,
         type_name=channel.type_name,
         field=field.name,
         clock=clock.name,
-        remarks=tuple(_remarks(channel, field, unit)),
+        remarks=(*_remarks(channel, field, unit), *clock.remarks),
         stamps=lambda: stamps_logged(log, channel, reader()),
         batches=lambda: _samples(log, channel, reader(), UNITS[unit]),
         unit=unit,
