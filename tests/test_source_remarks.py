@@ -93,3 +93,22 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
         f"{path}: no message has a field 'angular_velocty'; the body rates that are recognised "
         "are 'angular_velocity (/imu)'"
     )
+
+
+@pytest.mark.parametrize(
+    "name", ["auk/auk.bag", "auk/auk_sqlite3", "auk/auk_mcap_zstd", "ulog/sample.ulg"]
+)
+def test_a_publish_time_is_read_only_where_there_is_one(shared_logs, name):
+    """A log time is never called a publish time: of these, MCAP alone records one."""
+    with open_log(shared_logs / name) as log:
+        if "mcap" in name:
+            source = choose_rates(log, RateSelection(clock="publish"))
+            assert source.clock == "publish"
+            assert len(next(source.batches()))
+            return
+        with pytest.raises(
+            UsageError,
+            match=r"a log of kind \w+ does not record when messages were published; choose "
+            r"clock='header' or 'log'$",
+        ):
+            choose_rates(log, RateSelection(clock="publish"))

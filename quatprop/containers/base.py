@@ -193,7 +193,15 @@ class Log(ABC):
 
 
 class MessageLog(Log):
-    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog."""
+    """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog.
+
+    Attributes
+    ----------
+    has_publish_time
+        Whether it records when a message was published, besides when it was logged.
+    """
+
+    has_publish_time = False
 
     @abstractmethod
     def channels(self) -> list[Channel]:

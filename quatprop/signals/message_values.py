@@ -101,7 +101,7 @@ def choose_clock(
     Raises
     ------
     UsageError
-        A header stamp is asked for and there is none.
+        A header stamp or a publish time is asked for and there is none.
     UndeclaredError
         The unit of a time field is not declared.
     TimelineError
@@ -112,9 +112,15 @@ def choose_clock(
         raise UsageError(
             f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
             "choose ",
-            Setting("clock", "log|publish"),
+            Setting("clock", "log|publish" if log.has_publish_time else "log"),
             " or name the stamp with ",
             Setting("time_field"),
+        )
+    if selection.clock == "publish" and not log.has_publish_time:
+        raise UsageError(
+            f"{quoted(log.path)}: a log of kind {log.kind} does not record when messages were "
+            "published; choose ",
+            Setting("clock", "header|log" if has_stamp else "log"),
         )
     name = selection.clock or ("header" if has_stamp else "log")
     if name != "header":

@@ -75,6 +75,7 @@ class McapLog(MessageLog):
     """
 
     kind = "mcap"
+    has_publish_time = True
 
     def __init__(self, log: Path | FileSource) -> None:
         self.source = source_of(log)

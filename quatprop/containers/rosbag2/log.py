@@ -102,12 +102,14 @@ class Rosbag2Log(MessageLog):
                     self._note(part, [Loss("end of the file", part.copy.damage)])
             with self._open(part) as log:
                 part.channels = {channel: channel for channel in log.channels()}
+                has_publish_time = log.has_publish_time
                 self._note(part, log.losses)
         except (LogError, CompressionError, OSError) as error:
             self._give_up(part, error)
             if part.copy:
                 part.copy.close()
         else:
+            self.has_publish_time = has_publish_time and (self.has_publish_time or not self._parts)
             self._parts.append(part)
 
     def _open(self, part: _Part) -> MessageLog:
