@@ -2,6 +2,8 @@
 
 import gzip
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -179,3 +181,29 @@ def test_hostile_lines_are_a_sentence(tmp_path, text):
     """Nesting, numbers without end, and names given twice end in a refusal."""
     with pytest.raises((UnsupportedLogError, NoRatesError)):
         read(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("row", ["null", " null", "5", "[1]", '"text"', "true", "{} null"])
+@pytest.mark.parametrize("place", [0, 3, 9])
+def test_a_row_that_is_no_object_is_rejected(tmp_path, row, place):
+    """It is noted with its line, wherever it is."""
+    lines = [ROW % (k, 1, 2, 3) for k in range(9)]
+    lines.insert(place, row + "\n")
+    t_ns, _, losses = read(written(tmp_path, "".join(lines)))
+    assert t_ns == list(range(9))
+    assert losses == [(f"line {place + 1}", "it is not a JSON object")]
+
+
+def test_null_as_the_first_row_does_not_end_the_process(tmp_path):
+    """Arrow's parser does not survive it."""
+    path = written(tmp_path, "null\n" + ROW % (0, 1, 0, 0) + ROW % (10, 1, 0, 0))
+    command = [sys.executable, "-m", "quatprop", "propagate", path, "-o", tmp_path / "out.csv"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 3, done.stderr
+    assert "line 1: it is not a JSON object" in done.stderr
+
+
+def test_a_null_inside_of_text_is_no_row(tmp_path):
+    """What only looks like a row of its own is read as what it is."""
+    text = '{"t_ns":1,"note":"} null","wx":1,"wy":2,"wz":3}\n'
+    assert read(written(tmp_path, text)) == ([1], [[1, 2, 3]], [])

@@ -22,11 +22,18 @@ if TYPE_CHECKING:
     Fields = dict[tuple[str, ...], pa.DataType]
 
 _TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
+
+
+class _NotAnObjectError(ValueError):
+    """A row that pyarrow must not parse: a null at top level ends the process."""
+
+
 _MISFITS = (
     *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
-    timestamps.TimestampRangeError,
+    *(timestamps.TimestampRangeError, _NotAnObjectError),
 )
 _MANY_REJECTED = 1000
+_TOP_LEVEL_NULL = re.compile(rb"(?:\A|[}\n\r\xbf])\s*null")
 
 
 class LineParser:
@@ -106,6 +113,11 @@ class LineParser:
             # It may be in another column, where it does no harm.
             for stamp in self._stamps(data):
                 timestamps.refuse_tiny_numbers(stamp.encode())
+        text = bytes(data)
+        if b"null" in text and _TOP_LEVEL_NULL.search(text):
+            for line in text.split(b"\n"):
+                if _TOP_LEVEL_NULL.search(line) and not _is_object(line):
+                    raise _NotAnObjectError
         table = arrow_json.read_json(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=arrow_json.ReadOptions(
@@ -180,7 +192,16 @@ def _fields(tree: dict[str, Any]) -> list[pa.Field]:
     ]
 
 
+def _is_object(line: bytes) -> bool:
+    try:
+        return isinstance(json.loads(line), dict)
+    except (ValueError, RecursionError):
+        return False
+
+
 def _reason(error: Exception) -> str:
+    if isinstance(error, _NotAnObjectError) or "Column() changed" in str(error):
+        return "it is not a JSON object"
     if isinstance(error, timestamps.TimestampRangeError):
         return "its time is a number below 1e-39"
     if isinstance(error, UnicodeDecodeError):
