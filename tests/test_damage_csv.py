@@ -86,6 +86,55 @@ def test_a_line_between_open_quotes_was_cut_off():
     assert read(text)[1:] == (2, [Loss("line 4", CUT, 1)], [])
 
 
+QUOTED = "t_ns,note,wx,wy,wz,end\n"
+
+
+@pytest.mark.parametrize("end", ["\n", ""])
+@pytest.mark.parametrize(
+    ("rows", "bad"),
+    [
+        (["0,a,1,2,3,z", '1,"b,1,2,3,z', "2,c,1,2,3,z", "3,d,1,2,3,z"], [3]),
+        (["0,a,1,2,3,z", '1,b,1,"2,3,z', "2,c,1,2,3,z", "3,d,1,2,3,z"], [3]),
+        (["0,a,1,2,3,z", '1,b,1,2,3,"z', "2,c,1,2,3,z", "3,d,1,2,3,z"], [3]),
+        (["0,a,1,2,3,z", '1,b,1,2,3,"z', "2,c,1,2,3,z", '3,d,1,2,3,z"', "4,e,1,2,3,z"], [3]),
+        (["0,a,1,2,3,z", '1,"b,1,2,3,z', "2,c,1,2,3,z", '3,"d,1,2,3,z', "4,e,1,2,3,z"], [3, 5]),
+        (["0,a,1,2,3,z", "1,b,1,2,3,z", "2,c,1,2,3,z", '3,d,1,2,3,"z'], [5]),
+    ],
+)  # fmt: skip
+def test_a_quote_that_is_not_closed_costs_its_own_row(rows, bad, end):
+    """The rows that it would swallow are read, and its line is noted."""
+    _, count, losses, _ = read("\n".join(rows) + end, QUOTED)
+    assert count == len(rows) - len(bad)
+    assert losses == [Loss(f"line {line}", "its quote is not closed", 1) for line in bad]
+
+
+@pytest.mark.parametrize("cell", ['"a ""quote"""', "plain", '5" disk'])
+def test_stray_quotes_anywhere_cost_their_own_rows_only(cell):
+    """In a table of many blocks, whether or not other cells have quotes."""
+    rows = [f"{k},1,2,3,{cell},z" for k in range(200_000)]
+    strays = (10, 80_000, 80_001, 199_998)
+    for k in strays:
+        rows[k] = f'{k},1,2,3,"a,z'
+    _, count, losses, _ = read("\n".join(rows) + "\n", "t_ns,wx,wy,wz,size,raw\n")
+    assert count == 199_996
+    assert losses == [Loss(f"line {2 + k}", "its quote is not closed", 1) for k in strays]
+
+
+def test_stray_quotes_between_cells_with_line_breaks_are_counted():
+    """Where a record ends may be in doubt then; every row is read or counted as lost."""
+    rows = [f'{k},1,2,3,"a\n""{k}"""' for k in range(20_000)]
+    rows[5_000] = '5000,1,2,3,"a'
+    _, count, losses, _ = read("\n".join(rows) + "\n", "t_ns,wx,wy,wz,raw\n")
+    assert 19_980 < count < 20_000
+    assert count + sum(loss.messages for loss in losses) >= 20_000
+
+
+def test_quotes_in_comments_and_within_cells_are_no_damage():
+    """A quote has a meaning only at the beginning of a cell, and none in a comment."""
+    text = '# "paused\n0,a,1,2,3,5"\n#,"stop\n1,3" disk,1,2,3,z\n'
+    assert read(text, QUOTED)[1:] == (2, [], [])
+
+
 def test_a_packed_text_that_is_cut_off_ends_with_its_last_whole_line():
     """There is no doubt where the packing says that more follows."""
     text = HEADER + rows_of(*(f"{k}.5" for k in range(20_000)))

@@ -11,7 +11,7 @@ from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks, record_end
+from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class CsvLog(TableLog):
         if bytes(block.data[-1:]) == b"\n":
             return block
         data = bytes(block.data)
-        begin = record_end(data, len(data))
+        begin = data.rfind(b"\n") + 1
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
         used = {*columns.time, *columns.numbers}

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.tables.csv.rows import MISFITS, BlockParser, RowParser
+from quatprop.tables.csv.row_parser import RowParser
+from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser
 from quatprop.tables.text_stream import note_lines, record_pieces
 from quatprop.tables.timestamps import row_stamps
 
@@ -62,7 +63,7 @@ class BlockReader:
     def read(self, block: TextBlock) -> tuple[Int64, Float64]:
         """Return stamps, shape ``(N,)``, ns, and numbers, ``(N, k)``, of the rows that fit."""
         try:
-            parts = [self._block_parser.parse(block.data, quoted=block.quoted)]
+            parts = [self._parse(block.data, quoted=block.quoted)]
         except MISFITS:
             parts = list(self._piecewise(block))
         stamps = [self._stamps(rows) for rows in parts]
@@ -81,6 +82,12 @@ class BlockReader:
                 f"{reason}); check the columns and units, or whether it is one table",
             )
 
+    def _parse(
+        self, data: bytes | memoryview, *, quoted: bool, task: int = TASK_BYTES
+    ) -> ParsedRows:
+        line_breaks = quoted and self._row_parser.has_line_breaks_in_cells(data)
+        return self._block_parser.parse(data, line_breaks=line_breaks, task=task)
+
     def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
         """Read a block in which something does not fit, piece by piece."""
         line = self._lines.at(block.offset)
@@ -88,7 +95,7 @@ class BlockReader:
         count = 0
         for piece in record_pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
             try:
-                rows = self._block_parser.parse(piece, quoted=b'"' in piece, task=len(piece))
+                rows = self._parse(piece, quoted=b'"' in piece, task=len(piece))
             except MISFITS:
                 rows = self._row_parser.parse(piece, line)
                 rejected += rows.rejected

@@ -1,0 +1,206 @@
+"""Rows of a damaged place of text, one by one.
+
+Written by hand because pyarrow refuses a block as a whole, and does not say which rows do not fit.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import deque
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.tables import timestamps
+from quatprop.tables.csv.headers import COMMENTS
+from quatprop.tables.csv.rows import ColumnParser, OpenQuoteError, ParsedRows, squeeze_blanks
+from quatprop.text import plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+_LARGEST = np.iinfo(np.int64).max
+_NOT_A_NUMBER = {
+    "",
+    "nan",
+    "-nan",
+    "+nan",
+    "na",
+    "n/a",
+    "#n/a",
+    "null",
+    "none",
+    "1.#qnan",
+    "1.#ind",
+}
+
+
+class RowParser(ColumnParser):
+    """Reads rows one by one, and says which do not fit.
+
+    Parameters
+    ----------
+    layout
+        How the table is laid out.
+    columns
+        Which columns to read.
+    """
+
+    def parse(self, data: bytes, line: int) -> ParsedRows:
+        """Return the rows that fit.
+
+        Parameters
+        ----------
+        data
+            Whole records.
+        line
+            Number of the first line.
+        """
+        stamps: list[int] = []
+        numbers: list[list[float]] = []
+        kept: list[int] = []
+        rejected: list[tuple[int, str]] = []
+        count = 0
+        for place, cells in self._records(data, line):
+            if isinstance(cells, str):
+                rejected.append((place, cells))
+            elif self._is_no_row(cells):
+                continue
+            else:
+                try:
+                    stamp, row = self._row(cells)
+                except ValueError as error:
+                    rejected.append((place, str(error)))
+                else:
+                    stamps.append(stamp)
+                    numbers.append(row)
+                    kept.append(count)
+            count += 1
+        return ParsedRows(
+            np.array(stamps, np.int64) if self.columns.time else None,
+            np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers)),
+            count,
+            np.array(kept, np.int64),
+            tuple(rejected),
+        )
+
+    def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
+        """Return whether cells of whole records have line breaks.
+
+        Raises
+        ------
+        OpenQuoteError
+            A quote is not closed, or only after what looks like rows by itself.
+        """
+        text = np.frombuffer(data, np.uint8)
+        quotes = np.flatnonzero(text == ord('"'))
+        if len(quotes) % 2:
+            raise OpenQuoteError
+        breaks = np.flatnonzero(text == ord("\n"))
+        breaks = breaks[np.searchsorted(quotes, breaks) % 2 == 1]
+        content = bytes(data) if len(breaks) else b""
+        for begin in breaks + 1:
+            if self._is_row(content[begin : content.find(b"\n", begin)]):
+                raise OpenQuoteError
+        return len(breaks) > 0
+
+    def _is_row(self, line: bytes) -> bool:
+        """Return whether a line looks like a row by itself, whatever its quotes say."""
+        cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
+        if len(cells) < len(self.layout.names):
+            return False
+        texts = [cell.strip(b' \r\n"').decode(errors="replace") for cell in cells]
+        try:
+            self._row(texts[: len(self.layout.names)])
+        except ValueError:
+            return False
+        return True
+
+    def _reader(self, lines: Iterable[str], *, strict: bool = False) -> Iterator[list[str]]:
+        return csv.reader(lines, delimiter=self.layout.delimiter, strict=strict)
+
+    def _records(self, data: bytes, line: int) -> Iterator[tuple[int, list[str] | str]]:
+        """Yield the line number of each record and its cells, or what is wrong with its quotes."""
+        if self.layout.delimiter == " ":
+            data = squeeze_blanks(data)
+        lines = io.StringIO(data.decode(errors="replace"), newline="").readlines()
+        position = 0
+
+        def following() -> Iterator[str]:
+            nonlocal position
+            while position < len(lines):
+                position += 1
+                yield lines[position - 1]
+
+        reader = self._reader(following())
+        while position < len(lines):
+            begin = position
+            if lines[begin].lstrip().startswith(COMMENTS):
+                position += 1
+                continue
+            try:
+                cells: list[str] | str = next(reader)
+            except csv.Error:
+                cells = "it cannot be split into cells"
+            if b'"' in data and self._has_open_quote(lines[begin:position]):
+                # The lines that it has swallowed are read by themselves.
+                position, cells = begin + 1, "its quote is not closed"
+                reader = self._reader(following())
+            yield line + begin, cells
+
+    def _has_open_quote(self, lines: list[str]) -> bool:
+        """Return whether a record ends in an open quote, or has rows in its quotes."""
+        if any(self._is_row(text.encode()) for text in lines[1:]):
+            return True
+        try:
+            deque(self._reader(lines, strict=True), maxlen=0)
+        except csv.Error as error:
+            return "unexpected end of data" in str(error)
+        return False
+
+    def _is_no_row(self, cells: list[str]) -> bool:
+        """Whether it is a blank line, a comment or a repeated header."""
+        shown = [cell.strip() for cell in cells]
+        return (
+            not any(shown)
+            or shown[0].startswith(COMMENTS)
+            or shown == [name.strip() for name in self.layout.names]
+        )
+
+    def _row(self, cells: list[str]) -> tuple[int, list[float]]:
+        names = self.layout.names
+        if len(cells) != len(names):
+            raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
+        row = [self._number(cells[k], names[k]) for k in self.columns.numbers]
+        parts = zip(self.columns.time, self.columns.units, strict=True)
+        stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
+        if abs(stamp) > _LARGEST:
+            raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")
+        return stamp, row
+
+    def _number(self, cell: str, name: str) -> float:
+        if cell.strip().lower() in _NOT_A_NUMBER:
+            return np.nan
+        try:
+            return float(self._pointed(cell))
+        except ValueError:
+            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a number") from None
+
+    def _stamp(self, cell: str, unit: str, k: int) -> int:
+        name = self.layout.names[k]
+        date_type = self.date_type(k)
+        try:
+            if date_type is not None:
+                return int(pa.scalar(cell.strip()).cast(date_type).value)
+            return timestamps.from_text(self._pointed(cell), unit)
+        except timestamps.TimestampRangeError:
+            raise ValueError(
+                f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns"
+            ) from None
+        except ValueError:
+            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a time") from None
+
+    def _pointed(self, cell: str) -> str:
+        return cell.replace(",", ".") if self.layout.decimal == "," else cell
