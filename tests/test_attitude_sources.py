@@ -307,6 +307,14 @@ def test_several_quaternions_are_refused(tmp_path):
     assert read(path, quat_cols=("b.qw", "b.qx", "b.qy", "b.qz"))[1][0].tolist() == [0, 1, 0, 0]
 
 
+def test_the_same_quaternion_names_twice_are_refused(tmp_path):
+    """Their numbers settle which is meant."""
+    path = table(tmp_path, "t_ns,qw,qx,qy,qz,qw,qx,qy,qz\n1,1,0,0,0,0,1,0,0\n2,1,0,0,0,0,1,0,0\n")
+    with pytest.raises(UndeclaredError, match=r"which quaternion .*1-2-3-4, 5-6-7-8.*quat_cols="):
+        read(path)
+    assert read(path, quat_cols=("5", "6", "7", "8"))[1][0].tolist() == [0, 1, 0, 0]
+
+
 def test_rows_that_are_no_rotations_are_located_and_counted(tmp_path):
     """All of them are counted before the series is refused, the first is named."""
     path = table(

@@ -174,6 +174,27 @@ def test_several_sets_of_rates_are_refused():
         chosen(header)
 
 
+@pytest.mark.parametrize(
+    ("header", "sets"),
+    [
+        ("t_ns,wx,wy,wz,wx,wy,wz", "1-2-3, 4-5-6"),
+        ("t_ns,wx,wy,wz,wz", "1-2-3, 1-2-4"),
+        ("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s", ""),
+    ],
+)
+def test_the_same_names_twice_are_refused(header, sets):
+    """Nothing tells which of them is meant but their numbers."""
+    with pytest.raises(UndeclaredError, match=f"which set of rates to use .*{sets}.*rate_cols="):
+        chosen(header)
+    assert chosen(header, rate_cols=("1", "2", "3")).timed.numbers == (1, 2, 3)
+
+
+def test_a_column_is_not_both_a_rate_and_the_time():
+    """A number that names the time column among the rates is a mistake."""
+    with pytest.raises(UsageError, match="'t_ns' cannot be both the time and one of rate_cols"):
+        chosen("t_ns,wx,wy,wz", rate_cols=("0", "2", "1"), rate_unit="rad/s")
+
+
 def test_biases_are_not_rates():
     """A gyroscope's bias, variance or noise is not its rate."""
     with pytest.raises(NoRatesError):

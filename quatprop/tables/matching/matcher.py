@@ -75,17 +75,22 @@ class ColumnMatcher:
         return [k for k, column in enumerate(self.columns) if re.fullmatch(pattern, column.key)]
 
     def sets(self, pattern: str) -> list[Positions]:
-        """Return each complete set of columns whose names differ in the component alone."""
-        by_name: dict[str, dict[int, int]] = {}
+        """Return each complete set of columns whose names differ in the component alone.
+
+        Where a name comes up twice there are two sets.
+        """
+        by_name: dict[str, dict[int, list[int]]] = {}
         for position, column in enumerate(self.columns):
             match = re.fullmatch(pattern, column.key) if pattern else None
             if match:
                 rest = f"{column.key[: match.start('part')]}*{column.key[match.end('part') :]}"
-                by_name.setdefault(rest, {})[self._components[match["part"]]] = position
+                places = by_name.setdefault(rest, {})
+                places.setdefault(self._components[match["part"]], []).append(position)
         return [
-            tuple(positions[component] for component in range(self._count))
-            for positions in by_name.values()
-            if len(positions) == self._count
+            tuple(places[component][: k + 1][-1] for component in range(self._count))
+            for places in by_name.values()
+            if len(places) == self._count
+            for k in range(max(map(len, places.values())))
         ]
 
     def dialect(self, quantity: str) -> Dialect:
@@ -115,10 +120,15 @@ class ColumnMatcher:
             What each of them is, and what its first column is called.
         """
         if len(sets) > 1:
-            first = listed(self.columns[positions[0]].text for positions in sets)
+            names = [self.columns[positions[0]].text for positions in sets]
+            if len(set(names)) < len(names):
+                numbers = ", ".join("-".join(map(str, positions)) for positions in sets)
+                reason = f"several columns have the same name; by numbers from 0: {numbers}"
+            else:
+                reason = f"their {component} columns are {listed(names)}"
             raise UndeclaredError(
                 self.path,
-                f"which {quantity} to use (their {component} columns are {first})",
+                f"which {quantity} to use ({reason})",
                 Setting(self.setting, "A,B,C,D" if self._count > 3 else "X,Y,Z"),  # noqa: PLR2004
             )
         return sets[0]
@@ -177,8 +187,17 @@ class ColumnMatcher:
         ------
         UndeclaredError
             A unit or the time is not declared.
+        UsageError
+            The time is one of the columns.
         """
         time, sample_rate = self._time(dialect)
+        if both := set(numbers) & set(time):
+            raise UsageError(
+                f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of ",
+                Setting(self.setting),
+                "; name other columns, or the time with ",
+                Setting("time_col"),
+            )
         unit = "ns"
         if len(time) == 1:
             by_convention = any(time[0] in self.matching(pattern) for pattern in dialect.time)
