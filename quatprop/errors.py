@@ -67,7 +67,7 @@ class QuatpropError(Exception):
         The sentence.
     side
         Which of several inputs it is about, where there are several with the same settings: ``"a"``
-        or ``"b"`` of a comparison; empty otherwise.
+        or ``"b"`` of a comparison, ``"q0"`` or ``"at"`` of a propagation; empty otherwise.
     """
 
     def __init__(self, *parts: str | Setting | Text) -> None:

@@ -6,6 +6,9 @@ import re
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
@@ -126,6 +129,97 @@ def test_the_log_s_own_orientation(shared_logs, tmp_path):
         assert result.exit_code == 0, result.output
         stamp = out.read_text().splitlines()[1].split(",")[0]
         assert geodesic_angle(first_row(out), [float(q) for q in rows[stamp]]) < 1e-9
+
+
+def imu_bag(path, orientations, rate=(0.1, 0.2, 0.3)):
+    """Write Imu messages every 10 ms with these orientations, x, y, z, w."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind, types = "sensor_msgs/msg/Imu", store.types
+    zeros, vector = np.zeros(9), types["geometry_msgs/msg/Vector3"]
+    with Writer(path) as writer:
+        connection = writer.add_connection("/imu", kind, typestore=store)
+        for k, xyzw in enumerate(orientations):
+            t_ns = 1_700_000_000_000_000_000 + k * 10_000_000
+            time = types["builtin_interfaces/msg/Time"](*divmod(t_ns, 10**9))
+            message = types[kind](
+                types["std_msgs/msg/Header"](0, time, "imu"),
+                types["geometry_msgs/msg/Quaternion"](*xyzw),
+                *(zeros, vector(*rate), zeros, vector(0.0, 0.0, 9.8), zeros),
+            )
+            writer.write(connection, t_ns, bytes(store.serialize_ros1(message, kind)))
+    return path
+
+
+@pytest.mark.parametrize("mount", ["y,-x,z", "-z,y,x", "0.5,0.5,-0.5,0.5"])
+def test_the_log_s_orientation_is_that_of_the_sensor(tmp_path, mount):
+    """With a mounting m, v_body = m v_sensor, the body's attitude is q_log m*: by scipy."""
+    log, out = tmp_path / "log.bag", tmp_path / "out.csv"
+    sensor = Rotation.from_euler("zyx", [0.4, -0.3, 1.1])
+    imu_bag(log, [sensor.as_quat()] * 20)
+    axes = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1]}
+    if "x" in mount:
+        rows = [np.array(axes[a.strip("-")]) * (-1 if "-" in a else 1) for a in mount.split(",")]
+        to_body = Rotation.from_matrix(rows)
+    else:
+        w, x, y, z = map(float, mount.split(","))
+        to_body = Rotation.from_quat([x, y, z, w])
+    result = run(log, "-o", out, "--q0", "log", "--mount", mount)
+    assert result.exit_code == 0, result.output
+    x, y, z, w = (sensor * to_body.inv()).as_quat()
+    assert geodesic_angle(first_row(out), [w, x, y, z]) < 1e-15
+
+
+def test_a_gap_is_not_interpolated_across(resting, tmp_path):
+    """Attitudes that are hours apart say nothing of the time between; 10 s are bridged."""
+    log, out = resting
+    other = tmp_path / "other.csv"
+    other.write_text("t_ns,qw,qx,qy,qz\n-5000000000,1,0,0,0\n5000000000,1,0,0,0\n")
+    assert run(log, "-o", out, "--q0", other).exit_code == 0
+    other.write_text("t_ns,qw,qx,qy,qz\n-5000000000,1,0,0,0\n7200000000000,1,0,0,0\n")
+    result = run(log, "-o", out, "--q0", other)
+    assert result.exit_code == 2
+    assert (
+        f"{other}: 0 ns is in a gap of 7205 s between its attitudes; interpolation reaches over at "
+        "most 10 s"
+    ) in result.stderr
+
+
+@pytest.mark.parametrize("option", ["--q0", "--at"])
+def test_what_is_not_declared_of_a_series_is_said_to_convert(resting, tmp_path, option):
+    """Propagate has no options about the attitudes of another file, and names none as its own."""
+    log, out = resting
+    other = tmp_path / "other.npy"
+    np.save(other, np.arange(10.0).reshape(2, 5))
+    result = run(log, "-o", out, option, other)
+    assert result.exit_code == 2
+    assert result.stderr.endswith(
+        "name the columns with --quat-cols of quatprop convert, --from-layout of quatprop convert "
+        "and --time-col of quatprop convert\n"
+    )
+
+
+def test_a_placeholder_is_no_orientation(tmp_path):
+    """Drivers without an estimate leave the identity: it is flagged, and used for nothing."""
+    log, out = imu_bag(tmp_path / "log.bag", [(0.0, 0.0, 0.0, 1.0)] * 50), tmp_path / "out.csv"
+    flagged = "is the identity in every message: a placeholder, not an attitude"
+    result = run(log, "-o", out, "--q0", "log")
+    assert result.exit_code == 2
+    assert f"the orientation of '/imu' {flagged}; give another --q0" in result.stderr
+    assert not out.exists()
+    assert run(log, "-o", out).exit_code == 0
+    for sides in ((out, log), (log, out)):
+        compared = CliRunner().invoke(cli, ["compare", *map(str, sides)])
+        assert compared.exit_code == 2
+        assert flagged in compared.stderr
+    shown = CliRunner().invoke(cli, ["info", str(log)])
+    assert f"it {flagged}" in shown.stdout
+
+
+def test_an_orientation_that_is_level_for_a_while_is_one(tmp_path):
+    """Only the identity in every message is a placeholder."""
+    tilted = [(0.0, 0.0, 0.6, 0.8)]
+    log = imu_bag(tmp_path / "log.bag", [(0.0, 0.0, 0.0, 1.0)] * 49 + tilted)
+    assert run(log, "-o", tmp_path / "out.csv", "--q0", "log").exit_code == 0
 
 
 def test_stdin_cannot_be_read_twice():

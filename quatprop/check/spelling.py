@@ -28,6 +28,9 @@ def suite_key(setting: Setting, side: str = "") -> str:
         return f"--{name}"
     if side == "b" and setting.name not in ONCE:
         name = f"reference-{name}"
+    if side in {"at", "q0"}:
+        # Attitudes of a file that is only looked up have no keys of their own.
+        return f"--{name} {setting.value} of quatprop convert".replace("  ", " ")
     if not setting.value:
         return name
     return f"{name} = " + " or ".join(f'"{value}"' for value in setting.value.split("|"))

@@ -18,13 +18,18 @@ ONCE = {"align", "match", "max_dt", "min_matched", "time_offset", "tol", "window
         "on_invalid"}  # fmt: skip
 """Settings that a command with two inputs has once, not once for each."""
 
+LOOKUPS = {"at", "q0"}
+"""Sides whose attitudes are only looked up; quatprop convert can say everything about them."""
+
 
 def option(setting: Setting, side: str = "") -> str:
     """Return a setting as an option, such as ``--clock log``, or ``--clock-b log`` for side b."""
     name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
-    if side and setting.name not in ONCE:
+    if side and side not in LOOKUPS and setting.name not in ONCE:
         name += f"-{side}"
-    return f"--{name} {setting.value}" if setting.value else f"--{name}"
+    text = f"--{name} {setting.value}" if setting.value else f"--{name}"
+    # Attitudes of a file that is only looked up have no options of their own.
+    return f"{text} of quatprop convert" if side in LOOKUPS else text
 
 
 def sentence(error: QuatpropError) -> str:

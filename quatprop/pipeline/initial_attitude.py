@@ -13,7 +13,7 @@ import numpy as np
 from quatprop.conditioning.static_detection import AT_REST
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
-from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.kinematics.quaternion import conjugate, exp, from_matrix, multiply
 from quatprop.messages.signal_fields import fields_beside
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
@@ -131,6 +131,9 @@ def starting(
         raise UsageError(Setting("q0", start.source), " needs a log, not rates in memory")
     if start.source == "log":
         wxyz = first_orientation(log, source, first_ns)
+        if mount is not None:
+            # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
+            wxyz = multiply(unit_q0(wxyz), conjugate(from_matrix(mount)))
     else:
         _refuse_motion(first, log)
         force = _force(log, source, selection, first_ns)

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.containers.remote import without_secret
-from quatprop.errors import NoSamplesError, QuatpropError
+from quatprop.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, SELECT_ATTITUDES, parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -153,6 +154,13 @@ def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
 def _load(wanted: AttitudeInput) -> LoadedAttitudes:
     with open_log(wanted.path, wanted.kind) as log:
         signal = choose_attitudes(log, wanted.selection)
+        if signal.placeholder:
+            raise LogError(
+                wanted.path,
+                f"the orientation of {quoted(signal.name)} is the identity in every message: a "
+                "placeholder, not an attitude; choose another ",
+                Setting("topic"),
+            )
         check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         parts = list(check.apply(signal.rows()))
         if not parts:

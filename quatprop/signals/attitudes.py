@@ -9,9 +9,12 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
+import numpy as np
+
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
-from quatprop.errors import UsageError
-from quatprop.messages.signal_fields import orientation_field_at, orientation_fields
+from quatprop.errors import LogError, UsageError
+from quatprop.kinematics.quaternion import IDENTITY
+from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
 from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
@@ -29,6 +32,8 @@ from quatprop.tables.base import is_table
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
     from quatprop.messages.message_types import OrientationField
@@ -36,6 +41,10 @@ if TYPE_CHECKING:
     from quatprop.signals.message_values import MessageReader
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
+
+
+PLACEHOLDER_MESSAGES = 20_000
+"""An orientation that is the identity in so many messages was never set."""
 
 
 def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSignal:
@@ -54,7 +63,18 @@ def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -
     UsageError
         Settings contradict each other or the log.
     """
-    return choose(log, attitude_candidates(log, selection), ATTITUDES)
+    candidates = attitude_candidates(log, selection)
+    if len(candidates) > 1:
+        # A placeholder does not compete with an attitude.
+        candidates = [one for one in candidates if not _is_placeholder(one)] or candidates
+    return choose(log, candidates, ATTITUDES)
+
+
+def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
+    try:
+        return candidate.field != "transforms" and candidate.signal().placeholder
+    except (LogError, UsageError):
+        return False
 
 
 def attitude_candidates(
@@ -108,6 +128,11 @@ def _of_field(
     meaning = meaning_of(log.path, selection, recorded)
     clock = choose_clock(log, channel, field.stamps, selection)
     reader = FieldReader(log, channel, field.fields, clock, field.absent)
+    rows = partial(_message_rows, log, channel, reader, order, meaning)
+    remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
+    placeholder = _is_beside_rate(channel, field, log.path) and _is_identity(rows())
+    if placeholder:
+        remarks += ("it is the identity in every message: a placeholder, not an attitude",)
     return AttitudeSignal(
         name=channel.topic,
         type_name=channel.type_name,
@@ -115,11 +140,32 @@ def _of_field(
         layout=layout,
         meaning=meaning,
         clock=clock.name,
-        remarks=((f"by its type {field.frames}",) if field.frames else ()) + clock.remarks,
+        remarks=remarks + clock.remarks,
         provenance=provenance,
-        rows=partial(_message_rows, log, channel, reader, order, meaning),
+        rows=rows,
         stamps=partial(stamps_logged, log, channel, reader),
+        placeholder=placeholder,
     )
+
+
+def _is_beside_rate(channel: Channel, field: OrientationField, path: Path | str) -> bool:
+    """Tell whether a message has a rate beside its orientation, as that of an IMU has."""
+    return any(
+        fields.rate is not None and fields.orientation == field
+        for fields in signal_fields(channel, path, "orientation")
+    )
+
+
+def _is_identity(batches: Rows) -> bool:
+    """Tell whether several attitudes are all exactly the identity, as far as is looked."""
+    count = 0
+    for _, wxyz in batches:
+        if (np.abs(wxyz) != IDENTITY).any():
+            return False
+        count += len(wxyz)
+        if count > PLACEHOLDER_MESSAGES:
+            break
+    return count > 1
 
 
 def _of_transforms(

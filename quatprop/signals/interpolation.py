@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.errors import NoAttitudesError, NoSamplesError, TimelineError, UndeclaredError
+from quatprop.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSamplesError,
+    QuatpropError,
+    TimelineError,
+    UndeclaredError,
+)
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.messages.signal_fields import fields_beside
@@ -17,9 +26,11 @@ from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import is_table
+from quatprop.text import Setting, quoted
+from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -31,6 +42,9 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
     Row = tuple[int, Float64]
+
+MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
+"""Attitudes further apart than this are not interpolated between."""
 
 
 def attitude_at(
@@ -65,11 +79,21 @@ def attitude_at(
     LogError
         The file cannot be used as asked.
     """
-    with open_log(path, kind) as opened:
+    with _about("q0"), open_log(path, kind) as opened:
         source = choose_attitudes(opened, selection or AttitudeSelection())
-        # Rows elsewhere in the series that are no rotations are no concern of this time.
+        # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(path, drop=True)
         return attitude_in(check.apply(source.rows()), t_ns, path)
+
+
+@contextmanager
+def _about(side: str) -> Iterator[None]:
+    """Mark errors as about attitudes that are only looked up."""
+    try:
+        yield
+    except QuatpropError as error:
+        error.side = side
+        raise
 
 
 def stamps_in(path: Path | str) -> NDArray[np.int64]:
@@ -85,11 +109,14 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
     LogError
         The file cannot be read, or holds neither.
     """
-    with open_log(path) as opened:
+    with _about("at"), open_log(path) as opened:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
-        except (NoAttitudesError, UndeclaredError):
-            stamps = [batch.t_ns for batch in choose_rates(opened, RateSelection()).batches()]
+        except (NoAttitudesError, UndeclaredError) as error:
+            try:
+                stamps = [batch.t_ns for batch in choose_rates(opened, RateSelection()).batches()]
+            except (NoRatesError, UndeclaredError):
+                raise error from None
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
@@ -128,7 +155,15 @@ def first_orientation(
         selection = AttitudeSelection(topic=source.name, quat_field=_beside(messages, source))
         if source.clock in {"header", "log", "publish"}:
             selection = replace(selection, clock=source.clock)
-    found = choose_attitudes(log, selection)
+    with _about("q0"):
+        found = choose_attitudes(log, selection)
+    if found.placeholder:
+        raise LogError(
+            log.path,
+            f"the orientation of {quoted(found.name)} is the identity in every message: a "
+            "placeholder, not an attitude; give another ",
+            Setting("q0"),
+        )
     batches = QuaternionCheck(log.path, drop=True).apply(found.rows())
     try:
         if t_ns is not None:
@@ -170,7 +205,8 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
     NoSamplesError
         The series is empty.
     TimelineError
-        The time is before the first or after the last attitude.
+        The time is before the first or after the last attitude, or its neighbours are more than
+        :data:`MAX_INTERPOLATION_NS` apart.
     """
     before: Row | None = None
     after: Row | None = None
@@ -196,6 +232,12 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
         raise TimelineError(
             path,
             f"{t_ns} ns is {where} its {word} attitude at {stamp} ns; are both on the same clock?",
+        )
+    if after[0] - before[0] > MAX_INTERPOLATION_NS:
+        raise TimelineError(
+            path,
+            f"{t_ns} ns is in a gap of {duration_text(after[0] - before[0])} between its "
+            f"attitudes; interpolation reaches over at most {duration_text(MAX_INTERPOLATION_NS)}",
         )
     fraction = (t_ns - before[0]) / (after[0] - before[0])
     return slerp(normalize(before[1]), normalize(after[1]), fraction)

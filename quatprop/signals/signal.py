@@ -126,6 +126,8 @@ class AttitudeSignal(Signal):
         How the attitudes were made, as their file says.
     representation
         ``"quaternion"`` or a key of :data:`quatprop.conventions.representations.REPRESENTATIONS`.
+    placeholder
+        Whether it is the identity in every message of a sensor: never set.
     """
 
     rows: Callable[[], Rows]
@@ -133,6 +135,7 @@ class AttitudeSignal(Signal):
     meaning: Meaning
     provenance: dict[str, Any]
     representation: str = "quaternion"
+    placeholder: bool = False
 
 
 SignalT = TypeVar("SignalT", bound=Signal)
