@@ -23,6 +23,7 @@ from quatprop.containers.rosbag1.records import (
 )
 from quatprop.errors import DamagedLogError
 from quatprop.writers.rosbag1 import records
+from quatprop.writers.rosbag1.file import COMPRESSIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,7 +80,11 @@ class BagCopy:
     def _copy(self, chunk: BagChunk, bag: BagFile) -> None:
         try:
             record = None if chunk.loose else self._file.record(chunk.start)
-            if record is not None and record.op == OP_CHUNK and record.end <= self._file.size:
+            # The only chunk is split: the first and the last chunk of a bag tell when it starts
+            # and ends, and those of the attitudes may be shorter.
+            is_only = len(self._chunks) == 1
+            is_complete = record is not None and record.end <= self._file.size
+            if record is not None and is_complete and record.op == OP_CHUNK and not is_only:
                 indexes = self._index_of(chunk, record)
                 if indexes is not None:
                     bag.append_chunk(self._pieces(record), indexes)
@@ -88,12 +93,20 @@ class BagCopy:
         except (CompressionError, MalformedRecordError):
             return  # the reader of its messages reports it
         indexes, end = _walked(loaded.data)
-        if record is not None and not loaded.damage and end == len(loaded.data):
+        is_complete = record is not None and not loaded.damage and end == len(loaded.data)
+        if record is not None and is_complete and not is_only:
             bag.append_chunk(self._pieces(record), indexes)
-        elif indexes:
-            data = loaded.data[:end].tobytes()
-            whole = records.record(records.CHUNK, records.chunk_head("none", end), data)
-            bag.append_chunk([whole], indexes)
+            return
+        compression = "none"
+        if record is not None and is_complete:
+            compression = record.fields[b"compression"].decode()
+        cut = _cut(indexes) if is_only else 0
+        for begin, stop in ((0, cut), (cut, end)):
+            part = _part(indexes, begin, stop)
+            if part:
+                data = loaded.data[begin:stop].tobytes()
+                packed = COMPRESSIONS[compression](data)
+                bag.append_chunk([records.chunk(compression, len(data), packed)], part)
 
     def _index_of(self, chunk: BagChunk, record: Record) -> Indexes | None:
         """Return the index of a chunk where it is as complete as the bag's index says."""
@@ -116,6 +129,27 @@ class BagCopy:
 
 _OF_HEAD = (b"op", b"conn")
 """Fields of a connection record that are about the record, not the connection."""
+
+
+def _cut(indexes: Indexes) -> int:
+    """Return where to split a chunk so that the earliest and the latest message are parted."""
+    entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
+    entries = np.sort(entries, order="offset")
+    log_ns = records.times(entries)
+    if not len(log_ns) or log_ns.argmin() >= len(log_ns) - 1 - log_ns[::-1].argmax():
+        return 0
+    return int(entries["offset"][log_ns.argmin() + 1])
+
+
+def _part(indexes: Indexes, begin: int, end: int) -> Indexes:
+    """Return the index of the messages from `begin` to `end`, as a chunk of its own."""
+    part = {}
+    for id_, entries in indexes.items():
+        kept = entries[(entries["offset"] >= begin) & (entries["offset"] < end)]
+        if len(kept):
+            kept["offset"] -= begin
+            part[id_] = kept
+    return part
 
 
 def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:

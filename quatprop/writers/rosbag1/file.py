@@ -18,7 +18,7 @@ import numpy as np
 from quatprop.writers.base import block_slices, provenance_json
 from quatprop.writers.ordered_threads import OrderedThreadPool
 from quatprop.writers.rosbag1 import records
-from quatprop.writers.rosbag1.records import MAGIC, NS_PER_S, u4
+from quatprop.writers.rosbag1.records import MAGIC, NS_PER_S, ChunkInfo, u4
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -94,7 +94,8 @@ class BagFile:
             "message_definition": topic.schema,
         }
         self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
-        self._infos: list[bytes] = []
+        self._own: list[ChunkInfo] = []
+        self._copied: list[ChunkInfo] = []
         self._rows: NDArray[np.void] | None = None
         self._filled = 0
         # The first chunk begins with the connection, as other readers than ours may expect.
@@ -152,17 +153,18 @@ class BagFile:
         connections = {**(others or {}), self._id: self._fields}
         for id_, fields in connections.items():
             self._append(records.connection(id_, fields))
-        for info in self._infos:
-            self._append(info)
+        infos = _in_order(self._copied, self._own)
+        for info in infos:
+            self._append(info.encoded())
         self._stream.seek(len(MAGIC))
-        self._stream.write(records.bag(index, len(connections), len(self._infos)))
+        self._stream.write(records.bag(index, len(connections), len(infos)))
 
     def abort(self) -> None:
         """Drop buffered messages; does nothing after the end."""
         self._pool.shutdown()
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, NDArray[np.void]]) -> None:
-        """Write a chunk and its index data.
+        """Write a chunk of another bag and its index data.
 
         Parameters
         ----------
@@ -172,11 +174,17 @@ class BagFile:
             The messages of each connection in it, of type :data:`ENTRY
             <quatprop.writers.rosbag1.records.ENTRY>`.
         """
-        self._infos.append(records.chunk_info(self._size, indexes))
+        self._copied.append(self._append_indexed(chunk, indexes))
+
+    def _append_indexed(
+        self, chunk: Iterable[bytes], indexes: Mapping[int, NDArray[np.void]]
+    ) -> ChunkInfo:
+        info = ChunkInfo.of(self._size, indexes)
         for piece in chunk:
             self._append(piece)
         for id_, entries in indexes.items():
             self._append(records.index_data(id_, entries))
+        return info
 
     def _submit(self) -> None:
         if self._filled and self._rows is not None:
@@ -185,13 +193,26 @@ class BagFile:
 
     def _append_own(self, chunk: _BagChunk) -> None:
         self._before(chunk.first)
-        head = records.chunk_head(self._compression, chunk.size)
-        record = records.record(records.CHUNK, head, chunk.data)
-        self.append_chunk([record], {self._id: chunk.index})
+        record = records.chunk(self._compression, chunk.size, chunk.data)
+        self._own.append(self._append_indexed([record], {self._id: chunk.index}))
 
     def _append(self, data: bytes) -> None:
         self._stream.write(data)
         self._size += len(data)
+
+
+def _in_order(copied: list[ChunkInfo], own: list[ChunkInfo]) -> list[ChunkInfo]:
+    """Return the index of all chunks, so that the bag starts with the first and ends with the last.
+
+    Readers take the start and the end of a bag from them, and index the chunks in any order.
+    """
+    if not (copied and own):
+        return copied + own
+    first = min(copied[0], own[0], key=lambda info: info.start_ns)
+    last = max(own[-1], copied[-1], key=lambda info: info.end_ns)
+    between = [info for info in (*copied, *own) if info not in (first, last)]
+    between.sort(key=lambda info: info.place)
+    return [first, *between] if first is last else [first, *between, last]
 
 
 def _compressed(compression: str, prefix: bytes, rows: NDArray[np.void]) -> _BagChunk:

@@ -8,6 +8,7 @@ ROS wiki, "Bags/Format/2.0".
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,9 +46,9 @@ def connection(id_: int, values: Mapping[str, bytes]) -> bytes:
     return record(CONNECTION, {"conn": u4(id_), "topic": values["topic"]}, fields(values))
 
 
-def chunk_head(compression: str, size: int) -> dict[str, bytes]:
-    """Return the head of a chunk of `size` bytes before compression."""
-    return {"compression": compression.encode(), "size": u4(size)}
+def chunk(compression: str, size: int, data: bytes) -> bytes:
+    """Return a chunk of compressed records, which are `size` bytes before compression."""
+    return record(CHUNK, {"compression": compression.encode(), "size": u4(size)}, data)
 
 
 def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
@@ -56,22 +57,49 @@ def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
     return record(INDEX, head, entries.tobytes())
 
 
-def chunk_info(place: int, indexes: Mapping[int, NDArray[np.void]]) -> bytes:
-    """Return the index record of a chunk: its place, its times, its counts of messages."""
-    times = [
-        each["sec"].astype(np.int64) * NS_PER_S + each["nsec"]
-        for each in indexes.values()
-        if len(each)
-    ]
-    head = {
-        "ver": u4(1),
-        "chunk_pos": struct.pack("<Q", place),
-        "start_time": _time(min((int(each.min()) for each in times), default=0)),
-        "end_time": _time(max((int(each.max()) for each in times), default=0)),
-        "count": u4(len(indexes)),
-    }
-    counts = (u4(id_) + u4(len(entries)) for id_, entries in indexes.items())
-    return record(CHUNK_INFO, head, b"".join(counts))
+@dataclass(frozen=True, slots=True)
+class ChunkInfo:
+    """The index record of a chunk.
+
+    Parameters
+    ----------
+    place
+        Where the chunk is.
+    start_ns, end_ns
+        Its earliest and latest log time, ns.
+    counts
+        Messages of each connection, by number.
+    """
+
+    place: int
+    start_ns: int
+    end_ns: int
+    counts: Mapping[int, int]
+
+    @classmethod
+    def of(cls, place: int, indexes: Mapping[int, NDArray[np.void]]) -> ChunkInfo:
+        """Return what the index data of a chunk say of it."""
+        log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
+        span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)
+        return cls(place, *span, {id_: len(entries) for id_, entries in indexes.items()})
+
+    def encoded(self) -> bytes:
+        """Return the record."""
+        head = {
+            "ver": u4(1),
+            "chunk_pos": struct.pack("<Q", self.place),
+            "start_time": _time(self.start_ns),
+            "end_time": _time(self.end_ns),
+            "count": u4(len(self.counts)),
+        }
+        counts = (u4(id_) + u4(count) for id_, count in self.counts.items())
+        return record(CHUNK_INFO, head, b"".join(counts))
+
+
+def times(entries: NDArray[np.void]) -> NDArray[np.int64]:
+    """Return the log times of index data, shape ``(N,)``, ns."""
+    log_ns: NDArray[np.int64] = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
+    return log_ns
 
 
 def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
