@@ -6,7 +6,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.into.mcap_copy import McapCopy
+from quatprop.into.mcap_copy import ROSBAG2, SERIALIZED, McapCopy
+from quatprop.into.rosbag2_metadata import Added, extended_record
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
@@ -15,7 +16,7 @@ from quatprop.writers.mcap.writer import finish_with_provenance
 from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from typing import BinaryIO
 
     import numpy as np
@@ -44,6 +45,8 @@ class McapPart:
     ----------
     encoder
         Encodes attitudes as the messages of this file.
+    added
+        The messages added so far.
     """
 
     def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
@@ -51,6 +54,7 @@ class McapPart:
             self._copy = McapCopy(log)
             ros = "ros1" if self._copy.header.profile == "ros1" else "cdr"
             self.encoder = attitude_encoder(message, (ros, "protobuf"))
+            self.added = Added()
             if isinstance(place, Path):
                 place = resources.enter_context(place.open("xb"))
             contents = self._copy.contents
@@ -71,19 +75,25 @@ class McapPart:
     def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
         """Append messages, after everything of the file that was logged before them."""
         self._channel.write(log_ns, messages)
+        self.added.add(log_ns)
 
-    def copy_rest(self) -> McapFile:
-        """Copy everything that is left, and return the file for what comes at its end."""
+    def finish(
+        self, extend: Callable[[str], str], provenance: Mapping[str, object] | None = None
+    ) -> None:
+        """Copy the rest and finish the file.
+
+        Parameters
+        ----------
+        extend
+            Adds the topic to the metadata of a ROS 2 bag, if the file holds them.
+        provenance
+            The provenance of the topic, if the file shall hold it.
+        """
         self._file.flush()
         self._copy.rest(self._file)
-        return self._file
-
-    def finish(self, metadata: str | None = None) -> None:
-        """Finish the file, with the content of metadata.yaml."""
-        file = self.copy_rest()
-        if metadata is not None:
-            file.add_metadata("rosbag2", {"serialized_metadata": metadata})
-        file.finish()
+        if self._copy.bag_metadata is not None:
+            self._file.add_metadata(ROSBAG2, {SERIALIZED: extend(self._copy.bag_metadata)})
+        finish_with_provenance(self._file, self.encoder.topic.name, provenance or {})
         self.close()
 
     def close(self) -> None:
@@ -122,8 +132,10 @@ class McapCopyWriter(MessageWriter):
     def commit(self, provenance: Mapping[str, object]) -> None:
         """Copy the rest, finish the file with its provenance, and put it in its place."""
         with output_errors(self._output.target):
-            file = self._part.copy_rest()
-            finish_with_provenance(file, self.encoder.topic.name, provenance)
+            self._part.finish(
+                lambda text: extended_record(text, self.encoder.topic, [self._part.added]),
+                provenance,
+            )
         self._output.commit()
 
     def abort(self) -> None:

@@ -18,16 +18,20 @@ from quatprop.containers.mcap.messages import messages_at, walk_records
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
 from quatprop.containers.mcap.summary import MAGIC, MALFORMED, McapIndex, RecordStream, read_footer
 from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.writers.mcap.channel import INDEX_ENTRY, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from numpy.typing import NDArray
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
+
+ROSBAG2, SERIALIZED = "rosbag2", "serialized_metadata"
+"""Name and key of the record that holds the metadata of a ROS 2 bag."""
 
 _PIECE = 1 << 20
 _NAMES = 1 << 16
@@ -47,7 +51,6 @@ _LEFT_OUT = frozenset(
         Opcode.SUMMARY_OFFSET,
     }
 )
-_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
 class McapCopy:
@@ -64,6 +67,8 @@ class McapCopy:
         Its first record.
     contents
         Its schemas and channels, and everything copied so far.
+    bag_metadata
+        The metadata of a ROS 2 bag, if it holds them. They are not copied, since they change.
 
     Raises
     ------
@@ -83,7 +88,10 @@ class McapCopy:
         self._regions = {region.start: region for region in overview.regions}
         self._starts = sorted(self._regions)
         self._position = len(MAGIC)
-        self._end: int = self._source.size if footer is None else footer.data_end
+        self.bag_metadata: str | None = None
+        data_end = self._source.size if footer is None else footer.data_end
+        # The reader may find messages after the data end record.
+        self._end = max([data_end, *(region.end for region in overview.regions)])
 
     def up_to(self, first_ns: int, file: McapFile) -> None:
         """Copy the records before the first region that begins after `first_ns`."""
@@ -108,14 +116,15 @@ class McapCopy:
             self._position = region.end
 
     def _copy_messages(self, region: Region, file: McapFile) -> None:
-        """Copy messages that are outside chunks."""
+        """Copy messages that are outside chunks into a chunk.
+
+        Readers take a file that has an index to be indexed as a whole: beside the chunks of the
+        attitudes, messages outside chunks would be overlooked.
+        """
         data = self._read(region.start, region.length)
         messages = messages_at(data, walk_records(data).offsets)
         if messages:
-            span = int(messages.log_ns.min()), int(messages.log_ns.max())
-            self.contents.loose.append(span)
-            self.contents.counts.update(messages.counts())
-        file.append(data)
+            file.append_chunk(compressed_chunk("none", data, _indexes(messages)))
 
     def _copy_chunk(self, region: Region, file: McapFile) -> None:
         """Copy a chunk and its message index, or make that."""
@@ -161,14 +170,7 @@ class McapCopy:
         except RegionError:
             return {}  # copied as it is; the reader of its messages reports it
         messages = messages_at(data, walk_records(data).offsets)
-        offsets = {}
-        for id_, entries in _entries(messages).items() if messages else ():
-            offsets[id_] = file.size
-            content = entries.tobytes()
-            head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + len(content), id_, len(content))
-            file.append(head + content)
-            self.contents.counts[id_] += len(entries)
-        return offsets
+        return file.append_indexes(_indexes(messages)) if messages else {}
 
     def _copy_record(self, file: McapFile) -> int:
         """Copy the next record, if it is one to be copied; return where it ends."""
@@ -184,7 +186,7 @@ class McapCopy:
         return end
 
     def _note(self, opcode: int, at: int, length: int, place: int) -> bool:
-        """Add a record to the contents; return whether it is valid."""
+        """Add a record to the contents; return whether it is to be copied as it is."""
         if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}:
             return True
         size = min(length, _NAMES) if opcode == Opcode.ATTACHMENT else length
@@ -196,8 +198,11 @@ class McapCopy:
             return not defined.losses
         try:
             if opcode == Opcode.METADATA:
-                name = Metadata.read(RecordStream(content)).name
-                self.contents.metadata.append(MetadataIndex(place, total, name))
+                record = Metadata.read(RecordStream(content))
+                if record.name == ROSBAG2 and SERIALIZED in record.metadata:
+                    self.bag_metadata = record.metadata[SERIALIZED]
+                    return False
+                self.contents.metadata.append(MetadataIndex(place, total, record.name))
             else:
                 self.contents.attachments.append(_attachment(RecordStream(content), place, total))
         except MALFORMED:
@@ -252,9 +257,9 @@ def _attachment(content: RecordStream, place: int, length: int) -> AttachmentInd
     return AttachmentIndex(place, length, log_ns, made_ns, content.read8(), name, media_type)
 
 
-def _entries(messages: LocatedMessages) -> Mapping[int, np.ndarray]:
+def _indexes(messages: LocatedMessages) -> dict[int, NDArray[np.void]]:
     """Return the message index of each channel of a chunk, in order of log times."""
-    entries = np.empty(len(messages), _ENTRY)
+    entries = np.empty(len(messages), INDEX_ENTRY)
     entries["log"] = messages.log_ns
     entries["offset"] = messages.starts - _MESSAGE_HEAD_BYTES
     order = np.argsort(entries["log"], kind="stable")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -14,14 +14,14 @@ from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import OutputError, UnsupportedLogError
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
-from quatprop.into.rosbag2_metadata import Added, extended
+from quatprop.into.rosbag2_metadata import Added, MetadataError, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath, output_errors
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -36,13 +36,21 @@ _LATEST = int(np.iinfo(np.int64).max)
 
 
 class _Part(Protocol):
-    """A copy of one file of a bag."""
+    """A copy of one file of a bag.
+
+    Attributes
+    ----------
+    added
+        The messages added so far.
+    """
+
+    added: Added
 
     def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
         """Append messages, and when each was logged."""
 
-    def finish(self, metadata: str | None = None) -> None:
-        """Finish the file."""
+    def finish(self, extend: Callable[[str], str]) -> None:
+        """Finish the file; `extend` adds the topic to the metadata inside it, if it has them."""
 
     def close(self) -> None:
         """Close it; may be called twice."""
@@ -74,8 +82,7 @@ class Rosbag2CopyWriter(MessageWriter):
         self._target = target
         self._source = log.path
         self._files = _files(log.path)
-        self._added: list[Added] = []
-        self._part: _Part | None = None
+        self._parts: list[_Part] = []
         self._part_log = ExitStack()
         is_folder = log.path.is_dir()
         with self._output_errors():
@@ -97,46 +104,47 @@ class Rosbag2CopyWriter(MessageWriter):
         """Append messages, to one part or to several."""
         with self._output_errors():
             while len(log_ns):
-                end = self._ends[len(self._added) - 1]
+                end = self._ends[len(self._parts) - 1]
                 count = int(np.searchsorted(log_ns, end)) if end != _LATEST else len(log_ns)
-                self._write_part(log_ns[:count], messages[:count])
+                if count:
+                    self._parts[-1].write(log_ns[:count], messages[:count])
                 log_ns, messages = log_ns[count:], messages[count:]
                 if len(log_ns):
-                    self._finish_part()
+                    self._finish_part({})
                     self._open_next()
 
     def commit(self, provenance: Mapping[str, object]) -> None:
         """Copy the rest, finish the bag with its provenance, and put it in its place."""
         custom = {f"quatprop {self.encoder.topic.name}": provenance_json(provenance)}
         with self._output_errors():
-            while len(self._added) < len(self._files):
-                self._finish_part()
+            while len(self._parts) < len(self._files):
+                self._finish_part({})
                 self._open_next()
-            metadata = self._metadata(custom)
-            if metadata is not None:
-                place = self._output.path / METADATA
-                place.write_text(metadata, encoding="utf-8")
-            self._finish_part(metadata)
+            self._write_metadata(custom)
+            self._finish_part(custom)
         self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""
-        if self._part is not None:
-            self._part.close()
+        for part in self._parts[-1:]:
+            part.close()
         self._part_log.close()
         self._output.discard()
 
-    def _metadata(self, custom: Mapping[str, str]) -> str | None:
-        """Return the new metadata.yaml, where the bag has one."""
+    def _write_metadata(self, custom: Mapping[str, str]) -> None:
+        """Write metadata.yaml where the bag has one.
+
+        Where it is damaged, which the reader reports, the copy has none: the names tell the parts.
+        """
         place = self._source / METADATA
-        if not place.is_file():
-            return None
-        text = place.read_text(encoding="utf-8")
-        try:
-            return extended(text, self.encoder.topic, self._added, custom)
-        except (KeyError, TypeError, AttributeError, ValueError):
-            # It is damaged, which the reader reports; without it, parts are found by their names.
-            return None
+        if place.is_file():
+            with suppress(MetadataError):
+                text = place.read_text(encoding="utf-8")
+                text = extended(text, self.encoder.topic, self._added(), custom)
+                (self._output.path / METADATA).write_text(text, encoding="utf-8")
+
+    def _added(self) -> list[Added]:
+        return [part.added for part in self._parts]
 
     def _copy_other_files(self) -> None:
         """Copy the files of the folder that are not part of the bag."""
@@ -147,28 +155,19 @@ class Rosbag2CopyWriter(MessageWriter):
                 shutil.copyfile(file, self._output.path / file.name)
 
     def _open_next(self) -> None:
-        source = self._files[len(self._added)]
+        source = self._files[len(self._parts)]
         place = self._output.path
         place = place / source.name if self._source.is_dir() else place
         if source.suffix == ".mcap":
             log = self._part_log.enter_context(McapLog(source))
-            self._part = McapPart(log, place, self._message)
+            self._parts.append(McapPart(log, place, self._message))
         else:
-            self._part = sqlite.SqlitePart(source, place, self.encoder.topic)
-        self._added.append(Added())
+            self._parts.append(sqlite.SqlitePart(source, place, self.encoder.topic))
 
-    def _finish_part(self, metadata: str | None = None) -> None:
-        if self._part is not None:
-            self._part.finish(metadata)
+    def _finish_part(self, custom: Mapping[str, str]) -> None:
+        topic, added = self.encoder.topic, self._added()
+        self._parts[-1].finish(lambda text: extended_record(text, topic, added, custom))
         self._part_log.close()
-
-    def _write_part(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
-        if self._part is not None and len(log_ns):
-            self._part.write(log_ns, messages)
-            added = self._added[-1]
-            added.count += len(log_ns)
-            added.first = int(log_ns[0]) if added.first is None else added.first
-            added.last = int(log_ns[-1])
 
     @contextmanager
     def _output_errors(self) -> Iterator[None]:

@@ -1,4 +1,8 @@
-"""metadata.yaml of a ROS 2 bag to which a topic is added."""
+"""The metadata of a ROS 2 bag to which a topic is added.
+
+rosbag2 keeps it in metadata.yaml, below a root key, and again inside each file of messages, without
+that key.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +11,13 @@ from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from quatprop.writers.messages.topics import Topic
 
@@ -37,8 +45,27 @@ class Added:
     first: int | None = None
     last: int | None = None
 
+    def add(self, log_ns: NDArray[np.int64]) -> None:
+        """Count messages with these log times."""
+        if len(log_ns):
+            self.count += len(log_ns)
+            first, last = int(log_ns.min()), int(log_ns.max())
+            self.first = first if self.first is None else min(self.first, first)
+            self.last = last if self.last is None else max(self.last, last)
 
-def extended(text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[str, str]) -> str:
+
+class MetadataError(ValueError):
+    """The metadata of a bag are damaged."""
+
+
+def extended(
+    text: str,
+    topic: Topic,
+    parts: Sequence[Added],
+    custom: Mapping[str, str],
+    *,
+    has_root: bool = True,
+) -> str:
     """Return metadata to which a topic is added.
 
     Parameters
@@ -51,11 +78,41 @@ def extended(text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[st
         The messages added to each part, in order.
     custom
         Custom data to add.
+    has_root
+        Whether they are those of metadata.yaml, not of a file of messages.
+
+    Raises
+    ------
+    MetadataError
+        They are damaged.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
-    content = yaml.load(text)
-    bag = content[_ROOT]
+    try:
+        content = yaml.load(text)
+        # Copies by earlier versions have the root inside files of messages, too.
+        bag = content[_ROOT] if has_root or _ROOT in content else content
+        _extend(bag, topic, parts, custom)
+    except (KeyError, TypeError, AttributeError, ValueError, YAMLError) as error:
+        raise MetadataError(str(error)) from error
+    out = StringIO()
+    yaml.dump(content if has_root else bag, out)
+    return out.getvalue()
+
+
+def extended_record(
+    text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[str, str] | None = None
+) -> str:
+    """Return the metadata inside a file of messages, with a topic added; as is where damaged."""
+    try:
+        return extended(text, topic, parts, custom or {}, has_root=False)
+    except MetadataError:
+        return text
+
+
+def _extend(
+    bag: YamlMapping, topic: Topic, parts: Sequence[Added], custom: Mapping[str, str]
+) -> None:
     count = sum(part.count for part in parts)
     bag["message_count"] += count
     topics = bag["topics_with_message_count"]
@@ -64,11 +121,8 @@ def extended(text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[st
     for file, part in zip(bag.get("files") or (), parts, strict=False):
         file["message_count"] += part.count
         _extend_span(file, [part])
-    if bag["version"] >= _WITH_CUSTOM_DATA:
+    if custom and bag["version"] >= _WITH_CUSTOM_DATA:
         bag["custom_data"] = {**(bag.get("custom_data") or {}), **custom}
-    out = StringIO()
-    yaml.dump(content, out)
-    return out.getvalue()
 
 
 def _topic_metadata(topic: Topic, others: Sequence[YamlMapping]) -> YamlMapping:

@@ -7,9 +7,10 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
 from quatprop.containers.rosbag2.db3 import files_beside, read_only
+from quatprop.into.rosbag2_metadata import Added
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     import numpy as np
@@ -44,9 +45,15 @@ class SqlitePart:
         Where the copy goes; nothing is there.
     topic
         The topic to add.
+
+    Attributes
+    ----------
+    added
+        The messages added so far.
     """
 
     def __init__(self, source: Path, place: Path, topic: Topic) -> None:
+        self.added = Added()
         with ExitStack() as resources:
             self._database = resources.enter_context(closing(sqlite3.connect(place)))
             with closing(_original(source)) as original:
@@ -83,11 +90,22 @@ class SqlitePart:
             "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
             zip([self._topic_id] * len(rows), log_ns.tolist(), rows, strict=True),
         )
+        self.added.add(log_ns)
 
-    def finish(self, metadata: str | None = None) -> None:
-        """Finish the database, with the content of metadata.yaml where it repeats that."""
-        if metadata is not None:
-            self._insert("metadata", {"metadata_version": 9, "metadata": metadata})
+    def finish(self, extend: Callable[[str], str]) -> None:
+        """Finish the database.
+
+        Parameters
+        ----------
+        extend
+            Adds the topic to the metadata of the bag, if the database holds them.
+        """
+        if self._columns("metadata"):
+            # rosbag2 reads the newest.
+            newest = "SELECT id, metadata FROM metadata ORDER BY id DESC LIMIT 1"
+            for id_, text in self._database.execute(newest).fetchall():
+                update = "UPDATE metadata SET metadata = ? WHERE id = ?"
+                self._database.execute(update, (extend(text), id_))
         self._database.commit()
         self._database.close()
 
@@ -100,9 +118,12 @@ class SqlitePart:
         rows = self._database.execute("SELECT * FROM topics LIMIT 1").fetchall()
         return "[]" if any("[]" in row for row in rows) else ""
 
+    def _columns(self, table: str) -> set[str]:
+        return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
+
     def _insert(self, table: str, values: Mapping[str, str | int]) -> int:
         """Insert the values that this version of a table has columns for; return the row's id."""
-        columns = {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
+        columns = self._columns(table)
         values = {name: value for name, value in values.items() if name in columns}
         if not values:
             return 0

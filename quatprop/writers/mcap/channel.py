@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 CHUNK_BYTES = 1 << 20
 """About how large a chunk is before it is compressed."""
 
-_INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
-ENTRY_BYTES = _INDEX_ENTRY.itemsize
-"""Bytes of one message in a message index."""
+INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+"""One message in a message index."""
 
 _RECORD_HEAD_BYTES = 9
 _ZSTD_LEVEL = -3
@@ -46,29 +45,53 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 
 @dataclass(frozen=True, slots=True)
 class McapChunk:
-    """A chunk as it is written, with the message index that follows it."""
+    """A chunk as it is written.
 
-    channel: int
+    Parameters
+    ----------
+    compression
+        A key of :data:`COMPRESSIONS`.
+    first, last
+        Its earliest and latest log time, ns.
+    size, crc
+        Bytes and checksum of the records before compression.
+    data
+        The compressed records.
+    indexes
+        The message index of each channel, by id.
+    """
+
+    compression: str
     first: int
     last: int
     size: int
     crc: int
     data: bytes
-    index: bytes
+    indexes: Mapping[int, NDArray[np.void]]
 
 
 def compressed_chunk(
-    compression: str, channel: int, records: bytes, index: NDArray[np.void]
+    compression: str, records: bytes, indexes: Mapping[int, NDArray[np.void]]
 ) -> McapChunk:
-    """Return the chunk of a channel's records and their index."""
+    """Return a chunk of records.
+
+    Parameters
+    ----------
+    compression
+        A key of :data:`COMPRESSIONS`.
+    records
+        The records.
+    indexes
+        The messages of each channel, of type :data:`INDEX_ENTRY`.
+    """
     return McapChunk(
-        channel=channel,
-        first=int(index["log"].min()),
-        last=int(index["log"].max()),
+        compression=compression,
+        first=min(int(index["log"].min()) for index in indexes.values()),
+        last=max(int(index["log"].max()) for index in indexes.values()),
         size=len(records),
         crc=crc32(records),
         data=COMPRESSIONS[compression](records),
-        index=index.tobytes(),
+        indexes=indexes,
     )
 
 
@@ -78,7 +101,7 @@ class MessageChannel:
     Parameters
     ----------
     submit
-        Takes a full chunk: the channel's id, the records and their index.
+        Takes the records of a full chunk and their index by the channel's id.
     id_
         The channel's id.
     chunk_bytes
@@ -91,7 +114,7 @@ class MessageChannel:
         self._chunk_bytes = chunk_bytes
         self._written = 0
         self._rows: NDArray[np.void] | None = None
-        self._index = np.zeros(0, _INDEX_ENTRY)
+        self._index = np.zeros(0, INDEX_ENTRY)
         self._filled = 0
 
     def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
@@ -106,7 +129,7 @@ class MessageChannel:
         """
         if self._rows is None:
             self._rows = _empty_rows(self._id, messages.itemsize, self._chunk_bytes)
-            self._index = np.zeros(len(self._rows), _INDEX_ENTRY)
+            self._index = np.zeros(len(self._rows), INDEX_ENTRY)
             self._index["offset"] = np.arange(len(self._rows)) * self._rows.itemsize
         data = messages.view(self._rows.dtype["data"])
         for source, place in block_slices(len(data), self._filled, len(self._rows)):
@@ -124,7 +147,7 @@ class MessageChannel:
         if self._rows is None or not self._filled:
             return
         records = self._rows[: self._filled].tobytes()
-        self._submit(self._id, records, self._index[: self._filled].copy())
+        self._submit(records, {self._id: self._index[: self._filled].copy()})
         self._filled = 0
 
 

@@ -42,8 +42,6 @@ class McapContents:
         Their index records.
     counts
         Messages of each channel.
-    loose
-        Earliest and latest log time of messages outside chunks, ns.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -52,7 +50,6 @@ class McapContents:
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
-    loose: list[tuple[int, int]] = field(default_factory=list)
 
     def summary(self, start: int) -> bytes:
         """Return the summary section and the footer.
@@ -89,7 +86,6 @@ class McapContents:
         spans = [
             (c.message_start_time, c.message_end_time) for c in self.chunks if _has_messages(c)
         ]
-        spans += self.loose
         return Statistics(
             attachment_count=len(self.attachments),
             channel_count=len(self.channels),

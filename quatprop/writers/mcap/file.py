@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
 from quatprop.checksum import crc32
-from quatprop.writers.mcap.channel import CHUNK_BYTES, ENTRY_BYTES, MessageChannel, compressed_chunk
+from quatprop.writers.mcap.channel import CHUNK_BYTES, MessageChannel, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents, encoded
 from quatprop.writers.ordered_threads import OrderedThreadPool
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
     from typing import BinaryIO
 
+    import numpy as np
     from mcap.records import McapRecord
+    from numpy.typing import NDArray
 
     from quatprop.writers.mcap.channel import McapChunk
     from quatprop.writers.messages.topics import Topic
@@ -74,11 +76,10 @@ class McapFile:
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         self._stream = stream
-        self._compression = compression
         self._before = before
         self._chunk_bytes = chunk_bytes
         self._channels: list[MessageChannel] = []
-        self._pool = OrderedThreadPool(partial(compressed_chunk, compression), self._append_chunk)
+        self._pool = OrderedThreadPool(partial(compressed_chunk, compression), self._append_own)
         self.contents = McapContents() if contents is None else contents
         self.size = 0
         self._crc = 0
@@ -146,10 +147,14 @@ class McapFile:
             channel.flush()
         self._pool.drain()
 
-    def _append_chunk(self, chunk: McapChunk) -> None:
-        """Write a chunk and its message index, after what is earlier."""
+    def _append_own(self, chunk: McapChunk) -> None:
+        """Write a chunk of an added channel, after what is earlier."""
         self._before(chunk.first)
-        name = "" if self._compression == "none" else self._compression
+        self.append_chunk(chunk)
+
+    def append_chunk(self, chunk: McapChunk) -> None:
+        """Write a chunk and its message indexes."""
+        name = "" if chunk.compression == "none" else chunk.compression
         tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(chunk.data))
         length = _CHUNK_HEAD.size - _RECORD_HEAD_BYTES + len(tail) + len(chunk.data)
         head = _CHUNK_HEAD.pack(
@@ -159,23 +164,31 @@ class McapFile:
         self.append(head + tail)
         self.append(chunk.data)
         end = self.size
-        entries = len(chunk.index)
-        self.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries, chunk.channel, entries))
-        self.append(chunk.index)
+        offsets = self.append_indexes(chunk.indexes)
         self.contents.chunks.append(
             ChunkIndex(
                 message_start_time=chunk.first,
                 message_end_time=chunk.last,
                 chunk_start_offset=begin,
                 chunk_length=end - begin,
-                message_index_offsets={chunk.channel: end},
+                message_index_offsets=offsets,
                 message_index_length=self.size - end,
                 compression=name,
                 compressed_size=len(chunk.data),
                 uncompressed_size=chunk.size,
             )
         )
-        self.contents.counts[chunk.channel] += entries // ENTRY_BYTES
+
+    def append_indexes(self, indexes: Mapping[int, NDArray[np.void]]) -> dict[int, int]:
+        """Write the message indexes of a chunk; return the place of each, by channel id."""
+        offsets = {}
+        for id_, index in indexes.items():
+            offsets[id_] = self.size
+            size = index.nbytes
+            self.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, id_, size))
+            self.append(index.tobytes())
+            self.contents.counts[id_] += len(index)
+        return offsets
 
     def append(self, data: bytes) -> None:
         """Write whole records as they are."""
