@@ -187,7 +187,7 @@ def test_parts_are_one_log_in_time(tmp_path, form, overlap):
 
 def test_blocks_of_overlapping_parts_alternate(tmp_path, monkeypatch):
     """Of parts that overlap, no block is far ahead: time order needs little memory."""
-    monkeypatch.setattr("quatprop.containers.rosbag2.db3._FETCHES", 1)
+    monkeypatch.setattr("quatprop.containers.rosbag2.fetches.FETCHES", 1)
     path, _ = split_bag(tmp_path / "bag", overlap=280)
     with Rosbag2Log(path) as log:
         (imu, _) = log.channels()

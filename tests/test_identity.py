@@ -18,7 +18,7 @@ from quatprop.conditioning import Conditioning
 from quatprop.containers import coalesce, prefetch, ulog
 from quatprop.containers.mcap import index as mcap_index
 from quatprop.containers.rosbag1 import index as rosbag1_index
-from quatprop.containers.rosbag2 import db3
+from quatprop.containers.rosbag2 import fetches
 from quatprop.formats import open_log as opened
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
@@ -81,7 +81,7 @@ CUTS = {
         (arrow, "BATCH_ROWS"): 999,
         (numpy_table, "BATCH_ROWS"): 999,
         (coalesce, "ENOUGH_MESSAGES"): 10,
-        (db3, "_FETCHES"): 1,
+        (fetches, "FETCHES"): 1,
         (ulog, "BLOCK"): 501,
         (ulog, "_WINDOW"): 70_001,
         (mcap_index, "_LOOSE_SIZE"): 5000,
@@ -93,7 +93,7 @@ CUTS = {
         (arrow, "BATCH_ROWS"): 1 << 22,
         (numpy_table, "BATCH_ROWS"): 1 << 22,
         (coalesce, "ENOUGH_MESSAGES"): 1 << 20,
-        (db3, "_FETCHES"): 1 << 10,
+        (fetches, "FETCHES"): 1 << 10,
         (ulog, "BLOCK"): 1 << 20,
         (mcap_index, "_LOOSE_SIZE"): 1 << 28,
     },

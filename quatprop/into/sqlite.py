@@ -6,7 +6,7 @@ import sqlite3
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
-from quatprop.containers.rosbag2.db3 import files_beside, read_only
+from quatprop.containers.rosbag2.sqlite_files import files_beside, has_shared_memory, read_only
 from quatprop.into.rosbag2_metadata import Added
 
 if TYPE_CHECKING:
@@ -31,7 +31,11 @@ def first_ns(path: Path) -> int:
 
 def _original(path: Path) -> sqlite3.Connection:
     """Open a database to be copied, with its write-ahead log."""
-    return sqlite3.connect(read_only(path, files_beside(path)), uri=True)
+    beside = files_beside(path)
+    database = sqlite3.connect(read_only(path, beside), uri=True)
+    if beside and not has_shared_memory(path):
+        database.execute("PRAGMA locking_mode=EXCLUSIVE")
+    return database
 
 
 class SqlitePart:

@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Any
 
 import apsw
-import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, MessageBlock, MessageLog
 from quatprop.containers.compressed_messages import decompressed, is_compressed
+from quatprop.containers.file_source import FileSource
+from quatprop.containers.rosbag2.fetches import BLOCK_BYTES, ROWS, combined, fetch_of, next_group
 from quatprop.containers.rosbag2.parts import custom_data
+from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database, read_wal
+from quatprop.containers.rosbag2.sqlite_pages import TablePages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from apsw import SQLiteValue
 
-_ROWS = 256
-"""Rows that are fetched together: they fit the processor's cache."""
-
-_FETCHES = 16
-"""Fetches in a block, so that decoding costs little per message."""
-
-_BYTES = 4 << 20
-"""Bytes from which a block is complete, for large messages."""
+    from quatprop.containers.rosbag2.fetches import Fetch
 
 
-class _Fetch(NamedTuple):
-    """Rows fetched together: log times, ns, and the lengths and bytes of the messages."""
-
-    times: NDArray[np.int64]
-    lengths: NDArray[np.int64]
-    data: bytes
+_OTHER_TYPES = "their log times or contents are of other types"
 
 
 class Db3Log(MessageLog):
@@ -70,6 +61,8 @@ class Db3Log(MessageLog):
             )
         super().__init__(path)
         self._is_zstd = message_compression is not None
+        self._damage: str | None = None
+        self._is_checked = False
         try:
             self._database = self._connect()
             try:
@@ -83,28 +76,39 @@ class Db3Log(MessageLog):
             ) from error
 
     def _connect(self) -> apsw.Connection:
-        """Open the database, read-only."""
+        """Open the database, read-only, with the journal files beside it."""
         beside = files_beside(self.path)
         if beside:
             try:
-                database = _opened(read_only(self.path, beside))
+                database = open_database(self.path, beside)
                 database.execute("SELECT count(*) FROM sqlite_master").fetchall()
             except apsw.Error as error:
                 reason = f"it cannot be applied ({error}); the last messages may be missing"
                 self.losses.note(beside[0], reason)
             else:
+                self._note_unfinished(beside)
                 return database
-        return _opened(read_only(self.path))
+        return open_database(self.path)
 
-    def _columns(self, table: str) -> set[str]:
+    def _note_unfinished(self, beside: list[str]) -> None:
+        """Note the end of a write-ahead log that SQLite does not apply."""
+        if beside[0].endswith("-wal"):
+            with FileSource(self.path.with_name(beside[0])) as wal:
+                pages = read_wal(wal).unfinished
+            if pages:
+                reason = f"{pages} pages of a transaction that was not finished are not read"
+                self.losses.note(beside[0], reason)
+
+    def _columns(self, table: str) -> dict[str, None]:
+        """Return the names of the columns of a table, in order."""
         rows = self._database.execute("SELECT name FROM pragma_table_info(?)", (table,))
-        return {str(name) for (name,) in rows}
+        return {str(name): None for (name,) in rows}
 
-    def _read_topics(self) -> dict[int, Channel]:
-        """Return the channel of each topic number."""
+    def _read_topics(self) -> dict[SQLiteValue, Channel]:
+        """Return the channel of each topic id."""
         if not (
-            self._columns("topics") >= {"id", "name", "type", "serialization_format"}
-            and self._columns("messages") >= {"topic_id", "timestamp", "data"}
+            self._columns("topics").keys() >= {"id", "name", "type", "serialization_format"}
+            and self._columns("messages").keys() >= {"topic_id", "timestamp", "data"}
         ):
             raise UnsupportedLogError(
                 self.path,
@@ -112,25 +116,29 @@ class Db3Log(MessageLog):
                 "name a database that `ros2 bag` recorded",
             )
         definitions = self._definitions()
-        rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics")
+        # As blobs, since text that is not UTF-8 is an error otherwise.
+        rows = self._database.execute(
+            "SELECT id, CAST(name AS BLOB), CAST(type AS BLOB), CAST(serialization_format AS BLOB)"
+            "FROM topics WHERE id IS NOT NULL AND name IS NOT NULL AND type IS NOT NULL"
+        )
         channels = {}
-        for number, name, type_name, encoding in rows:
-            schema_encoding, schema = definitions.get(str(type_name), ("", b""))
-            channels[int(str(number))] = Channel(
-                str(name), normalize_msgtype(str(type_name)), str(encoding), schema_encoding, schema
-            )
+        for id_, *values in rows:
+            name, type_name, encoding = (bytes(v or b"").decode(errors="replace") for v in values)
+            type_name = normalize_msgtype(type_name)
+            schema_encoding, schema = definitions.get(type_name, ("", b""))
+            channels[id_] = Channel(name, type_name, encoding, schema_encoding, schema)
         return channels
 
     def _definitions(self) -> dict[str, tuple[str, bytes]]:
         """Return language and text of the definition of each type."""
         wanted = {"topic_type", "encoding", "encoded_message_definition"}
-        if not self._columns("message_definitions") >= wanted:
+        if not self._columns("message_definitions").keys() >= wanted:
             return {}
         rows = self._database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         )
         return {
-            str(type_name): (str(encoding), str(definition).encode())
+            normalize_msgtype(str(type_name)): (str(encoding), str(definition).encode())
             for type_name, encoding, definition in rows
             if encoding in ("ros2msg", "ros2idl") and definition
         }
@@ -145,8 +153,8 @@ class Db3Log(MessageLog):
         """Yield the messages of one channel, in order of their log times."""
         fetches = self._fetches(channel)
         damaged = 0
-        while group := _block_of(fetches):
-            block = _combined(group)
+        while group := next_group(fetches):
+            block = combined(group)
             if self._is_zstd or (channel.encoding == "cdr" and is_compressed(block)):
                 block, lost = decompressed(block)
                 damaged += lost
@@ -155,22 +163,80 @@ class Db3Log(MessageLog):
         if damaged:
             self._lose(channel, "their zstd data is damaged", damaged)
 
-    def _fetches(self, channel: Channel) -> Iterator[_Fetch]:
-        """Fetch messages in time order, up to the end or to damage."""
-        numbers = [number for number, found in self._topics.items() if found == channel]
-        marks = ", ".join("?" * len(numbers))
+    def _fetches(self, channel: Channel) -> Iterator[Fetch]:
+        """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
+        self._check()
+        ids = [id_ for id_, described in self._topics.items() if described == channel]
+        count = 0
+        if self._damage is None:
+            try:
+                for fetch in self._queried(ids):
+                    count += len(fetch.times)
+                    yield fetch
+            except apsw.Error as error:
+                self._damage = str(error)
+        if self._damage is not None:
+            yield from self._recovered(channel, ids, count)
+        lost = sum(self._invalid.get(id_, 0) for id_ in ids)
+        if lost:
+            self._lose(channel, _OTHER_TYPES, lost)
+
+    def _check(self) -> None:
+        """Count rows that are no messages, and find out whether the index lists all rows."""
+        if self._is_checked:
+            return
+        self._is_checked = True
+        self._invalid: dict[SQLiteValue, int] = {}
+        marks = ", ".join("?" * len(self._topics))
+        # Columns of SQLite hold values of any type.
+        query = (
+            "SELECT CASE typeof(topic_id) WHEN 'integer' THEN topic_id "  # noqa: S608  # only marks
+            "WHEN 'null' THEN NULL ELSE quote(CAST(topic_id AS BLOB)) END AS key_, count(*), "
+            f"topic_id IN ({marks}) AS known_ FROM messages NOT INDEXED WHERE known_ IS NOT 1 OR "
+            "typeof(timestamp) <> 'integer' OR typeof(data) <> 'blob' GROUP BY key_, known_"
+        )
+        try:
+            total = self._count("NOT INDEXED")
+            for id_, count, is_known in self._database.execute(query, list(self._topics)):
+                if is_known and id_ in self._topics:
+                    self._invalid[id_] = count
+                else:
+                    reason = _OTHER_TYPES if is_known else "no topic has this id"
+                    self.losses.note(f"topic id {id_}", reason, count)
+            indexes = self._database.execute(
+                "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
+            ).fetchall()
+            for (name,) in indexes:
+                quoted_name = str(name).replace('"', '""')
+                if self._count(f'INDEXED BY "{quoted_name}"') != total:
+                    self._damage = f"its index {quoted(name)} does not list all messages"
+        except apsw.Error as error:
+            self._damage = str(error)
+
+    def _count(self, how: str) -> int:
+        query = f"SELECT count(*) FROM messages {how}"  # noqa: S608  # names from the schema
+        (count,) = next(self._database.execute(query))
+        return int(str(count))
+
+    def _queried(self, ids: list[SQLiteValue]) -> Iterator[Fetch]:
+        """Fetch messages with a query.
+
+        Raises
+        ------
+        apsw.Error
+            The database is damaged there.
+        """
+        marks = ", ".join("?" * len(ids))
+        key = "rowid" if self._has_rowid() else "timestamp"
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
         query = (
             "SELECT timestamp, data FROM messages "  # noqa: S608  # only question marks go in
-            f"WHERE topic_id IN ({marks}) ORDER BY timestamp, rowid"
+            f"WHERE topic_id IN ({marks}) AND typeof(timestamp) = 'integer' "
+            f"AND typeof(data) = 'blob' ORDER BY timestamp, {key}"
         )
-        count, lost, rows = 0, 0, 64
+        cursor = self._database.execute(query, ids)
+        rows = 64
         damage = None
-        cursor = iter(())
-        try:
-            cursor = self._database.execute(query, numbers)
-        except apsw.Error as error:
-            damage = error
         while damage is None:
             fetched: list[Any] = []
             try:
@@ -180,22 +246,47 @@ class Db3Log(MessageLog):
                 damage = error
             if not fetched:
                 break
-            valid = _of_valid_types(fetched)
-            count += len(fetched)
-            lost += len(fetched) - len(valid)
-            if valid:
-                stamps, messages = zip(*valid, strict=True)
-                fetch = _Fetch(
-                    np.fromiter(stamps, np.int64, len(stamps)),
-                    np.fromiter(map(len, messages), np.int64, len(messages)),
-                    b"".join(messages),
-                )
-                yield fetch
-                rows = min(_ROWS, max(1, _BYTES * len(valid) // (len(fetch.data) + 1)))
-        if lost:
-            self._lose(channel, "their log times or contents are of other types", lost)
+            fetch = fetch_of(*zip(*fetched, strict=True))
+            yield fetch
+            rows = min(ROWS, max(1, BLOCK_BYTES * len(fetched) // (len(fetch.data) + 1)))
         if damage is not None:
-            self._lose(channel, f"what follows message {count} cannot be read ({damage})")
+            raise damage
+
+    def _has_rowid(self) -> bool:
+        try:
+            self._database.execute("SELECT rowid FROM messages LIMIT 0").fetchall()
+        except apsw.SQLError:
+            return False  # WITHOUT ROWID
+        return True
+
+    def _recovered(self, channel: Channel, ids: list[SQLiteValue], done: int) -> Iterator[Fetch]:
+        """Fetch messages after the first `done` from the pages of the file, in time order."""
+        wal_name = f"{self.path.name}-wal"
+        with ExitStack() as stack:
+            source = stack.enter_context(FileSource(self.path))
+            wal, overlay = None, {}
+            if wal_name in files_beside(self.path):
+                wal = stack.enter_context(FileSource(self.path.with_name(wal_name)))
+                overlay = read_wal(wal).offsets
+            names = list(self._columns("messages"))
+            topic, time, data = (names.index(n) for n in ("topic_id", "timestamp", "data"))
+            pages = TablePages(source, (topic, time, data), overlay, wal)
+            cells = sorted({cell[:3]: cell for cell in pages.cells(self._topics)}.values())
+            lost = 0
+            if cells:
+                rowids = [cell.rowid for cell in cells]
+                lost = max(rowids) - min(0, min(rowids) - 1) - len(cells)
+            mine = [cell for cell in cells if cell.group in ids][done:]
+            for first in range(0, len(mine), ROWS):
+                group = [(c.log_ns, pages.blob(c)) for c in mine[first : first + ROWS]]
+                whole = [row for row in group if row[1] is not None]
+                lost += len(group) - len(whole)
+                if whole:
+                    yield fetch_of(*zip(*whole, strict=True))
+        reason = f"its database is damaged ({self._damage}); what intact pages hold is read"
+        if lost > 0:
+            reason += f", and {lost} messages of any topic between them are missing"
+        self._lose(channel, reason)
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         self.losses.note(f"topic {quoted(channel.topic)}", reason, messages)
@@ -214,60 +305,3 @@ class Db3Log(MessageLog):
     def close(self) -> None:
         """Close the database."""
         self._database.close()
-
-
-def _of_valid_types(rows: list[Any]) -> list[Any]:
-    """Return the rows of an integer and bytes; columns of SQLite hold values of any type."""
-    stamps, messages = zip(*rows, strict=True)
-    if set(map(type, stamps)) == {int} and set(map(type, messages)) == {bytes}:
-        return rows
-    return [row for row in rows if type(row[0]) is int and type(row[1]) is bytes]
-
-
-def _block_of(fetches: Iterator[_Fetch]) -> list[_Fetch]:
-    """Take the fetches of one block; none at the end."""
-    group: list[_Fetch] = []
-    size = 0
-    for fetch in fetches:
-        group.append(fetch)
-        size += len(fetch.data)
-        if len(group) == _FETCHES or size > _BYTES:
-            break
-    return group
-
-
-def _combined(fetches: list[_Fetch]) -> MessageBlock:
-    """Combine fetches into one block."""
-    times_of, lengths_of, data = zip(*fetches, strict=True)
-    times, lengths = np.concatenate(times_of), np.concatenate(lengths_of)
-    ends = np.cumsum(lengths)
-    buffer = np.frombuffer(b"".join(data), np.uint8)
-    return MessageBlock(buffer, ends - lengths, ends, times, times, int(times[-1]))
-
-
-def files_beside(path: Path) -> list[str]:
-    """Return the names of the journal files with changes not yet in the database."""
-    return [
-        name
-        for name in (f"{path.name}-wal", f"{path.name}-journal")
-        if (file := path.with_name(name)).is_file() and file.stat().st_size
-    ]
-
-
-def read_only(path: Path, beside: Sequence[str] = ()) -> str:
-    """Return the URI that opens a database without changing it or leaving files beside it.
-
-    Parameters
-    ----------
-    path
-        The database.
-    beside
-        The files of :func:`files_beside`, if they are to be read, too.
-    """
-    address = f"file:{quote(str(path.absolute()))}?mode=ro"
-    # Without this, files are created beside a database in write-ahead mode.
-    return address if beside else f"{address}&immutable=1"
-
-
-def _opened(address: str) -> apsw.Connection:
-    return apsw.Connection(address, flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)

@@ -1,0 +1,133 @@
+"""How the files of an SQLite database are opened without changing them."""
+
+from __future__ import annotations
+
+import os
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+from urllib.parse import quote
+
+import apsw
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.file_source import FileSource
+
+_WAL_HEAD = struct.Struct(">8I")
+_FRAME_HEAD = struct.Struct(">6I")
+_WAL_MAGIC = 0x377F0682
+"""The last bit says whether checksums are of big-endian words."""
+NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
+"""SQLite's file system without locks and shared memory."""
+
+
+def files_beside(path: Path) -> list[str]:
+    """Return the names of the journal files with changes not yet in the database."""
+    return [
+        name
+        for name in (f"{path.name}-wal", f"{path.name}-journal")
+        if (file := path.with_name(name)).is_file() and file.stat().st_size
+    ]
+
+
+def read_only(path: Path, beside: Sequence[str] = ()) -> str:
+    """Return the URI that opens a database without changing it or leaving files beside it.
+
+    Parameters
+    ----------
+    path
+        The database.
+    beside
+        The files of :func:`files_beside`, if they are to be read, too. Without shared memory
+        (``-shm``) beside the log, the connection must be set to ``locking_mode=EXCLUSIVE``, so
+        that it does not create that.
+    """
+    address = f"file:{quote(str(path.absolute()))}?mode=ro"
+    if not beside:
+        # Without this, files are created beside a database in write-ahead mode.
+        return f"{address}&immutable=1"
+    return address if has_shared_memory(path) else f"{address}&vfs={NO_LOCKS}"
+
+
+def has_shared_memory(path: Path) -> bool:
+    """Tell whether a recorder is, or was, using the database in write-ahead mode."""
+    return path.with_name(f"{path.name}-shm").exists()
+
+
+def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
+    """Open a database, read-only; parameters as for :func:`read_only`.
+
+    Its schema is read even if it points to pages beyond the end of the file.
+    """
+    flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
+    database = apsw.Connection(read_only(path, beside), flags=flags)
+    if beside and not has_shared_memory(path):
+        database.execute("PRAGMA locking_mode=EXCLUSIVE")
+    database.execute("PRAGMA writable_schema=ON")
+    return database
+
+
+class WalPages(NamedTuple):
+    """What a write-ahead log holds.
+
+    Parameters
+    ----------
+    offsets
+        Where in the log the newest committed content of each page is, by page number.
+    unfinished
+        Pages of a transaction that was not finished, or that is damaged.
+    """
+
+    offsets: dict[int, int]
+    unfinished: int
+
+
+def read_wal(source: FileSource) -> WalPages:
+    """Return which pages of a write-ahead log SQLite applies, and how many it does not."""
+    head = source.read(0, _WAL_HEAD.size)
+    if len(head) < _WAL_HEAD.size:
+        return WalPages({}, 0)
+    magic, _, page_size, _, *salts_and_sums = _WAL_HEAD.unpack(head)
+    salts, sums = tuple(salts_and_sums[:2]), tuple(salts_and_sums[2:])
+    if magic & ~1 != _WAL_MAGIC or not page_size:
+        return WalPages({}, 0)
+    words = ">u4" if magic & 1 else "<u4"
+    stride = _FRAME_HEAD.size + page_size
+    committed: dict[int, int] = {}
+    pending: dict[int, int] = {}
+    frames = applied = 0
+    is_valid = True
+    for start in range(_WAL_HEAD.size, source.size, stride):
+        frame = source.read(start, stride)
+        if len(frame) < _FRAME_HEAD.size:
+            break
+        number, database_size, *rest = _FRAME_HEAD.unpack_from(frame)
+        if tuple(rest[:2]) != salts:
+            break  # of an earlier use of the log
+        frames += 1
+        checked = np.frombuffer(frame[:8] + frame[_FRAME_HEAD.size :], np.uint8)
+        is_valid = is_valid and len(frame) == stride
+        if is_valid:
+            sums = _checksum(checked.view(words), sums)
+            is_valid = sums == tuple(rest[2:])
+        if is_valid:
+            pending[number] = start + _FRAME_HEAD.size
+        if is_valid and database_size:
+            committed.update(pending)
+            pending.clear()
+            applied = frames
+    return WalPages(committed, frames - applied)
+
+
+def _checksum(words: NDArray[np.uint32], sums: tuple[int, ...]) -> tuple[int, int]:
+    """Return SQLite's checksum of 32-bit words, from that of the frame before."""
+    first, second = sums
+    for even, odd in zip(words[::2].tolist(), words[1::2].tolist(), strict=True):
+        first = (first + even + second) & 0xFFFFFFFF
+        second = (second + odd + first) & 0xFFFFFFFF
+    return first, second
