@@ -380,19 +380,18 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         A part of the source could not be read, or rows were dropped.
     """
     from quatprop.conventions import Meaning
-    from quatprop.conversion import Conversion
-    from quatprop.conversion import convert as convert_file
+    from quatprop.conversion.convert import Conversion
+    from quatprop.conversion.convert import convert as convert_file
+    from quatprop.pipeline.settings import OutputSettings
     from quatprop.signals.attitude_input import attitude_input
 
     wanted = attitude_input(_path(source), options)
     report = convert_file(
         Conversion(
             log=wanted.path,
-            output=_path(output),
+            output=OutputSettings(path=_path(output), to=to, layout=layout),
             kind=wanted.kind,
-            to=to,
             selection=wanted.selection,
-            layout=layout,
             meaning=Meaning(convention, direction),
             sign=sign,
             representation=representation,
@@ -400,7 +399,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
             drop=wanted.drop,
         )
     )
-    if report["data_lost"]:
+    if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
 
 

@@ -196,7 +196,7 @@ def test_rows_that_are_no_rotations_leave_the_old_file(tmp_path):
     )
     assert out.read_text() == "old"
     result = run(path, out, "--on-invalid", "drop", code=3)
-    assert "lost: 1 rows that are no rotation: 1 zero" in result.stderr
+    assert "lost: 1 invalid quaternions: 1 zero" in result.stderr
     assert series(out)[0] == [1, 2]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["in.csv", "out.csv"]
 
@@ -313,7 +313,7 @@ def test_the_rotation_is_the_same_in_every_representation(tmp_path, attitudes):
 def test_a_file_that_forgets_what_its_numbers_mean_is_remarked_on(tmp_path):
     """A CSV of JPL quaternions reads back as Hamilton, unless it says so."""
     path = table(tmp_path, PLAIN)
-    said = "note: the file cannot say that it is jpl body-to-ref: whoever reads it has to"
+    said = "note: the file cannot state that it is jpl body-to-ref, so its reader has to"
     assert said in run(path, tmp_path / "a.csv", "--convention", "jpl").stderr
     for out, more in (("b.csv", ["--header-comment"]), ("c.parquet", [])):
         told = run(path, tmp_path / out, "--convention", "jpl", *more).stderr

@@ -95,10 +95,10 @@ def test_attitudes_of_a_table_are_listed(tmp_path):
     assert log["sources"] == []
     (source,) = log["attitudes"]
     assert {key: source[key] for key in ("source", "type", "layout", "convention", "direction",
-                                         "samples", "rate_hz", "no_rotation", "missing")} == {
+                                         "samples", "rate_hz", "invalid", "missing")} == {
         "source": "qx,qy,qz,qw", "type": "quatprop", "layout": "scalar-last",
         "convention": "hamilton", "direction": "body-to-ref", "samples": 3, "rate_hz": 100.0,
-        "no_rotation": 2, "missing": None,
+        "invalid": 2, "missing": None,
     }  # fmt: skip
     (remark,) = source["remarks"]
     assert remark == (
@@ -106,7 +106,7 @@ def test_attitudes_of_a_table_are_listed(tmp_path):
         "row 1 at 10000000 ns"
     )
     assert text(path)[1].split() == ["attitudes", "type", "samples", "Hz", "span", "s", "gaps",
-                                     "dup", "back", "bad", "layout"]  # fmt: skip
+                                     "dup", "back", "invalid", "layout"]  # fmt: skip
 
 
 def test_the_time_of_attitudes_may_be_unknown_too(tmp_path):

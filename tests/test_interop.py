@@ -20,8 +20,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quatprop.conversion import Conversion, convert
+from quatprop.conversion.convert import Conversion, convert
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
 
@@ -129,7 +130,13 @@ def test_scipy_turns_vectors_the_same_way(tmp_path, layout):
     stored = np.column_stack([table[name] for name in NAMES[layout]])
     rotation = Rotation.from_quat(stored, scalar_first=layout == "scalar-first")
     matrices = tmp_path / "matrices.npy"
-    convert(Conversion(str(tmp_path / "attitude.parquet"), str(matrices), representation="matrix"))
+    convert(
+        Conversion(
+            str(tmp_path / "attitude.parquet"),
+            OutputSettings(str(matrices)),
+            representation="matrix",
+        )
+    )
     rows = np.load(matrices)
     expected = np.stack([rows[f"r{i}{j}"] for i in "123" for j in "123"], 1).reshape(-1, 3, 3)
     for vector in VECTORS:
@@ -224,7 +231,7 @@ def test_angles_and_vectors_mean_to_scipy_what_they_are_called(tmp_path):
         ("rotvec", ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), Rotation.from_rotvec),
     ):  # fmt: skip
         target = tmp_path / f"{form}.parquet"
-        convert(Conversion(str(source), str(target), representation=form))
+        convert(Conversion(str(source), OutputSettings(str(target)), representation=form))
         table = parquet.read_table(target)
         rows = np.column_stack([table[name] for name in columns])
         assert geodesic_angle(rebuild(rows).as_quat(scalar_first=True), WXYZ).max() < 2e-14

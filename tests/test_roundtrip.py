@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from quatprop.conventions.layout import LAYOUTS
-from quatprop.conversion import Conversion, convert
+from quatprop.conversion.convert import Conversion, convert
 from quatprop.errors import NotRotationsError
 from quatprop.formats import READERS, open_log
+from quatprop.pipeline.settings import OutputSettings
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
@@ -85,7 +86,8 @@ def test_converted_to_any_other_format_it_is_the_same_to_the_bit(tmp_path, first
     source = written(tmp_path, kind, layout, attitudes)
     assert read(source)[2] == LAYOUTS[layout].name
     target = tmp_path / f"converted{SUFFIX.get(other, '.' + other)}"
-    convert(Conversion(str(source), str(target), to=other, layout=other_layout))
+    output = OutputSettings(str(target), to=other, layout=other_layout)
+    convert(Conversion(str(source), output))
     t_ns, wxyz, found = read(target)
     assert t_ns.tobytes() == attitudes.t_ns.tobytes()
     assert wxyz.tobytes() == attitudes.wxyz.tobytes()
@@ -113,16 +115,14 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
         r"another length, on_invalid='drop' leaves them out"
     )
     with pytest.raises(NotRotationsError, match=sentence):
-        convert(Conversion(str(path), str(target)))
+        convert(Conversion(str(path), OutputSettings(str(target))))
     assert not target.exists()
-    report = convert(Conversion(str(path), str(target), drop=True))
-    counts = report["conversions"][-1]["counts"]
-    assert [counts[name] for name in ("read", "used", "zero", "not_unit", "not_finite")] == [
-        *(5, 2, 1, 1, 1),
-    ]
-    assert (counts["first"], counts["first_ns"]) == (1, 1_000_000_000)
-    report = convert(Conversion(str(path), str(target), drop=True, normalize=True))
-    assert report["conversions"][-1]["counts"]["normalized"] == 1
+    counts = convert(Conversion(str(path), OutputSettings(str(target)), drop=True)).counts
+    assert (counts.read, counts.used) == (5, 2)
+    assert (counts.zero, counts.not_unit, counts.not_finite) == (1, 1, 1)
+    assert (counts.first, counts.first_ns) == (1, 1_000_000_000)
+    report = convert(Conversion(str(path), OutputSettings(str(target)), drop=True, normalize=True))
+    assert report.counts.normalized == 1
     assert read(target)[0].tolist() == [0, 3_000_000_000, 4_000_000_000]
 
 

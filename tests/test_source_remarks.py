@@ -60,8 +60,8 @@ def test_stamps_since_start_up_are_remarked_on(tmp_path):
         "another clock; for the time of recording choose clock='log'"
     )
     assert remarks(path, tmp_path, clock="log") == []
-    (source,) = survey(str(path), None, RateSelection())["sources"]
-    assert list(map(str, source["remarks"])) == [said]
+    (source,) = survey(str(path), None, RateSelection()).sources
+    assert list(map(str, source.remarks)) == [said]
 
 
 def test_stamps_of_zero_are_counted(tmp_path):

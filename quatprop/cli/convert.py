@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,7 +14,14 @@ from quatprop.cli.attitude_options import (
     attitude_selection,
 )
 from quatprop.cli.options import quiet_option, report_option, with_options
-from quatprop.cli.output_options import OUTPUT_OPTIONS, destination, into_option, message
+from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
+from quatprop.cli.spelling import spelled
+from quatprop.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.conversion.report import ConversionReport
 
 EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 """Representation and unit of angles -> key of :data:`quatprop.conventions.REPRESENTATIONS`."""
@@ -65,7 +72,7 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 @with_options(UNSOUND_OPTIONS)
 @report_option
 @quiet_option
-def command(**chosen: Any) -> None:
+def command(*, quiet: bool, **chosen: Any) -> None:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes, or - for CSV on stdin; OUT is a file, or -
@@ -76,65 +83,56 @@ def command(**chosen: Any) -> None:
     quatprop convert flight.bag vicon.tum -t /vicon/auk/auk
     quatprop convert attitude.csv - --as euler-zyx --euler-unit deg
     """
-    from quatprop.cli import summary as words
-    from quatprop.containers.base import Loss
+    from quatprop.cli import summary
     from quatprop.conventions import Meaning
-    from quatprop.conversion import Conversion, convert
-    from quatprop.rendering import loss_lines
+    from quatprop.conversion.convert import Conversion, convert
 
-    quiet = chosen.pop("quiet")
-    unit, representation = chosen.pop("euler_unit"), chosen.pop("representation")
+    unit, representation = chosen["euler_unit"], chosen["representation"]
     if unit is not None and representation != "euler-zyx":
         raise click.UsageError("--euler-unit is for --as euler-zyx")
     job = Conversion(
         log=chosen["log"],
-        **destination(chosen, "OUT"),
+        output=output_settings(chosen, "OUT"),
         kind=chosen["kind"],
-        to=chosen["to"],
         selection=attitude_selection(chosen),
-        layout=chosen["layout"],
         meaning=Meaning(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
         representation=EULER_DEGREES.get((representation, unit), representation),
         normalize=chosen["normalize"],
         drop=chosen["on_invalid"] == "drop",
-        message=message(chosen),
-        comment=chosen["comment"],
-        report=chosen["report"],
     )
-    with words.progress(quiet=quiet) as tick:
+    with summary.progress(quiet=quiet) as tick:
         report = convert(job, tick)
-    step = report["conversions"][-1]
     if not quiet:
-        losses = loss_lines([Loss(**loss) for loss in step["losses"]])
-        click.echo("\n".join([_summary(job.output, step), *losses]), err=True)
-    if step["losses"] or step["counts"]["read"] != step["counts"]["used"]:
+        click.echo("\n".join(_summary(job.output.path, report)), err=True)
+    if report.data_lost:
         raise click.exceptions.Exit(3)
 
 
-def _summary(output: str, step: dict[str, Any]) -> str:
-    """Return what was done in one or two lines."""
-    from quatprop.text import plain
+def _summary(output: str, report: ConversionReport) -> Iterator[str]:
+    """Yield the lines of the summary."""
+    from quatprop.rendering import loss_lines, source_text
 
-    source, stored, written, counts = step["source"], step["from"], step["to"], step["counts"]
-    said = " ".join(plain(source[key]) for key in ("name", "type") if source[key])
-    order = stored["layout"] or stored["representation"]
-    meant = f"{stored['convention']} {stored['direction']}, {order}, {source['clock']}"
-    means = f"{written['convention']} {written['direction']}, {','.join(written['columns'])}"
-    form = written["representation"]
-    lines = [
-        f"in   {plain(source['path'])} ({source['kind']}): {said}; {meant} clock",
-        f"out  {plain(output)}: {counts['used']:,} rows of {form}, {means}",
-    ]
-    if counts["normalized"]:
-        lines.append(
-            f"warning: {counts['normalized']:,} rows scaled to unit length, off by up to "
-            f"{counts['worst']:.3g}"
+    source, stored, written, counts = report.source, report.stored, report.written, report.counts
+    order = stored.layout or stored.representation
+    stored_as = f"{stored.meaning.convention} {stored.meaning.direction}, {order}"
+    written_as = f"{written.meaning.convention} {written.meaning.direction}"
+    name = source_text(source.name, source.type)
+    yield f"in   {plain(source.path)} ({source.kind}): {name}; {stored_as}, {source.clock} clock"
+    yield (
+        f"out  {plain(output)}: {counts.used:,} rows of {written.representation}, {written_as}, "
+        f"{','.join(written.columns)}"
+    )
+    if counts.normalized:
+        yield (
+            f"warning: {counts.normalized:,} rows scaled to unit length, off by up to "
+            f"{counts.worst:.3g}"
         )
-    if dropped := counts["read"] - counts["used"]:
-        lines.append(
-            f"lost: {dropped:,} rows that are no rotation: {counts['zero']} zero, "
-            f"{counts['not_unit']} not of unit length, {counts['not_finite']} absent or not "
-            f"finite; the first at {counts['first_ns']} ns"
+    if counts.invalid:
+        yield (
+            f"lost: {counts.invalid:,} invalid quaternions: {counts.zero} zero, "
+            f"{counts.not_unit} not of unit length, {counts.not_finite} absent or not finite; the "
+            f"first at {counts.first_ns} ns"
         )
-    return "\n".join([*lines, *(f"note: {plain(remark)}" for remark in step["remarks"])])
+    yield from (f"note: {spelled(remark)}" for remark in report.remarks)
+    yield from loss_lines(report.losses)

@@ -1,20 +1,24 @@
-"""``quatprop info``: what logs hold."""
+"""``quatprop info``: the contents of logs."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
 from quatprop.cli.spelling import sentence, spelled
-from quatprop.containers.base import Loss
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
 from quatprop.text import plain
 
-TIMED = {
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from quatprop.pipeline.survey import LogSurvey, SignalSurvey
+
+COLUMNS = {
     "source": "source",
     "type": "type",
     "samples": "samples",
@@ -24,13 +28,10 @@ TIMED = {
     "duplicates": "dup",
     "backwards": "back",
 }
-"""Key of a source's facts -> heading in a table."""
+"""Attribute of a signal -> heading in a table."""
 
-COLUMNS = {
-    "sources": {**TIMED, "max_rate_rad_s": "max rad/s"},
-    "attitudes": {**TIMED, "source": "attitudes", "no_rotation": "bad", "layout": "layout"},
-}
-"""What is shown of rates and of attitudes."""
+RATE_COLUMNS = {**COLUMNS, "max_rate_rad_s": "max rad/s"}
+ATTITUDE_COLUMNS = {**COLUMNS, "source": "attitudes", "invalid": "invalid", "layout": "layout"}
 
 NUMBERS_FROM = 2
 """Columns from here on are numbers and aligned to the right."""
@@ -45,62 +46,55 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
 
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
     median intervals), repeated and non-monotonic timestamps; of rates the largest, of attitudes
-    how many rows are no rotation, and the layout. What is missing to read a source is said with
-    the option that says it.
+    how many rows are invalid, and the layout. Where a source cannot be read without an option, that
+    option is named.
     """
     from quatprop.errors import QuatpropError
     from quatprop.pipeline.survey import survey
 
-    kind = chosen.pop("kind")
-    wanted = selection(chosen)
-    surveys: list[dict[str, Any]] = []
-    unusable = 0
+    kind, wanted = chosen["kind"], selection(chosen)
+    surveys: list[LogSurvey] = []
     for path in logs:
         try:
             surveys.append(survey(path, kind, wanted))
         except QuatpropError as error:
-            unusable += 1
             click.echo(f"Error: {sentence(error)}", err=True)
     if as_json:
         click.echo(json.dumps(to_json(surveys), indent=2))
     else:
-        click.echo("\n\n".join(_described(facts) for facts in surveys), nl=bool(surveys))
-    if unusable:
+        click.echo("\n\n".join("\n".join(_lines(log)) for log in surveys), nl=bool(surveys))
+    if len(surveys) < len(logs):
         raise click.exceptions.Exit(2)
-    if any(facts["losses"] for facts in surveys):
+    if any(log.losses for log in surveys):
         raise click.exceptions.Exit(3)
 
 
-def _described(facts: dict[str, Any]) -> str:
-    """Return the tables of one log, and what is to be remarked on."""
-    lines = [f"{plain(facts['path'])} ({facts['kind']})"]
-    for kind, columns in COLUMNS.items():
-        if facts[kind]:
-            lines += _table(facts[kind], columns)
-    for source in (*facts["sources"], *facts["attitudes"]):
-        name = _cell(source["source"])
-        if source["missing"]:
-            lines.append(f"  {name}: {spelled(source['missing'])}")
-        lines += [f"  {name}: {spelled(text)}" for text in source["remarks"]]
-    lines += [f"  {line}" for line in loss_lines([Loss(**loss) for loss in facts["losses"]])]
-    return "\n".join(lines)
+def _lines(log: LogSurvey) -> Iterator[str]:
+    """Yield the tables of one log, and the remarks on it."""
+    yield f"{plain(log.path)} ({log.kind})"
+    if log.sources:
+        yield from _table(log.sources, RATE_COLUMNS)
+    if log.attitudes:
+        yield from _table(log.attitudes, ATTITUDE_COLUMNS)
+    for signal in (*log.sources, *log.attitudes):
+        remarks = (*((signal.missing,) if signal.missing else ()), *signal.remarks)
+        yield from (f"  {_cell(signal.source)}: {spelled(remark)}" for remark in remarks)
+    yield from (f"  {line}" for line in loss_lines(log.losses))
 
 
-def _table(sources: list[dict[str, Any]], columns: dict[str, str]) -> list[str]:
+def _table(signals: Sequence[SignalSurvey], columns: Mapping[str, str]) -> Iterator[str]:
     rows = [list(columns.values())]
-    rows += [[_cell(source[key]) for key in columns] for source in sources]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(columns))]
-    return [
-        "  "
-        + "  ".join(
-            cell.rjust(width) if column >= NUMBERS_FROM else cell.ljust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    rows += [[_cell(getattr(signal, name)) for name in columns] for signal in signals]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            cell.rjust(width) if number >= NUMBERS_FROM else cell.ljust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield f"  {'  '.join(cells)}".rstrip()
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if value is None:
         return "-"
     return f"{value:.6g}" if isinstance(value, float) else plain(value)

@@ -88,12 +88,20 @@ def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:
     return {"output": into or output, "into": into is not None}
 
 
-def output_settings(chosen: dict[str, Any]) -> OutputSettings:
-    """Return where attitudes go and as what, from a command's options."""
+def output_settings(chosen: dict[str, Any], own: str = "-o OUT") -> OutputSettings:
+    """Return where attitudes go and as what, from a command's options.
+
+    Parameters
+    ----------
+    chosen
+        The options.
+    own
+        How the file of attitudes is named, for errors.
+    """
     from quatprop.conventions.layout import layout_named
     from quatprop.pipeline.settings import OutputSettings
 
-    where = destination(chosen)
+    where = destination(chosen, own)
     layout = chosen["layout"]
     return OutputSettings(
         path=where["output"],

@@ -1,14 +1,13 @@
-"""What a log holds: every source of body rates and of attitudes, measured on its timeline.
+"""Survey a log: every signal of body rates and of attitudes, with its counts and remarks.
 
-What cannot be measured because something about it is said nowhere is shown all the same, with
-what is missing and the option that says it.
+A signal that cannot be read without more settings is listed too, with the settings it needs.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import asdict, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -31,7 +30,7 @@ from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
 from quatprop.text import Text, plain
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
-from quatprop.timeline.counts import remarks
+from quatprop.timeline.counts import remarks as timeline_remarks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -39,45 +38,147 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog
+    from quatprop.containers.base import Loss, MessageLog
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, Candidate, RateSignal, SelectionT, SignalT
     from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import StampCounts
 
     Log = MessageLog | TableLog
-    Facts = dict[str, Any]
     Int64 = NDArray[np.int64]
 
-_OF_TIME = ("rate_hz", "span_s", "first_ns", "last_ns", "median_dt_ns", "min_dt_ns", "max_dt_ns",
-            "gaps", "duplicates", "backwards")  # fmt: skip
-_OF_RATES = ("rate_unit", "max_rate_rad_s", "max_rate_deg_s")
+_TIMING = ("rate_hz", "span_s", "first_ns", "last_ns", "median_dt_ns", "min_dt_ns", "max_dt_ns",
+           "gaps", "duplicates", "backwards")  # fmt: skip
+_RATES = ("rate_unit", "max_rate_rad_s", "max_rate_deg_s")
 
 _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
-    ({"rate_unit": "rad/s"}, _OF_RATES),
-    ({"time_unit": "ns"}, _OF_TIME),
-    ({"rate_unit": "rad/s", "time_unit": "ns"}, (*_OF_RATES, *_OF_TIME)),
+    ({"rate_unit": "rad/s"}, _RATES),
+    ({"time_unit": "ns"}, _TIMING),
+    ({"rate_unit": "rad/s", "time_unit": "ns"}, (*_RATES, *_TIMING)),
 )
-"""Units by which a table is read that says none, and the facts that are not known then."""
+"""Units with which a table is read that declares none, and the facts that are unknown then."""
 
 
-def survey(path: str, kind: str | None, selection: RateSelection) -> Facts:
-    """Read a log once per source and return what it holds.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSurvey:
+    """One signal of a log; None where something is unknown.
+
+    Parameters
+    ----------
+    source, type
+        Topic and message type, or columns and dialect.
+    clock
+        The timestamp source.
+    samples
+        Number of samples.
+    rate_hz, span_s
+        Mean sample rate, Hz, and time from the first sample to the last, s.
+    first_ns, last_ns
+        First and last stamp, ns.
+    median_dt_ns, min_dt_ns, max_dt_ns
+        Intervals, ns.
+    gaps, duplicates, backwards
+        Intervals longer than 10 median ones, repeated and non-monotonic timestamps.
+    missing
+        What is not declared, and the settings that declare it; None where nothing is missing.
+    remarks
+        What a reader should know.
+    """
+
+    source: str | None
+    type: str = ""
+    clock: str | None = None
+    samples: int | None = None
+    rate_hz: float | None = None
+    span_s: float | None = None
+    first_ns: int | None = None
+    last_ns: int | None = None
+    median_dt_ns: int | None = None
+    min_dt_ns: int | None = None
+    max_dt_ns: int | None = None
+    gaps: int | None = None
+    duplicates: int | None = None
+    backwards: int | None = None
+    missing: Text | None = None
+    remarks: tuple[str | Text, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSurvey(SignalSurvey):
+    """One signal of body rates; takes the parameters of :class:`SignalSurvey` too.
+
+    Parameters
+    ----------
+    rate, rate_unit
+        The field or the columns, and their unit.
+    nonfinite
+        Samples that are NaN or infinite.
+    max_rate_rad_s, max_rate_deg_s
+        Largest magnitude of the angular rate.
+    """
+
+    rate: str | None = None
+    rate_unit: str | None = None
+    nonfinite: int | None = None
+    max_rate_rad_s: float | None = None
+    max_rate_deg_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSurvey(SignalSurvey):
+    """One signal of attitudes; takes the parameters of :class:`SignalSurvey` too.
+
+    Parameters
+    ----------
+    attitude
+        The field or the columns.
+    layout, convention, direction
+        What the numbers mean.
+    invalid
+        Rows that are no unit quaternions.
+    """
+
+    attitude: str = ""
+    layout: str | None = None
+    convention: str | None = None
+    direction: str | None = None
+    invalid: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LogSurvey:
+    """What a log holds.
+
+    Parameters
+    ----------
+    path, kind
+        The log.
+    sources
+        Its signals of body rates.
+    attitudes
+        Its signals of attitudes.
+    losses
+        What could not be read.
+    """
+
+    path: str
+    kind: str
+    sources: tuple[RateSurvey, ...]
+    attitudes: tuple[AttitudeSurvey, ...]
+    losses: tuple[Loss, ...]
+
+
+def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
+    """Read every signal of a log once.
 
     Parameters
     ----------
     path
         The log.
     kind
-        Its kind, or None: told by its content.
+        Its kind, or None: by its content.
     selection
-        Restricts the sources; None for all.
-
-    Returns
-    -------
-    dict
-        ``path``, ``kind``, ``sources`` of rates and ``attitudes`` (lists, each entry with type,
-        counts, remarks, and in ``missing`` what is said nowhere) and ``losses``; JSON-ready.
+        Restricts the signals.
 
     Raises
     ------
@@ -85,47 +186,36 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> Facts:
         The log cannot be read, or holds neither body rates nor attitudes.
     """
     with open_log(path, kind) as log:
-        # Who asks for certain rates is told when they are not there.
-        named = selection.rate_field is not None or selection.rate_cols is not None
-        none: LogError | None = None
-        rates: list[Facts] = []
+        only_rates = selection.rate_field is not None or selection.rate_cols is not None
+        no_rates: LogError | None = None
+        rates: tuple[RateSurvey, ...] = ()
         try:
-            rates = list(_rates(log, selection, path))
+            rates = tuple(_rates(log, selection, path))
         except (NoRatesError, NoSuchTopicError) as error:
-            none = error
-        attitudes: list[Facts] = []
-        if not (named or (path == "-" and rates)):
-            attitudes = list(_attitudes(log, selection))
-        if none is not None and not attitudes:
-            raise none
-        return {
-            "path": without_secret(path),
-            "kind": log.kind,
-            "sources": rates,
-            "attitudes": attitudes,
-            "losses": [asdict(loss) for loss in log.losses],
-        }
+            no_rates = error
+        attitudes: tuple[AttitudeSurvey, ...] = ()
+        if not (only_rates or (path == "-" and rates)):
+            attitudes = tuple(_attitudes(log, selection))
+        if no_rates is not None and not attitudes:
+            raise no_rates
+        return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
 
 
-# Rates.
-
-
-def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[Facts]:
+def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[RateSurvey]:
+    list_again = partial(rate_candidates, log)
     for candidate in rate_candidates(log, selection):
-        list_again = partial(rate_candidates, log)
         try:
-            source, unknown, missing = _declared(candidate, list_again, selection, _ASSUMED)
+            signal, unknown, missing = _declared(candidate, list_again, selection, _ASSUMED)
         except (TimelineError, UndeclaredError) as error:
-            yield _unread(error, candidate.topic or None)
+            yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        facts = _measured(source, path)
+        surveyed = _survey_rates(signal, path)
         if missing is not None:
-            yield {**facts, **dict.fromkeys(unknown), "missing": missing, "remarks": []}
+            known = replace(surveyed, missing=missing, remarks=())
+            yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
             continue
-        if path != "-":
-            facts["remarks"] += log_remarks(log, source)
-        facts["remarks"] += log.remarks
-        yield facts
+        remarks = (*surveyed.remarks, *(log_remarks(log, signal) if path != "-" else ()))
+        yield replace(surveyed, remarks=(*remarks, *log.remarks))
 
 
 def _declared(
@@ -161,38 +251,30 @@ def _declared(
         raise
 
 
-def _unread(error: LogError, name: str | None = None) -> Facts:
-    """Return the facts of a source that cannot even be counted."""
-    facts = dict.fromkeys((*_OF_RATES, *_OF_TIME, "rate", "clock", "samples", "nonfinite"))
-    return {**facts, "source": name, "type": "", "missing": error.reason, "remarks": []}
-
-
-def _measured(source: RateSignal, path: str) -> Facts:
-    timeline = Timeline(OBSERVE, path)
-    watch = RateChecks()
-    deque(timeline.apply(watch.observe(source.batches())), maxlen=0)
+def _survey_rates(signal: RateSignal, path: str) -> RateSurvey:
+    timeline, checks = Timeline(OBSERVE, path), RateChecks()
+    deque(timeline.apply(checks.observe(signal.batches())), maxlen=0)
     counts = timeline.counts
-    return {
-        "source": source.name,
-        "type": source.type_name,
-        "rate": source.field,
-        "rate_unit": source.unit,
-        "clock": source.clock,
-        "samples": counts.used,
-        **_timed(counts),
-        "nonfinite": counts.nonfinite.count,
-        "max_rate_rad_s": counts.max_rate,
-        "max_rate_deg_s": math.degrees(counts.max_rate),
-        "missing": None,
-        "remarks": [
-            *source.remarks,
-            *remarks(counts, OBSERVE),
-            *watch.remarks(counts.median_dt_ns),
-        ],
-    }
+    return RateSurvey(
+        source=signal.name,
+        type=signal.type_name,
+        rate=signal.field,
+        rate_unit=signal.unit,
+        clock=signal.clock,
+        samples=counts.used,
+        **_timing(counts),
+        nonfinite=counts.nonfinite.count,
+        max_rate_rad_s=counts.max_rate,
+        max_rate_deg_s=math.degrees(counts.max_rate),
+        remarks=(
+            *signal.remarks,
+            *timeline_remarks(counts, OBSERVE),
+            *checks.remarks(counts.median_dt_ns),
+        ),
+    )
 
 
-def _timed(counts: StampCounts) -> Facts:
+def _timing(counts: StampCounts) -> dict[str, Any]:
     span_s = counts.span_ns * 1e-9
     return {
         "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
@@ -208,81 +290,72 @@ def _timed(counts: StampCounts) -> Facts:
     }
 
 
-# Attitudes.
-
-
-def _attitudes(log: Log, selection: RateSelection) -> Iterator[Facts]:
+def _attitudes(log: Log, selection: RateSelection) -> Iterator[AttitudeSurvey]:
     wanted = AttitudeSelection.like(selection)
     try:
-        found = attitude_candidates(log, wanted)
+        candidates = attitude_candidates(log, wanted)
     except (NoAttitudesError, NoSuchTopicError):
         return
     except LogError as error:
-        # One topic that needs more than there is here does not hide the others.
-        topics = dict.fromkeys(one.topic for one in cast("MessageLog", log).channels())
+        # A topic that cannot be read here does not hide the others.
+        topics = dict.fromkeys(channel.topic for channel in cast("MessageLog", log).channels())
         if is_table(log) or selection.topic is not None or len(topics) == 1:
-            yield _unread_attitude("", selection.topic or "", error.reason)
+            yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic))
         return
     assumed, list_again = _ASSUMED[1:2], partial(attitude_candidates, log)
-    for candidate in found:
+    for candidate in candidates:
         try:
-            source, unknown, missing = _declared(candidate, list_again, wanted, assumed)
-            facts = _observed(source, log)
+            signal, unknown, missing = _declared(candidate, list_again, wanted, assumed)
+            surveyed = _survey_attitudes(signal, log)
         except NoAttitudesError:
             continue
         except LogError as error:
             name = candidate.topic or ",".join(cast("TableLog", log).columns())
-            yield _unread_attitude(candidate.field, name, error.reason)
+            yield AttitudeSurvey(source=name, attitude=candidate.field, missing=error.reason)
         except UsageError as error:
             sentence, *rest = error.text.parts
             if isinstance(sentence, str):
                 sentence = sentence.removeprefix(f"{plain(log.path)}: ")
-            yield _unread_attitude(candidate.field, candidate.topic, Text(sentence, *rest))
+            reason = Text(sentence, *rest)
+            yield AttitudeSurvey(source=candidate.topic, attitude=candidate.field, missing=reason)
         else:
-            yield {**facts, **dict.fromkeys(unknown), "missing": missing}
+            known = replace(surveyed, missing=missing)
+            yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
 
 
-def _unread_attitude(field: str, name: str, reason: Text) -> Facts:
-    known = dict.fromkeys((*_OF_TIME, "clock", "samples", "no_rotation", "layout",
-                           "convention", "direction"))  # fmt: skip
-    told = {"source": name, "type": "", "attitude": field}
-    return {**known, **told, "missing": reason, "remarks": []}
-
-
-def _observed(source: AttitudeSignal, log: Log) -> Facts:
-    """Return what stamps and rows of a source are like.
+def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
+    """Return the survey of a signal of attitudes.
 
     Raises
     ------
     NoAttitudesError
         Every row is marked as absent, as gyroscopes without an estimate do.
     """
-    check = QuaternionCheck(log.path, drop=True)
-    stamps = StampChecks(log.path)
+    check, stamps = QuaternionCheck(log.path, drop=True), StampChecks(log.path)
 
     def checked() -> Iterator[Int64]:
         # Invalid quaternions have stamps too.
-        for t_ns, wxyz in source.rows():
+        for t_ns, wxyz in signal.rows():
             deque(check.apply([(t_ns, wxyz)]), maxlen=0)
             yield t_ns
 
     deque(stamps.observe(checked()), maxlen=0)
-    if check.counts.not_finite == check.counts.read > 0:
-        raise NoAttitudesError(log.path, [source.name])
-    said = [check.counts.summary] if check.counts.invalid else []
-    return {
-        "source": source.name,
-        "type": source.type_name,
-        "attitude": source.field,
-        "layout": source.layout or source.representation,
-        "convention": source.meaning.convention,
-        "direction": source.meaning.direction,
-        "clock": source.clock,
-        "samples": stamps.counts.used,
-        **_timed(stamps.counts),
-        "no_rotation": check.counts.invalid,
-        "remarks": [*source.remarks, *said],
-    }
+    counts = check.counts
+    if counts.not_finite == counts.read > 0:
+        raise NoAttitudesError(log.path, [signal.name])
+    return AttitudeSurvey(
+        source=signal.name,
+        type=signal.type_name,
+        attitude=signal.field,
+        layout=signal.layout or signal.representation,
+        convention=signal.meaning.convention,
+        direction=signal.meaning.direction,
+        clock=signal.clock,
+        samples=stamps.counts.used,
+        **_timing(stamps.counts),
+        invalid=counts.invalid,
+        remarks=(*signal.remarks, *((counts.summary,) if counts.invalid else ())),
+    )

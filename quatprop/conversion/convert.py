@@ -1,0 +1,152 @@
+"""Write an attitude series in other terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from quatprop.conventions import HAMILTON, Meaning, Signs
+from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
+from quatprop.conversion.destination import open_destination, remarks_on
+from quatprop.conversion.report import conversion_report
+from quatprop.errors import NoSamplesError, UsageError
+from quatprop.formats import open_log
+from quatprop.into import copy_kind
+from quatprop.pipeline.report import ReportFile
+from quatprop.provenance import Fingerprint
+from quatprop.selection import AttitudeSelection
+from quatprop.signals.attitudes import choose_attitudes
+from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.text import Setting, listed, quoted
+from quatprop.writers import keeps_provenance
+from quatprop.writers.targets import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from quatprop.conversion.report import ConversionReport
+    from quatprop.pipeline.settings import OutputSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """How to convert one attitude series.
+
+    Parameters
+    ----------
+    log
+        Path, or ``"-"`` for CSV on stdin.
+    output
+        Where the attitudes go, in which format and layout.
+    kind
+        Kind of the log; None: by content and suffix.
+    selection
+        Which attitudes, and what their numbers mean where the log does not say it.
+    meaning
+        What the written numbers mean.
+    sign
+        ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
+        short ones, up to half a turn.
+    representation
+        ``"quaternion"`` or a key of :data:`quatprop.conventions.REPRESENTATIONS`.
+    normalize
+        Scale rows to unit length.
+    drop
+        Leave out invalid quaternions.
+    """
+
+    log: str
+    output: OutputSettings
+    kind: str | None = None
+    selection: AttitudeSelection = field(default_factory=AttitudeSelection)
+    meaning: Meaning = HAMILTON
+    sign: str = "keep"
+    representation: str = QUATERNION
+    normalize: bool = False
+    drop: bool = False
+
+    @property
+    def applied_sign(self) -> str:
+        """The sign that is applied: a rotation vector has none to keep, and is the short one."""
+        if self.representation in REPRESENTATIONS and self.sign == "keep":
+            return "positive"
+        return self.sign
+
+
+def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -> ConversionReport:
+    """Write an attitude series in other terms.
+
+    Parameters
+    ----------
+    job
+        How to convert it.
+    tick
+        Called with the number of rows written so far.
+
+    Raises
+    ------
+    LogError
+        The source cannot be used with this selection, or holds invalid quaternions.
+    OutputError
+        The result cannot be written.
+    UsageError
+        Settings contradict each other.
+    """
+    _refuse_contradictions(job)
+    refuse_overlap([job.log], [job.output.path, job.output.report])
+    with open_log(job.log, job.kind) as log:
+        output = job.output
+        if output.into:
+            output = replace(output, to=copy_kind(log, output.path, output.to))
+            job = replace(job, output=output)
+        source = choose_attitudes(log, job.selection)
+        check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
+        signs = Signs(job.applied_sign)
+        # The fingerprint takes another pass over the source: only where something keeps it.
+        kept = keeps_provenance(output.path, output.to, comment=output.comment)
+        with (
+            ReportFile(output.report) as report_file,
+            open_destination(job, log) as (target, write),
+            Fingerprint(job.log, wanted=kept or output.report is not None) as fingerprint,
+        ):
+            singular = 0
+            for series in check.apply(source.rows()):
+                singular += write(series.t_ns, signs.applied(job.meaning.converted(series.wxyz)))
+                tick(check.counts.used)
+            if not check.counts.used:
+                raise NoSamplesError(job.log, source.name)
+            remarks = (*source.remarks, *remarks_on(job, singular))
+            report = conversion_report(
+                job,
+                log,
+                source,
+                counts=check.counts,
+                fingerprint=fingerprint.result(),
+                remarks=remarks,
+            )
+            provenance = report.provenance()
+            target.commit(provenance)
+            report_file.commit(provenance)
+    return report
+
+
+def _refuse_contradictions(job: Conversion) -> None:
+    if job.representation == QUATERNION:
+        return
+    if job.representation not in REPRESENTATIONS:
+        raise UsageError(
+            f"no representation {quoted(job.representation)}; choose one of "
+            f"{listed([QUATERNION, *REPRESENTATIONS])}"
+        )
+    signed = REPRESENTATIONS[job.representation].signed
+    for setting, given in (
+        ("layout", job.output.layout is not None),
+        ("convention", job.meaning.convention != HAMILTON.convention),
+        ("sign", job.sign != "keep" and not signed),
+        ("message", job.output.message is not None),
+    ):
+        if given:
+            raise UsageError(
+                Setting(setting),
+                f" is about quaternions and {job.representation} has none; leave it out",
+            )
