@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import TYPE_CHECKING, Self
+
+if TYPE_CHECKING:
+    from fractions import Fraction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +34,7 @@ class SignalSelection:
     time_field: str | None = None
     time_col: str | None = None
     time_unit: str | None = None
-    sample_rate: float | None = None
+    sample_rate: Fraction | float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from decimal import Decimal
 from fractions import Fraction
 from os import PathLike, fspath
 from pathlib import Path
@@ -51,8 +52,8 @@ STATIC_WINDOW_NS = 1_000_000_000
 MAX_FREQUENCY = 1_000_000_000
 """Hz: stamps are whole nanoseconds."""
 
-MAX_DENOMINATOR = 1001
-"""Of a frequency in Hz, so that times are exact in 64 bits; that of the television rates."""
+MIN_FREQUENCY = Decimal("1e-9")
+"""Hz: an interval of 31 years."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,14 +261,15 @@ def count(value: object) -> int:
 
 def frequency(value: object) -> Fraction:
     """Return a frequency in Hz as the decimal or the fraction it is written as."""
+    # By its text: 29.97 is meant, not the binary fraction nearest to it.
+    numerator, _, denominator = str(value).partition("/")
     try:
-        # By its text: 29.97 is meant, not the binary fraction nearest to it.
-        exact = Fraction(str(value))
-    except (ValueError, ZeroDivisionError):
-        exact = Fraction(0)
-    if not 0 < exact <= MAX_FREQUENCY or exact.denominator > MAX_DENOMINATOR:
-        raise UsageError(f"{quoted(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
-    return exact
+        # The size first: the exact value of 1e-99999999 would fill the memory.
+        if MIN_FREQUENCY <= Decimal(numerator) / Decimal(denominator or 1) <= MAX_FREQUENCY:
+            return Fraction(str(value))
+    except (ValueError, ArithmeticError):
+        pass
+    raise UsageError(f"{quoted(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
 
 
 def duration(value: object) -> int:
@@ -352,7 +354,7 @@ SELECT: Mapping[str, Callable[[object], Any]] = {
     "time_field": text,
     "time_col": lambda value: text(str(value)),
     "time_unit": choice(*TIME_UNITS),
-    "sample_rate": lambda value: float(frequency(value)),
+    "sample_rate": frequency,
 }
 """Which topic and which time: setting -> its parser."""
 

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tarfile
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -492,7 +493,7 @@ def test_fewer_rows_out(log, tmp_path):
     ]  # fmt: skip
     run("propagate", log, "-o", out, "--rate", "3")
     rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
-    assert [row[0] for row in rows] == ["0", "333333333", "666666666", "1000000000"]
+    assert [row[0] for row in rows] == ["0", "333333333", "666666667", "1000000000"]
     for t_ns, *wxyz in rows:
         half = int(t_ns) * 1e-9 / 2
         expected = [np.cos(half), 0, 0, np.sin(half)]
@@ -690,3 +691,19 @@ def test_an_output_is_no_address(log):
         run("propagate", log, "-o", "s3://key:secret@bucket/out.csv"),
         "s3://...: outputs are files of this machine; copy them there afterwards",
     )
+
+
+@pytest.mark.parametrize("rate", ["285.7142857142857", "2000/7", "59.9401", "29.97002997002997"])
+@pytest.mark.parametrize("option", ["--sample-rate", "--rate"])
+def test_rates_are_decimals_or_fractions(tmp_path, option, rate):
+    """Both options take any decimal and any fraction, exactly."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    log.write_text("wx,wy,wz\n" + "1,2,3\n" * 4)
+    rates = {"--sample-rate": "10", option: rate}
+    arguments = [word for item in rates.items() for word in item]
+    result = CliRunner().invoke(
+        cli, ["propagate", str(log), "-o", str(out), "--rate-unit", "rad/s", *arguments]
+    )
+    assert result.exit_code == 0, result.output
+    rows = out.read_text().splitlines()[1:]
+    assert int(rows[3].split(",")[0]) == round(3 * 10**9 / Fraction(rate))

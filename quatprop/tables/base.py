@@ -10,6 +10,7 @@ from quatprop.containers.base import Log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from fractions import Fraction
     from pathlib import Path
 
     import numpy as np
@@ -40,7 +41,7 @@ class TimedColumns:
     numbers: tuple[int, ...]
     time: tuple[int, ...]
     time_unit: str = "ns"
-    sample_rate: float | None = None
+    sample_rate: Fraction | float | None = None
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -194,7 +194,7 @@ def sum_parts(parts: Iterable[Int64]) -> Int64:
     return first
 
 
-def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
+def row_stamps(first: int, count: int, sample_rate: Fraction | float) -> Int64:
     """Return the stamps of rows that come at a steady rate.
 
     Parameters
@@ -204,7 +204,7 @@ def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
     count
         How many rows.
     sample_rate
-        Rows a second, Hz; its shortest decimal is taken as exact.
+        Rows a second, Hz; of a float the shortest decimal is taken as exact.
 
     Returns
     -------
@@ -217,6 +217,6 @@ def row_stamps(first: int, count: int, sample_rate: float) -> Int64:
         The last stamp does not fit.
     """
     try:
-        return regular_stamps(first, first + count, Fraction(repr(sample_rate)))
+        return regular_stamps(first, first + count, Fraction(str(sample_rate)))
     except UsageError as error:
         raise UsageError(error.text, "; check ", Setting("sample_rate")) from None

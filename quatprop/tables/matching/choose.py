@@ -123,7 +123,7 @@ def _remarks(matcher: ColumnMatcher, dialect: Dialect) -> Iterator[Text]:
         )
     if unused := matcher.unused_stamps(dialect):
         yield Text(
-            Setting("sample_rate", f"{matcher.selection.sample_rate:g}"),
+            Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}"),
             f" counts the rows; the stamps in {matcher.names(unused)} are not used",
         )
 

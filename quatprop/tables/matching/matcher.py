@@ -19,6 +19,7 @@ from quatprop.text import Setting, Text, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
+    from fractions import Fraction
 
     from quatprop.selection import SignalSelection
     from quatprop.tables.base import TableLog
@@ -176,7 +177,7 @@ class ColumnMatcher:
         names, time = (
             ",".join(self.columns[k].text for k in columns) for columns in (positions, timed.time)
         )
-        return names, time if timed.sample_rate is None else f"{timed.sample_rate:g} Hz"
+        return names, time if timed.sample_rate is None else f"{float(timed.sample_rate):g} Hz"
 
     # The time.
 
@@ -224,7 +225,7 @@ class ColumnMatcher:
         finally:
             self.selection = selection
 
-    def _time(self, dialect: Dialect) -> tuple[Positions, float | None]:
+    def _time(self, dialect: Dialect) -> tuple[Positions, Fraction | float | None]:
         """Return the columns of the time, or none and the sample rate, Hz."""
         name, sample_rate = self.selection.time_col, self.selection.sample_rate
         if name is not None and sample_rate is not None:
