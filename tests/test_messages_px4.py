@@ -139,7 +139,7 @@ def test_an_estimate_that_is_invalid_is_not_finite(tmp_path):
     )  # fmt: skip
     with open_log(path) as log:
         (candidate,) = rate_candidates(log, RateSelection())
-    assert not candidate.measured
+    assert not candidate.preferred
     _, series = read(path)
     assert series.rate[0].tolist() == [0.5, 1, 2]
     assert np.isnan(series.rate[1]).all()

@@ -45,18 +45,38 @@ NUMBERS: Mapping[str, Primitive] = {
 }
 """Names of numbers in definitions."""
 
+MESSAGE_OF_TOPIC: Mapping[str, str] = {
+    **dict.fromkeys(
+        ("estimator_attitude", "external_ins_attitude", "vehicle_attitude_groundtruth"),
+        "vehicle_attitude",
+    ),
+    **dict.fromkeys(
+        ("estimator_odometry", "vehicle_mocap_odometry", "vehicle_visual_odometry"),
+        "vehicle_odometry",
+    ),
+}
+"""Topics with the message of another topic, as the TOPICS lines of PX4 declare."""
+
 _FIELD = re.compile(r"([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)", re.ASCII)
 
 
 def px4_name(name: str) -> str:
-    """Return the ROS 2 type of a message.
+    """Return the ROS 2 type of a topic's messages.
 
     Examples
     --------
     >>> px4_name("sensor_gyro_fifo")
     'px4_msgs/msg/SensorGyroFifo'
+    >>> px4_name("estimator_attitude")
+    'px4_msgs/msg/VehicleAttitude'
     """
-    return "px4_msgs/msg/" + "".join(part.capitalize() for part in name.split("_"))
+    message = MESSAGE_OF_TOPIC.get(name, name)
+    return "px4_msgs/msg/" + "".join(part.capitalize() for part in message.split("_"))
+
+
+def is_secondary(channel: Channel) -> bool:
+    """Tell whether a topic of a ULog repeats what another one is the main topic of."""
+    return channel.encoding == "ulog" and channel.topic.partition("/")[0] in MESSAGE_OF_TOPIC
 
 
 def message_type(channel: Channel) -> Struct:

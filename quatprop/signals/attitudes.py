@@ -16,6 +16,7 @@ from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
 from quatprop.messages.transforms import TRANSFORM_LISTS
+from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
 from quatprop.signals.message_values import (
@@ -105,7 +106,12 @@ def _candidates(
     else:
         fields = orientation_fields(channel, log.path)
     return [
-        Candidate(channel.topic, field.name, partial(_of_field, log, channel, field, selection))
+        Candidate(
+            channel.topic,
+            field.name,
+            partial(_of_field, log, channel, field, selection),
+            preferred=not is_secondary(channel),
+        )
         for field in fields
     ]
 

@@ -187,10 +187,24 @@ def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
     log
         The container.
     topic
-        Only those of this topic; None for all.
+        Only those of this topic; None for all. A ULog topic with one instance may be named without
+        it: ``sensor_combined`` for ``sensor_combined/0``.
     """
-    channels = (channel for channel in log.channels() if topic in (None, channel.topic))
-    return [_with_sample(log, channel) for channel in channels if channel.count != 0]
+    channels = [channel for channel in log.channels() if channel.count != 0]
+    if topic is not None:
+        named = [channel for channel in channels if channel.topic == topic]
+        channels = named or _only_instance(channels, topic)
+    return [_with_sample(log, channel) for channel in channels]
+
+
+def _only_instance(channels: list[Channel], topic: str) -> list[Channel]:
+    """Return the channel of a ULog topic that is named without its instance, if it has one."""
+    instances = [
+        channel
+        for channel in channels
+        if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+    ]
+    return instances if len(instances) == 1 else []
 
 
 def _with_sample(log: MessageLog, channel: Channel) -> Channel:

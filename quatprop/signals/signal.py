@@ -152,14 +152,15 @@ class Candidate(Generic[SignalT]):
         Where it is in messages; ``""`` in a table.
     signal
         Returns it; raises a LogError or UsageError where something about it is not declared.
-    measured
-        Whether a sensor measured it; estimated or commanded values do not compete with those.
+    preferred
+        Whether it comes before others: rates that a sensor measured before estimated or commanded
+        ones, the attitude of a vehicle before those of its several estimators.
     """
 
     topic: str
     field: str
     signal: Callable[[], SignalT]
-    measured: bool = True
+    preferred: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +171,8 @@ class SignalKind:
     ----------
     name
         Such as ``"body rates"``.
+    secondary
+        What candidates are that are not preferred.
     field
         The setting that names their message field.
     none
@@ -177,12 +180,13 @@ class SignalKind:
     """
 
     name: str
+    secondary: str
     field: str
     none: type[NoRatesError | NoAttitudesError]
 
 
-RATES = SignalKind("body rates", "rate_field", NoRatesError)
-ATTITUDES = SignalKind("attitudes", "quat_field", NoAttitudesError)
+RATES = SignalKind("body rates", "estimated body rates", "rate_field", NoRatesError)
+ATTITUDES = SignalKind("attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
 
 
 def choose(
@@ -199,7 +203,7 @@ def choose(
     LogError
         Something about the signal is not declared.
     """
-    preferred = [candidate for candidate in candidates if candidate.measured] or candidates
+    preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
         raise AmbiguousTopicError(log.path, topics, kind.name)
@@ -213,7 +217,7 @@ def choose(
     ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
     if not ignored:
         return signal
-    remark = f"ignored estimated {kind.name}: {listed(ignored)}"
+    remark = f"ignored {kind.secondary}: {listed(ignored)}"
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
