@@ -1,13 +1,17 @@
 """Stretch after segment: the attitude reached, and memory that stays flat."""
 
 import tracemalloc
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
+from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.segments import Segments
+from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import BLOCK, GyroSeries
 from quatprop.timeline import Policy, Timeline
 
@@ -77,3 +81,23 @@ def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
     assert geodesic_angle(segments.final, ends[0]) < 1e-15
     expected = float(geodesic_angle(*ends))
     assert segments.method_sensitivity_rad == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("rate", [None, Fraction(2997, 100)])
+def test_the_output_of_a_cut_log_is_a_prefix(method, rate, tmp_path):
+    """A CSV of the first samples gives, byte for byte, the first rows of the whole log's output."""
+    random = np.random.default_rng(3)
+    t_ns = np.cumsum(random.integers(4_000_000, 6_000_000, 20_000))
+    rates = random.normal(0, 2, (len(t_ns), 3))
+    rates[19_000] = 500.0
+    rows = [f"{t},{x},{y},{z}\n" for t, (x, y, z) in zip(t_ns, rates, strict=True)]
+    settings = PropagationSettings(method=method, rate=rate)
+    outputs = []
+    for count in (len(rows), 16_500, 3001, 2):
+        log, out = tmp_path / f"{count}.csv", tmp_path / f"{count}.out.csv"
+        log.write_text("t_ns,wx,wy,wz\n" + "".join(rows[:count]))
+        run(Job(str(log), OutputSettings(str(out)), settings))
+        outputs.append(out.read_bytes())
+    whole = outputs[0]
+    assert all(whole.startswith(part) and len(part) < len(whole) for part in outputs[1:])

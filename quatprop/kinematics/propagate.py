@@ -9,7 +9,9 @@ grow with the depth of the tree instead of its width.
 Inside, a quaternion w + xi + yj + zk is a pair of complex numbers, a = w + xi and b = y + zi,
 arrays ``(2, n)``: the product (a c - b d*, a d + b c*) then takes four complex multiplications.
 
-Tiles begin at fixed sample indices, so the result is the same to the bit wherever batches end.
+Tiles begin at fixed sample indices, and the tree is the same for a tile that the series does not
+fill, so the result is the same to the bit wherever batches end, and whatever follows: the
+attitudes of the first samples are those of the whole log.
 """
 
 from __future__ import annotations
@@ -39,8 +41,13 @@ FRAMES: Final = ("body", "inertial")
 TILE: Final = BLOCK // 8
 """Steps composed together: few enough for the L2 cache, many enough to make calls cheap."""
 
-SERIAL: Final = 8
-"""Up to this many steps are composed by a loop: faster than more levels, but errors add up."""
+LEVELS: Final = 8
+"""Of the tree: so often steps are composed in pairs. The few that are left are composed by a loop,
+which is faster than more levels."""
+
+PADDING: Final = 2**LEVELS * 8
+"""The steps of a tile are padded to a multiple of this. Then arrays have a multiple of 8 elements
+on every level: numpy rounds the remainder of an array, which fills no register, in another way."""
 
 
 def attitudes(
@@ -203,7 +210,7 @@ class Propagation(_Composition):
         return rows
 
     def _fill_tile(self, steps: Pairs, rows: Float64) -> None:
-        _write_rows(_product_scan(self._attitude, steps)[:, 1:], rows)
+        _write_rows(_product_scan(self._attitude, steps)[:, 1 : len(rows) + 1], rows)
         self._attitude = rows[-1].copy().view(np.complex128)
         if not np.isfinite(rows[-1]).all():
             first = self._count + int(np.isfinite(rows).all(axis=1).argmin())
@@ -264,11 +271,16 @@ def unit_q0(q0: ArrayLike) -> Float64:
 
 
 def _steps(rotvec: Float64) -> Pairs:
-    """Return the unit quaternions of rotation vectors ``(n, 3)`` (eq. 35)."""
+    """Return the unit quaternions of rotation vectors ``(n, 3)`` (eq. 35), for whole trees.
+
+    Identity steps follow, up to a multiple of :data:`PADDING`; products with them are exact.
+    """
     x, y, z = rotvec.T
+    count = len(x)
     cosine, ratio = half_angle(x * x + y * y + z * z)
-    steps = np.empty((2, len(x)), np.complex128)
-    a, b = steps
+    steps = np.empty((2, -(-count // PADDING) * PADDING), np.complex128)
+    steps[0, count:], steps[1, count:] = 1, 0
+    a, b = steps[:, :count]
     a.real = cosine
     np.multiply(x, ratio, out=a.imag)
     np.multiply(y, ratio, out=b.real)
@@ -276,34 +288,29 @@ def _steps(rotvec: Float64) -> Pairs:
     return steps
 
 
-def _product_scan(first: Pairs, steps: Pairs) -> Pairs:
+def _product_scan(first: Pairs, steps: Pairs, levels: int = LEVELS) -> Pairs:
     """Return the attitudes ``(2, n + 1)`` that `n` steps lead through from the first, ``(2,)``."""
-    count = steps.shape[1]
-    if count <= SERIAL:
+    if not levels:
         return _product_loop(first, steps)
-    even, odd = steps[:, 0::2], steps[:, 1::2]
-    every_other = _product_scan(first, _double_steps(even, odd))
-    every = np.empty((2, count + 1), np.complex128)
-    every[:, 0::2] = every_other
-    _multiply(every_other[:, : even.shape[1]], even, out=every[:, 1::2])
+    even = steps[:, 0::2]
+    every = np.empty((2, steps.shape[1] + 1), np.complex128)
+    every[:, 0::2] = every_other = _product_scan(first, _double_steps(steps), levels - 1)
+    _multiply(every_other[:, :-1], even, out=every[:, 1::2])
     return every
 
 
 def _product(first: Pairs, steps: Pairs) -> Pairs:
     """Return the last attitude of :func:`_product_scan`, ``(2, 1)``, by the same products."""
-    if steps.shape[1] <= SERIAL:
-        return _product_loop(first, steps)[:, -1:]
+    for _ in range(LEVELS):
+        steps = _double_steps(steps)
+    return _product_loop(first, steps)[:, -1:]
+
+
+def _double_steps(steps: Pairs) -> Pairs:
+    """Return each step of even index times the one after it."""
     even, odd = steps[:, 0::2], steps[:, 1::2]
-    last = _product(first, _double_steps(even, odd))
-    if even.shape[1] > odd.shape[1]:
-        _multiply(last.copy(), even[:, -1:], out=last)
-    return last
-
-
-def _double_steps(even: Pairs, odd: Pairs) -> Pairs:
-    """Return each even step times the odd one after it."""
     double = np.empty_like(odd)
-    _multiply(even[:, : odd.shape[1]], odd, out=double)
+    _multiply(even, odd, out=double)
     return double
 
 

@@ -9,7 +9,6 @@ angular velocity" of PhysicsLibrary (object 1105, version 3).
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from math import factorial
 from typing import TYPE_CHECKING
 
@@ -24,13 +23,13 @@ IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
 """The attitude of a body whose axes coincide with those of the reference."""
 IDENTITY.setflags(write=False)
 
-TERMS = 7
-"""Longest series for cosine and sine: enough for steps of 45 degrees; libm is for longer steps."""
+TERMS = 5
+"""Of the series for cosine and sine: enough for steps of 11 degrees; libm is for longer steps."""
 
 _COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
 _RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
-# Square of the largest angle for which k + 1 terms leave out less than a quarter ulp.
-_REACH = [4 * (2.0**-55 * factorial(2 * k + 2)) ** (1 / (k + 1)) for k in range(TERMS)]
+_REACH = 4 * (2.0**-55 * factorial(2 * TERMS)) ** (1 / TERMS)
+"""Square of the largest angle for which the series leave out less than a quarter ulp."""
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
@@ -103,8 +102,8 @@ def normalize(q: ArrayLike) -> Float64:
 def half_angle(square: Float64) -> tuple[Float64, Float64]:
     """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
 
-    Both are power series in a squared: smooth through zero, for angles of any size. As many terms
-    are taken as the largest angle needs to be exact in float64.
+    Both are power series in a squared, smooth through zero; beyond their reach libm takes over.
+    Each result depends on its own angle only, to the bit.
 
     Parameters
     ----------
@@ -116,13 +115,15 @@ def half_angle(square: Float64) -> tuple[Float64, Float64]:
     cosine, ratio : ndarray
         cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad.
     """
-    largest = np.max(square, initial=0.0)
-    if largest <= _REACH[-1]:
-        terms = bisect_left(_REACH, largest) + 1
-        return _series(_COSINE[:terms], square), _series(_RATIO[:terms], square)
-    angle = np.sqrt(square)
-    ratio = np.divide(np.sin(angle / 2), angle, out=np.full_like(angle, 0.5), where=angle != 0)
-    return np.cos(angle / 2), ratio
+    square = np.asarray(square)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cosine, ratio = _series(_COSINE, square), _series(_RATIO, square)
+    beyond = square > _REACH
+    if beyond.any():
+        angle = np.sqrt(square[beyond])
+        cosine[beyond] = np.cos(angle / 2)
+        ratio[beyond] = np.sin(angle / 2) / angle
+    return cosine, ratio
 
 
 def exp(rotvec: ArrayLike) -> Float64:
