@@ -147,7 +147,7 @@ def fingerprint(path: Path | str) -> dict[str, Any]:
 
 
 class Fingerprint:
-    """Takes the fingerprint of a source in a thread, while others read it.
+    """Takes the fingerprint of a source, of a large one in a thread, while others read it.
 
     Parameters
     ----------
@@ -164,8 +164,12 @@ class Fingerprint:
         self._stopped = threading.Event()
         self._found: dict[str, Any] = {"bytes": None, "sha256": None}
         self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._thread: threading.Thread | None = None
+        if self._place.is_file() and self._place.stat().st_size <= _BLOCK_BYTES:
+            self._run()
+        else:
+            self._thread = threading.Thread(target=self._run, daemon=True)
+            self._thread.start()
 
     def result(self) -> dict[str, Any]:
         """Wait for the fingerprint and return it; see :func:`fingerprint`.
@@ -175,7 +179,8 @@ class Fingerprint:
         UnreadableLogError
             The source cannot be read to its end.
         """
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
         if self._error is not None:
             raise UnreadableLogError(
                 self._place, f"it cannot be read: {self._error.strerror}"
@@ -187,7 +192,8 @@ class Fingerprint:
 
     def __exit__(self, *_error: object) -> None:
         self._stopped.set()
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
 
     def _run(self) -> None:
         try:
@@ -203,7 +209,7 @@ class Fingerprint:
     def _of_file(self, file: Path) -> dict[str, Any]:
         digest = hashlib.sha256()
         size = 0
-        block = memoryview(bytearray(_BLOCK_BYTES))
+        block = memoryview(bytearray(min(file.stat().st_size + 1, _BLOCK_BYTES)))
         with file.open("rb", buffering=0) as stream:
             if not self._wanted:
                 return {"bytes": stream.seek(0, 2), "sha256": None}

@@ -3,8 +3,10 @@
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
@@ -686,3 +688,34 @@ def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     assert done.stderr.splitlines()[-1] == "9 of 10 logs done, 45 samples"
     states = [entry["state"] for entry in entries(tmp_path / "out").values()]
     assert sorted(states) == ["done"] * 9 + ["failed"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
+def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
+    """Nothing that was done is done again, nothing half-written stays, and no process either."""
+    for name in range(200):
+        log(tmp_path / "in" / f"{name}.csv", rate=name, samples=50)
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "quatprop", "batch", tmp_path / "in", "-o", out, "-j", "2"]
+    process = subprocess.Popen([*command, "-q"], stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not out.exists() or len(entries(out)) < 20:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    process.send_signal(number)
+    process.wait(30)
+    before = None
+    while before != (before := len(entries(out))):
+        time.sleep(1)  # until the processes of a killed batch have ended
+    # What was complete an instant before it was recorded is done again.
+    assert before <= len(outputs_in(out)) <= before + 2
+    assert before < 200
+    done = run(tmp_path / "in", "-o", out, "-j", "2", "--skip-existing")
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.splitlines()[-1].startswith(f"{200 - before} of {200 - before} logs done")
+    assert sorted(path.suffix for path in out.iterdir()) == [".jsonl", *[".parquet"] * 201]
+    again = run(tmp_path / "in", "-o", tmp_path / "again", "-j", "1", "-q")
+    assert again.exit_code == 0
+    for name in outputs_in(out):
+        assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()

@@ -7,9 +7,11 @@ belongs to a run that was killed, and is removed when the target is written next
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import secrets
 import shutil
+import time
 import weakref
 from contextlib import suppress
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -19,6 +21,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 T = TypeVar("T")
+
+_PREFIX = ".quatprop-"
+
+MANY_FILES = 500
+"""A folder with more files is not listed for each output."""
+
+RELIST_S = 60.0
+"""For how long the listing of such a folder is used, s."""
+
+_LISTINGS: dict[Path, tuple[float, list[str]]] = {}
+"""The time and the temporary files of the last listing of a large folder."""
 
 
 class LockedTemp(Generic[T]):
@@ -62,19 +75,34 @@ class LockedTemp(Generic[T]):
 def _prefix(place: Path) -> str:
     """Return what the names of a target's temporary files begin with."""
     digest = hashlib.sha256(os.fsencode(place.name)).hexdigest()
-    return f".quatprop-{digest[:8]}-"
+    return f"{_PREFIX}{digest[:8]}-"
 
 
 def _remove_abandoned(place: Path) -> None:
     """Remove what killed runs have left of this target."""
     prefix = _prefix(place)
-    for name in os.listdir(place.parent):  # noqa: PTH208  # only names are needed
+    for name in _names_in(place.parent):
         if name.startswith(prefix):
             path = place.with_name(name)
             lock = _lock(path, wait=False)
             if lock is not None:
                 _remove(path)
                 os.close(lock)
+
+
+def _names_in(folder: Path) -> list[str]:
+    """Return the names of temporary files in a folder; of a large one as of a minute ago at most.
+
+    The outputs of a batch may be many thousands in one folder, which is not listed for each.
+    """
+    listed, temporary = _LISTINGS.get(folder, (-math.inf, []))
+    if time.monotonic() - listed > RELIST_S:
+        names = os.listdir(folder)  # noqa: PTH208  # only names are needed
+        temporary = [name for name in names if name.startswith(_PREFIX)]
+        if len(names) > MANY_FILES:
+            _LISTINGS.clear()
+            _LISTINGS[folder] = (time.monotonic(), temporary)
+    return temporary
 
 
 def _lock(path: Path, *, wait: bool) -> int | None:
