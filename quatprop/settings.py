@@ -195,15 +195,17 @@ def path(value: object) -> str:
     return str(fspath(value))
 
 
-def choice(*names: str) -> Callable[[object], str]:
-    """Return a parser that takes one of these names."""
+class Choice:
+    """A parser that takes one of a few names."""
 
-    def parse_choice(value: object) -> str:
-        if not isinstance(value, str) or value not in names:
-            raise UsageError(f"{quoted(value)} is not one of {listed(names)}")
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def __call__(self, value: object) -> str:
+        """Return the name."""
+        if not isinstance(value, str) or value not in self.names:
+            raise UsageError(f"{quoted(value)} is not one of {listed(self.names)}")
         return value
-
-    return parse_choice
 
 
 def columns(names: str) -> Callable[[object], tuple[str, ...]]:
@@ -350,10 +352,10 @@ def _is_numbers(value: str) -> bool:
 
 SELECT: Mapping[str, Callable[[object], Any]] = {
     "topic": text,
-    "clock": choice(*CLOCKS),
+    "clock": Choice(*CLOCKS),
     "time_field": text,
     "time_col": lambda value: text(str(value)),
-    "time_unit": choice(*TIME_UNITS),
+    "time_unit": Choice(*TIME_UNITS),
     "sample_rate": frequency,
 }
 """Which topic and which time: setting -> its parser."""
@@ -362,7 +364,7 @@ SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
     **SELECT,
     "rate_field": text,
     "rate_cols": columns("X,Y,Z"),
-    "rate_unit": choice(*RATE_UNITS),
+    "rate_unit": Choice(*RATE_UNITS),
 }
 """Which rates of a log: setting -> its parser."""
 
@@ -371,38 +373,44 @@ SELECT_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
     "quat_field": text,
     "quat_cols": columns("A,B,C,D"),
     "frame": text,
-    "from_layout": choice(*LAYOUTS),
-    "from_convention": choice(*CONVENTIONS),
-    "from_direction": choice(*DIRECTIONS),
-    "from_angle_unit": choice("rad", "deg"),
+    "from_layout": Choice(*LAYOUTS),
+    "from_convention": Choice(*CONVENTIONS),
+    "from_direction": Choice(*DIRECTIONS),
+    "from_angle_unit": Choice("rad", "deg"),
 }
 """Which attitudes of a log, and what their numbers mean: setting -> its parser."""
 
-READ_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
-    "kind": choice(*KINDS),
-    **SELECT_ATTITUDES,
+ONE_SERIES: Mapping[str, Callable[[object], Any]] = {"kind": Choice(*KINDS), **SELECT_ATTITUDES}
+"""What has to be known of each series where several are read: setting -> its parser."""
+
+CHECK_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
     "normalize": flag,
-    "on_invalid": choice("error", "drop"),
+    "on_invalid": Choice("error", "drop"),
 }
+"""What is done about invalid quaternions: setting -> its parser."""
+
+READ_ATTITUDES: Mapping[str, Callable[[object], Any]] = {**ONE_SERIES, **CHECK_ATTITUDES}
 """How attitudes are read: setting -> its parser."""
 
+READ_RATES: Mapping[str, Callable[[object], Any]] = {"kind": Choice(*KINDS), **SELECT_RATES}
+"""How rates are read: setting -> its parser."""
+
 PROPAGATE: Mapping[str, Callable[[object], Any]] = {
-    "kind": choice(*KINDS),
-    **SELECT_RATES,
+    **READ_RATES,
     "start": moment,
     "end": moment,
-    "method": choice(*METHODS),
-    "rates": choice(*FRAMES),
+    "method": Choice(*METHODS),
+    "rates": Choice(*FRAMES),
     "q0": initial_attitude,
     "heading": number,
-    "reference_z": choice("up", "down"),
-    "q0_layout": choice(*LAYOUTS),
+    "reference_z": Choice("up", "down"),
+    "q0_layout": Choice(*LAYOUTS),
     "bias": bias,
     "mount": mounting,
-    "on_backwards": choice("error", "drop", "sort"),
-    "on_nonfinite": choice("error", "drop", "hold"),
+    "on_backwards": Choice("error", "drop", "sort"),
+    "on_nonfinite": Choice("error", "drop", "hold"),
     "max_gap": duration,
-    "on_gap": choice("hold", "zero", "split", "error"),
+    "on_gap": Choice("hold", "zero", "split", "error"),
     "every": count,
     "rate": frequency,
     "at": path,

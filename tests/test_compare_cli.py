@@ -12,8 +12,10 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
-from quatprop.cli.attitude_options import ATTITUDE_OPTIONS
+from quatprop.cli.spelling import option
 from quatprop.errors import LogError
+from quatprop.settings import ONE_SERIES
+from quatprop.text import Setting
 
 FIRST_NS = 1_700_000_000_000_000_000
 
@@ -340,7 +342,7 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
 
 def test_every_option_of_a_side_is_tried():
     """The table above has all of them."""
-    assert OF_A_SIDE.keys() == {name for name, _ in ATTITUDE_OPTIONS.values()}
+    assert OF_A_SIDE.keys() == {option(Setting(name)) for name in ONE_SERIES}
 
 
 @pytest.mark.parametrize(

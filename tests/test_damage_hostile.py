@@ -13,13 +13,14 @@ from test_containers_ulog import added, record
 from test_damage_mcap import MESSAGES, read, unclosed, written
 
 from quatprop.cli import cli
-from quatprop.cli.summary import lost
 from quatprop.containers import prefetch
+from quatprop.containers.base import Loss
 from quatprop.containers.limits import MAX_UNPACKED, decompressed_limit
 from quatprop.containers.mcap import log as mcap
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
+from quatprop.rendering import loss_lines
 
 SIZE = 1 << 24
 MESSAGE = struct.pack("<BQHIQQ", 5, 22 + 8, 1, 0, 10**9, 10**9) + bytes(8)
@@ -156,13 +157,12 @@ def test_a_folder_of_links_in_a_circle_is_read_past(tmp_path):
 
 def test_thousands_of_losses_are_told_in_a_few_lines():
     """Each is in the report; the terminal shows the first and how many more there are."""
-    losses = [{"place": f"chunk at byte {k}", "reason": "bad\x1b[2J", "messages": 1}
-              for k in range(5000)]  # fmt: skip
-    lines = lost(losses)
+    losses = [Loss(f"chunk at byte {k}", "bad\x1b[2J", 1) for k in range(5000)]
+    lines = loss_lines(losses)
     assert lines[0] == "lost: chunk at byte 0: bad\\x1b[2J"
-    assert lines[-1] == "lost: 4980 more like these, which the JSON report lists"
+    assert lines[-1] == "lost: 4980 more, which the JSON report lists"
     assert len(lines) == 21
-    assert len(lost(losses[:20])) == 20
+    assert len(loss_lines(losses[:20])) == 20
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])

@@ -109,8 +109,8 @@ def test_help_imports_nothing_heavy():
 
 def test_the_kinds_of_the_command_line_are_those_of_the_table():
     """--from lists exactly the kinds that have a reader."""
-    from quatprop.cli.options import KINDS
     from quatprop.formats import READERS
+    from quatprop.settings import KINDS
 
     assert tuple(READERS) == KINDS
 

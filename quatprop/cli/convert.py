@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.attitude_options import (
-    CONVENTIONS,
-    DIRECTIONS,
-    UNSOUND_OPTIONS,
-    attitude_options,
-    attitude_selection,
+from quatprop.cli.options import (
+    input_of,
+    quiet_option,
+    report_option,
+    setting_options,
+    with_options,
 )
-from quatprop.cli.options import quiet_option, report_option, with_options
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
 from quatprop.cli.spelling import spelled
+from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 @click.argument("log", metavar="IN")
 @click.argument("output", metavar="[OUT]", required=False)
 @into_option
-@with_options(attitude_options("IN"))
+@with_options(setting_options(READ_ATTITUDES, log="IN", signal="attitudes"))
 @with_options(OUTPUT_OPTIONS)
 @click.option(
     "--convention",
@@ -69,7 +69,6 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
     type=click.Choice(("rad", "deg")),
     help="Unit of yaw, pitch and roll.  [default: rad]",
 )
-@with_options(UNSOUND_OPTIONS)
 @report_option
 @quiet_option
 def command(*, quiet: bool, **chosen: Any) -> None:
@@ -90,16 +89,17 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     unit, representation = chosen["euler_unit"], chosen["representation"]
     if unit is not None and representation != "euler-zyx":
         raise click.UsageError("--euler-unit is for --as euler-zyx")
+    wanted = input_of(chosen["log"], chosen)
     job = Conversion(
-        log=chosen["log"],
+        log=wanted.path,
         output=output_settings(chosen, "OUT"),
-        kind=chosen["kind"],
-        selection=attitude_selection(chosen),
+        kind=wanted.kind,
+        selection=wanted.selection,
         meaning=Meaning(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
         representation=EULER_DEGREES.get((representation, unit), representation),
-        normalize=chosen["normalize"],
-        drop=chosen["on_invalid"] == "drop",
+        normalize=wanted.normalize,
+        drop=wanted.drop,
     )
     with summary.progress(quiet=quiet) as tick:
         report = convert(job, tick)

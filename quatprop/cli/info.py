@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import SELECTION_OPTIONS, selection, with_options
+from quatprop.cli.options import setting_options, with_options
 from quatprop.cli.spelling import sentence, spelled
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
+from quatprop.settings import READ_RATES
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ NUMBERS_FROM = 2
 @click.command(no_args_is_help=True)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
-@with_options(SELECTION_OPTIONS)
+@with_options(setting_options(READ_RATES))
 def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     """Show every source of body rates and of attitudes in each LOG.
 
@@ -51,8 +52,10 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     """
     from quatprop.errors import QuatpropError
     from quatprop.pipeline.survey import survey
+    from quatprop.selection import RateSelection
 
-    kind, wanted = chosen["kind"], selection(chosen)
+    kind = chosen.pop("kind")
+    wanted = RateSelection(**chosen)
     surveys: list[LogSurvey] = []
     for path in logs:
         try:

@@ -1,20 +1,27 @@
-"""Options that several commands share: each is defined once and means the same everywhere."""
+"""Options that several commands share: each is described once and means the same everywhere.
+
+An option that is a setting of the library takes its name and its parser from there; what help says
+of it is in :data:`HELP`.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
+from quatprop.cli.spelling import option as option_name
 from quatprop.cli.types import Parsed
-from quatprop.settings import CLOCKS, KINDS, RATE_UNITS, SELECT_RATES, TIME_UNITS
+from quatprop.settings import Choice, flag
+from quatprop.text import Setting
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
-    from quatprop.selection import RateSelection
+    from quatprop.signals.attitude_input import AttitudeInput
 
     class Option(Protocol):
         """Gives a command an option."""
@@ -23,62 +30,148 @@ if TYPE_CHECKING:
             """Return the command with the option."""
 
 
-kind_option = click.option(
-    "--from",
-    "kind",
-    type=click.Choice(KINDS),
-    help="Kind of the log.  [default: told by its content, then by its suffix]",
-)
+VALUES = {
+    "topic": "NAME",
+    "time_field": "A.B",
+    "time_col": "C",
+    "sample_rate": "HZ",
+    "rate_field": "A.B.C",
+    "rate_cols": "X,Y,Z",
+    "quat_field": "A.B.C",
+    "quat_cols": "A,B,C,D",
+    "frame": "[PARENT:]CHILD",
+    "q0": "W,X,Y,Z|level|log|FILE",
+    "heading": "DEG",
+    "bias": "X,Y,Z|static[:DUR]",
+    "mount": "W,X,Y,Z|x,-y,-z",
+    "start": "TIME",
+    "end": "TIME",
+    "max_gap": "DUR",
+    "every": "N",
+    "rate": "HZ",
+    "at": "FILE",
+    "tol": "ANGLE",
+    "time_offset": "DUR|auto",
+    "max_dt": "DUR",
+    "min_matched": "PERCENT",
+    "window": "DUR",
+}
+"""What help calls the value of a setting that has no choices."""
 
-SELECTION_OPTIONS = (
-    kind_option,
-    click.option(
-        "-t",
-        "--topic",
-        metavar="NAME",
-        help="Topic to read.  [default: the only one that has rates]",
-    ),
-    click.option(
-        "--rate-field",
-        metavar="A.B.C",
-        help="Field of the message that is the rate.  [default: known from its type]",
-    ),
-    click.option(
-        "--time-field",
-        metavar="A.B",
-        help="Field of the message that is the time.  [default: the header stamp]",
-    ),
-    click.option(
-        "--rate-cols",
-        type=Parsed(SELECT_RATES["rate_cols"], "X,Y,Z"),
-        help="Rate columns of a table, by name or number from 0.  [default: by the header]",
-    ),
-    click.option(
-        "--time-col",
-        metavar="C",
-        help="Time column of a table, by name or number from 0.  [default: by the header]",
-    ),
-    click.option(
-        "--rate-unit",
-        type=click.Choice(RATE_UNITS),
-        help="Unit of the rates.  [default: as the log says]",
-    ),
-    click.option(
-        "--time-unit",
-        type=click.Choice(TIME_UNITS),
-        help="Unit of the time.  [default: as the log says]",
-    ),
-    click.option(
-        "--sample-rate",
-        type=Parsed(SELECT_RATES["sample_rate"], "HZ"),
-        help="Samples a second of a table without a time.  [default: none]",
-    ),
-    click.option(
-        "--clock",
-        type=click.Choice(CLOCKS),
-        help="Timestamp source.  [default: header where the message has one, else log]",
-    ),
-)
+HELP = {
+    "kind": "Kind of {log}.  [default: told by its content, then by its suffix]",
+    "topic": "Topic of {log}.  [default: the only one with {signal}]",
+    "clock": "Timestamp source.  [default: header where the message has one, else log]",
+    "time_field": "Message field of {log} that is the time.  [default: the header stamp]",
+    "time_col": "Time column of {log}, by name or number from 0.  [default: by the header]",
+    "time_unit": "Unit of the time in {log}.  [default: as the log says]",
+    "sample_rate": "Rows a second of {log}, a table without a time.  [default: none]",
+    "rate_field": "Message field that is the rate.  [default: known from the message type]",
+    "rate_cols": "Rate columns of a table, by name or number from 0.  [default: by the header]",
+    "rate_unit": "Unit of the rates.  [default: as the log says]",
+    "quat_field": "Message field of {log} that is the quaternion.  [default: known from the "
+    "message type]",
+    "quat_cols": "Columns of the quaternion in {log} in the order in which they are stored, by "
+    "name or number from 0.  [default: by the header]",
+    "frame": "Which transform of {log}, where it is a list of them.  [default: the only one there "
+    "is]",
+    "from_layout": "Order of the quaternion in {log}.  [default: by names, definitions or "
+    "metadata; required where none of them says it]",
+    "from_convention": "Convention of {log}.  [default: by metadata, else hamilton]",
+    "from_direction": "Which coordinates {log} turns into which.  [default: by metadata, else "
+    "body-to-ref]",
+    "from_angle_unit": "Unit of angles in {log}, a table of yaw, pitch, roll or rotation vectors.  "
+    "[default: by names; required where they do not say it]",
+    "normalize": "Scale quaternions to unit length.  [default: refuse those off by more than "
+    "0.001]",
+    "on_invalid": "Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or "
+    "leave out.  [default: error]",
+    "method": "Integration rule: the rate over an interval is that of the sample at its start, of "
+    "the one at its end, their mean, or linear between them (coning).  [default: start]",
+    "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
+    "body]",
+    "q0": "Attitude body to reference at the first sample: four numbers; level, roll and pitch "
+    "from gravity at rest; log, the log's own orientation; or FILE, an attitude series, at that "
+    "time.  [default: identity]",
+    "heading": "For --q0 level: rotation about the reference's z axis.  [default: 0]",
+    "reference_z": "For --q0 level: where the reference's z axis points (down for "
+    "north-east-down).  [default: up]",
+    "q0_layout": "Order of the four numbers of --q0.  [default: scalar-first]",
+    "bias": "Subtracted from the rates, in --rate-unit; static takes the mean rate at rest, found "
+    "in windows of DUR (1s).  [default: none]",
+    "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
+    "[default: they are the same]",
+    "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "
+    " [default: all]",
+    "end": "Use {log} up to here; as --start.  [default: all]",
+    "on_backwards": "Timestamps that go backwards: refuse, drop until the clock has caught up, or "
+    "sort (holds the log in memory).  [default: error]",
+    "on_nonfinite": "Rates that are NaN or infinite: refuse, drop, or hold the previous rate.  "
+    "[default: error]",
+    "max_gap": "Intervals longer than this count as gaps.  [default: 10 median intervals]",
+    "on_gap": "Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, "
+    "or refuse.  [default: hold]",
+    "every": "Write every N-th attitude only.  [default: all]",
+    "rate": "Write attitudes at this rate, exact at those times under the method.  [default: at "
+    "the samples]",
+    "at": "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
+    "method; times outside the log are left out.  [default: at the samples]",
+    "tol": "Largest error that passes, such as 1e-9rad or 0.1deg.  [default: none, all pass]",
+    "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or by "
+    "the mean of all; or its reference and body frame (mount), from the motion.  [default: none]",
+    "time_offset": "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
+    "angular speeds.  [default: none]",
+    "match": "How attitudes are matched: equal stamps, the nearest, or interpolated ones (slerp), "
+    "at the stamps of the series with the longer intervals.  [default: exact where at least half "
+    "have equal stamps, else nearest if there is --max-dt, else interpolate]",
+    "max_dt": "Largest distance in time of samples that are matched or interpolated between.  "
+    "[default: half the median interval to the nearest, 10 to interpolate]",
+    "min_matched": "Percentage of the shorter series that must be matched.  [default: 50]",
+    "window": "Also compare the rotations over windows of this length.  [default: none]",
+}
+"""What help says of a setting; ``{log}`` is what the command calls its input, ``{signal}`` rates
+or attitudes."""
+
+
+def setting_options(
+    parsers: Mapping[str, Callable[[object], Any]],
+    *,
+    log: str = "LOG",
+    signal: str = "rates",
+    side: str = "",
+    prefix: str = "",
+) -> list[Option]:
+    """Return the options for settings.
+
+    Parameters
+    ----------
+    parsers
+        Settings and their parsers, such as :data:`quatprop.settings.PROPAGATE`.
+    log, signal
+        What help calls the input, and what is read of it.
+    side
+        Ends the names of the options, such as ``"a"`` for ``--topic-a``, and after an underscore
+        the keywords.
+    prefix
+        Begins the help of each.
+    """
+    return [
+        _setting_option(name, parser, prefix + HELP[name].format(log=log, signal=signal), side)
+        for name, parser in parsers.items()
+    ]
+
+
+def _setting_option(name: str, parser: Callable[[object], Any], text: str, side: str) -> Option:
+    names = [option_name(Setting(name), side), f"{name}_{side}" if side else name]
+    if name == "topic" and not side:
+        names.insert(0, "-t")
+    option = partial(click.option, *names, help=text)
+    if parser is flag:
+        return option(is_flag=True)
+    if isinstance(parser, Choice):
+        return option(type=click.Choice(parser.names))
+    return option(type=Parsed(parser, VALUES[name]))
+
 
 report_option = click.option(
     "--report",
@@ -111,10 +204,26 @@ def refuse_stdin_twice(*paths: str | None) -> None:
         raise click.UsageError("stdin can be read only once; name files for the others")
 
 
-def selection(chosen: dict[str, Any]) -> RateSelection:
-    """Take the selection's keywords out of a command's options."""
-    from dataclasses import fields
+def input_of(
+    path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
+) -> AttitudeInput:
+    """Return which attitudes to read, from the options of a command.
 
-    from quatprop.selection import RateSelection
+    Parameters
+    ----------
+    path
+        The log or table.
+    chosen
+        The options.
+    side
+        Which side of a comparison, as for :func:`setting_options`.
+    drop
+        Leave out invalid quaternions, where the command has no option for it.
+    """
+    from quatprop.settings import READ_ATTITUDES
+    from quatprop.signals.attitude_input import attitude_input
 
-    return RateSelection(**{field.name: chosen.pop(field.name) for field in fields(RateSelection)})
+    keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
+            for name in READ_ATTITUDES}  # fmt: skip
+    options = {name: chosen[key] for name, key in keys.items() if key in chosen}
+    return attitude_input(path, {"on_invalid": "drop" if drop else None, **options}, side)

@@ -6,31 +6,27 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from quatprop.cli.attitude_options import ATTITUDE_OPTIONS, attitude_options, attitude_selection
 from quatprop.cli.compare import settings_of
 from quatprop.cli.options import (
-    SELECTION_OPTIONS,
+    input_of,
     quiet_option,
     refuse_stdin_twice,
-    selection,
+    setting_options,
     with_options,
 )
-from quatprop.cli.spelling import spelled
-from quatprop.cli.types import ANGLE, DURATION, TIME, TIME_OFFSET
-from quatprop.comparison.settings import ALIGNMENTS
-from quatprop.text import plain
+from quatprop.cli.spelling import option, spelled
+from quatprop.comparison.settings import COMPARE
+from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-OF_SAMPLES = ("kind", "topic", "clock", "time_field", "time_col", "time_unit", "sample_rate")
-"""Options that rates and attitudes share."""
+ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
+"""Settings about attitudes alone."""
 
-OWN_OPTIONS = [
-    option
-    for key, option in zip(ATTITUDE_OPTIONS, attitude_options("FILE"), strict=True)
-    if key not in OF_SAMPLES
-]
+PART = ("start", "end")
+ERROR = ("tol", "align", "time_offset", "max_dt")
 
 
 @click.command(no_args_is_help=True)
@@ -53,49 +49,20 @@ OWN_OPTIONS = [
     is_flag=True,
     help="Draw the four components of the quaternion.  [default: yaw, pitch and roll]",
 )
-@click.option(
-    "--start",
-    type=TIME,
-    help="Draw from here: RFC 3339, ns, +10s from the first or -30s from the last sample.  "
-    "[default: all]",
-)
-@click.option("--end", type=TIME, help="Draw up to here; as --start.  [default: all]")
+@with_options(setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"))
 @click.option(
     "--reference",
     metavar="REF",
     help="Draw the geodesic error of each FILE against this attitude series; holds both in "
     "memory.  [default: what is in FILE]",
 )
-@click.option(
-    "--tol",
-    type=ANGLE,
-    help="With --reference: draw this tolerance, such as 0.1deg, and mark the first sample above "
-    "it; the exit code stays 0.  [default: none]",
-)
-@click.option(
-    "--align",
-    type=click.Choice(ALIGNMENTS),
-    default="none",
-    show_default=True,
-    help="With --reference: how it is rotated first; as for compare.",
-)
-@click.option(
-    "--time-offset",
-    type=TIME_OFFSET,
-    metavar="DUR|auto",
-    default=0,
-    help="With --reference: added to its stamps; as for compare.  [default: none]",
-)
-@click.option(
-    "--max-dt",
-    type=DURATION,
-    help="With --reference: largest distance in time of matched samples; as for compare.  "
-    "[default: half the median interval to the nearest, 10 to interpolate]",
+@with_options(
+    setting_options({name: COMPARE[name] for name in ERROR}, log="REF", prefix="With --reference: ")
 )
 @quiet_option
-@with_options(SELECTION_OPTIONS)
-@with_options(OWN_OPTIONS)
-@with_options(attitude_options("REF", "-ref"))
+@with_options(setting_options(READ_RATES, log="FILE"))
+@with_options(setting_options(ATTITUDES, log="FILE", signal="attitudes"))
+@with_options(setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"))
 def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 
@@ -110,23 +77,22 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     from quatprop.cli import summary
     from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
-    from quatprop.signals.attitude_input import AttitudeInput
+    from quatprop.selection import RateSelection
 
     reference = chosen["reference"]
     _refuse_idle(reference)
     refuse_stdin_twice(*files, reference)
     against = None
     if reference is not None:
-        selected = attitude_selection(chosen, "_ref")
-        against = AttitudeInput(reference, chosen["kind_ref"], selected, drop=True, side="ref")
+        against = input_of(reference, chosen, side="ref", drop=True)
     job = Plot(
         files=files,
         output=chosen["output"],
         view=View(
             kind=chosen["kind"],
             show=_show(chosen),
-            rates=selection(dict(chosen)),
-            attitudes=attitude_selection(chosen),
+            rates=RateSelection(**{name: chosen[name] for name in SELECT_RATES}),
+            attitudes=input_of("", chosen).selection,
             components=chosen["components"],
             start=chosen["start"],
             end=chosen["end"],
@@ -146,10 +112,10 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     """Return what to draw: an option about attitudes asks for attitudes."""
     show: Literal["rates", "attitude"] | None = chosen["show"]
-    for key, (name, _) in {"components": ("--components", {}), **ATTITUDE_OPTIONS}.items():
-        if key not in OF_SAMPLES and chosen[key]:
+    for name in ("components", *ATTITUDES):
+        if chosen[name]:
             if show == "rates":
-                raise click.UsageError(f"{name} goes with --show attitude")
+                raise click.UsageError(f"{option(Setting(name))} goes with --show attitude")
             return "attitude"
     return show
 
@@ -158,13 +124,14 @@ def _refuse_idle(reference: str | None) -> None:
     """Refuse options that go with others than those that are given."""
     context = click.get_current_context()
     given = [
-        option.opts[-1]
-        for option in context.command.params
-        if context.get_parameter_source(str(option.name)) is click.core.ParameterSource.COMMANDLINE
+        parameter.opts[-1]
+        for parameter in context.command.params
+        if context.get_parameter_source(str(parameter.name))
+        is click.core.ParameterSource.COMMANDLINE
     ]
-    for option in given:
-        of_reference = option in {"--tol", "--align", "--time-offset", "--max-dt"}
-        if reference is None and (of_reference or option.endswith("-ref")):
-            raise click.UsageError(f"{option} goes with --reference")
-        if reference is not None and option in {"--show", "--components", "--start", "--end"}:
-            raise click.UsageError(f"{option} does not go with --reference, which draws an error")
+    of_error = {option(Setting(name)) for name in ERROR}
+    for name in given:
+        if reference is None and (name in of_error or name.endswith("-ref")):
+            raise click.UsageError(f"{name} goes with --reference")
+        if reference is not None and name in {"--show", "--components", "--start", "--end"}:
+            raise click.UsageError(f"{name} does not go with --reference, which draws an error")

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from quatprop.cli.types import DURATION, numbers
-from quatprop.settings import MAX_FREQUENCY
+from quatprop.cli.types import Parsed
+from quatprop.settings import MAX_FREQUENCY, duration, numbers
 from quatprop.writers import GENERAL_KINDS
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
@@ -87,7 +87,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--duration",
-    type=DURATION,
+    type=Parsed(duration, "DUR"),
     help="How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
 )
 @click.option(
@@ -123,14 +123,14 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--bias",
-    type=numbers("X,Y,Z"),
+    type=Parsed(numbers("X,Y,Z"), "X,Y,Z"),
     default="0,0,0",
     show_default=True,
     help="Constant error of the rates, rad/s.",
 )
 @click.option(
     "--q0",
-    type=numbers("W,X,Y,Z"),
+    type=Parsed(numbers("W,X,Y,Z"), "W,X,Y,Z"),
     default="1,0,0,0",
     show_default=True,
     help="True attitude at the first sample, body to reference, scalar first.",
@@ -145,7 +145,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--axis",
-    type=numbers("X,Y,Z"),
+    type=Parsed(numbers("X,Y,Z"), "X,Y,Z"),
     default="0,0,1",
     show_default=True,
     help="Axis of a spin in the body.",

@@ -76,7 +76,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     other = "start" if convention.method == "coning" else "coning"
     if result.method_sensitivity_rad is not None:
-        difference = degrees_text(result.method_sensitivity_rad, 3)
+        # Rounding errors are no sensitivity.
+        difference = degrees_text(round(result.method_sensitivity_rad, 12), 3)
         yield "sensitivity", f"{difference} between the final attitudes of this method and {other}"
     yield "final", quaternion_text(result.final_wxyz)
     rotation = (

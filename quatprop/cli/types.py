@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop import settings
 from quatprop.cli.spelling import sentence
-from quatprop.comparison.settings import COMPARE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,19 +40,3 @@ class Parsed(ParamType):
             return self.parser(value)
         except UsageError as error:
             self.fail(sentence(error), param, ctx)
-
-
-def names(columns: str) -> Parsed:
-    """Return the type of as many columns as are named, such as ``"X,Y,Z"``."""
-    return Parsed(settings.columns(columns), columns)
-
-
-def numbers(names: str) -> Parsed:
-    """Return the type of as many numbers as are named, such as ``"X,Y,Z"``."""
-    return Parsed(settings.numbers(names), names)
-
-
-DURATION = Parsed(settings.duration, "DUR")
-TIME = Parsed(settings.moment, "TIME")
-TIME_OFFSET = Parsed(COMPARE["time_offset"], "DUR|auto")
-ANGLE = Parsed(COMPARE["tol"], "ANGLE")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.settings import choice, duration, number
+from quatprop.settings import Choice, duration, number
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
@@ -109,9 +109,9 @@ def _percentage(value: object) -> float:
 
 COMPARE: Mapping[str, Callable[[object], Any]] = {
     "tol": angle_rad,
-    "align": choice(*ALIGNMENTS),
+    "align": Choice(*ALIGNMENTS),
     "time_offset": time_offset_ns,
-    "match": choice(*MATCHES),
+    "match": Choice(*MATCHES),
     "max_dt": duration,
     "min_matched": _percentage,
     "window": duration,
