@@ -158,6 +158,19 @@ def test_the_doubt_is_said_by_the_commands(tmp_path):
     assert "no line end" in CliRunner().invoke(cli, ["info", str(log)]).output
 
 
+@pytest.mark.parametrize(
+    "command", ["info {}", "convert {} {}.out.csv", "compare {} {}", "plot {} -o {}.svg"]
+)
+def test_every_command_says_that_an_attitude_may_be_cut(tmp_path, command):
+    """A component that lost its last digits is another attitude."""
+    log = tmp_path / "log.txt"
+    rows = [f"{k} 0 0 0 0.6 0 0 {cell}" for k, cell in enumerate(["0.8", "0.80", "0.8", "0.8"])]
+    log.write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(rows))
+    result = CliRunner().invoke(cli, command.replace("{}", str(log)).split())
+    assert result.exit_code == 0, result.output
+    assert REMARK.format("' 0.6 0 0 0.8'") in result.output
+
+
 ROWS = "".join(f"{1000 * k},0.5,0.25,0.125\n" for k in range(1000))
 
 

@@ -115,7 +115,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
                 tick(check.counts.used)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            remarks = (*source.remarks, *remarks_on(job, singular))
+            remarks = (*source.remarks, *log.remarks, *remarks_on(job, singular))
             report = conversion_report(
                 job,
                 log,

@@ -357,5 +357,9 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
         samples=stamps.counts.used,
         **_timing(stamps.counts),
         invalid=counts.invalid,
-        remarks=(*signal.remarks, *((counts.summary,) if counts.invalid else ())),
+        remarks=(
+            *signal.remarks,
+            *((counts.summary,) if counts.invalid else ()),
+            *log.remarks,
+        ),
     )

@@ -205,6 +205,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View, tick: Tick)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside)
     remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts.median_dt_ns)]
+    remarks += log.remarks
     if path != "-":
         remarks += log_remarks(log, source)
     return FileView(
@@ -237,7 +238,7 @@ def _view_attitudes(
         tick(counts.used)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside)
-    remarks = [*source.remarks, *_irregularities(counts)]
+    remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
         remarks.append(f"{invalid} (zero, absent or not finite): not drawn")

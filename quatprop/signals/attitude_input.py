@@ -169,6 +169,7 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
         )
+        signal = replace(signal, remarks=(*signal.remarks, *log.remarks))
         zeros = int(np.count_nonzero(series.t_ns == 0))
         # A series may begin at 0.
         if signal.clock == "header" and zeros > 1:
