@@ -80,6 +80,24 @@ def test_a_column_that_is_not_read_may_be_cut():
     assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 2, [], [])
 
 
+@pytest.mark.parametrize("count", [3, 200_000])
+@pytest.mark.parametrize("zeros", [1, 4096, 5_000_000])
+@pytest.mark.parametrize("end", ["\n", "\n9,1,2", "\n9,1,2,0.12"])
+def test_zeros_at_the_end_are_damage(count, zeros, end):
+    """A power failure leaves them; the rows before are read, and the row they cut is not."""
+    rows = "\n".join(f"{k},1,2,0.125" for k in range(count))
+    _, kept, losses, remarks = read(rows + end + zeros * "\0")
+    assert (kept, remarks) == (count, [])
+    assert losses[0] == Loss("end of the file", "it is filled with zero bytes")
+    assert [loss.place for loss in losses[1:]] == [f"line {count + 2}"] * (end != "\n")
+
+
+def test_zeros_alone_are_no_table():
+    """There is nothing to read."""
+    with pytest.raises(UnsupportedLogError, match="it is not UTF-8 text"):
+        read(bytes(10_000))
+
+
 def test_a_line_between_open_quotes_was_cut_off():
     """A cell whose quote is not closed is not whole."""
     text = '0,1,2,"3.5"\n1,1,2,"3.5"\n2,1,2,"3.'

@@ -95,7 +95,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     UnsupportedLogError
         It is not a text of one table.
     """
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in head:
+    head = head.rstrip(b"\0")
+    if not head or head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in head:
         raise UnsupportedLogError(
             path, "it is not UTF-8 text; if it is a table, save it again as a CSV in UTF-8"
         )

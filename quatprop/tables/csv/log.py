@@ -85,6 +85,8 @@ class CsvLog(TableLog):
             for block in record_blocks(text):
                 whole = self._without_truncated_line(block, tail, text, columns, lines)
                 tail = bytes(block.data[-TAIL_BYTES:])
+                if not len(whole.data):
+                    continue
                 t_ns, numbers = reader.read(whole)
                 reader.refuse_if_mostly_rejected(self.path)
                 if len(t_ns):
@@ -121,12 +123,20 @@ class CsvLog(TableLog):
         """
         if bytes(block.data[-1:]) == b"\n":
             return block
-        data = bytes(block.data)
+        data = bytes(block.data).rstrip(b"\0")
+        is_padded = len(data) < len(block.data)
+        if is_padded:
+            # What a file system leaves of a file that was being written when the power failed.
+            self.losses.note("end of the file", "it is filled with zero bytes")
+            block = block._replace(data=block.data[: len(data)])
+            if data[-1:] in {b"", b"\n"}:
+                return block
         begin = data.rfind(b"\n") + 1
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
         used = {*columns.time, *columns.numbers}
-        truncated = bool(text.damage) or is_truncated(before, last, self._layout, used)
+        damaged = is_padded or bool(text.damage)
+        truncated = damaged or is_truncated(before, last, self._layout, used)
         if truncated is None:
             shown = quoted(last[-_SHOWN:].decode(errors="replace"))
             self.remarks.append(
