@@ -1,5 +1,6 @@
 """Nothing half-written, and one clear sentence for every place that cannot be written to."""
 
+import errno
 import gc
 import os
 import re
@@ -9,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from quatprop.cli import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, kind_of, open_writer
@@ -253,7 +256,7 @@ def test_a_folder_takes_its_place_only_when_committed(tmp_path):
         replacement.path.mkdir()
         assert replacement.path.name == "bag"
         assert not target.exists()
-        replacement.commit()
+        replacement.publish()
     assert target.is_dir()
     assert list(tmp_path.iterdir()) == [target]
 
@@ -297,3 +300,36 @@ def test_what_was_put_in_its_place_stays(tmp_path):
     temp.remove()
     temp.remove()
     assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("command", ["propagate", "convert"])
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "feather", "npz", "mcap", "bag"])
+def test_a_report_that_cannot_be_written_leaves_the_old_output(tmp_path, command, suffix):
+    """Everything that can fail comes before the first output is put in its place."""
+    log, out = tmp_path / "log.csv", tmp_path / f"out.{suffix}"
+    columns = {"propagate": "wx,wy,wz", "convert": "qw,qx,qy,qz"}[command]
+    values = {"propagate": "0,0,1", "convert": "1,0,0,0"}[command]
+    log.write_text(f"t_ns,{columns}\n" + "".join(f"{k},{values}\n" for k in range(3)))
+    out.write_text("old")
+    place = ["-o", str(out)] if command == "propagate" else [str(out)]
+    result = CliRunner().invoke(cli, [command, str(log), *place, "--report", "/dev/full", "-q"])
+    assert result.exit_code == 2
+    assert result.stderr == "Error: /dev/full: cannot be written: No space left on device\n"
+    assert out.read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", out.name]
+
+
+def test_a_picture_that_cannot_be_drawn_leaves_the_old_output(tmp_path, monkeypatch):
+    """The picture of a run is drawn before the attitudes are put in their place."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    log.write_text("t_ns,wx,wy,wz\n0,0,0,1\n10,0,0,1\n")
+    out.write_text("old")
+
+    def fail(*_arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("quatprop.plot.target.render", fail)
+    arguments = ["propagate", str(log), "-o", str(out), "--plot", str(tmp_path / "a.png"), "-q"]
+    result = CliRunner().invoke(cli, arguments)
+    assert (result.exit_code, out.read_text()) == (2, "old")

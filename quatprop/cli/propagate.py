@@ -54,9 +54,10 @@ def command(**chosen: Any) -> None:
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
     with words.progress(quiet=quiet) as tick, _drawing(job, plot) as picture:
-        report = run(job, tick, picture, summary=not quiet)
-        if picture is not None:
-            picture.commit(report)
+        if picture is None:
+            report = run(job, tick, summary=not quiet)
+        else:
+            report = run(job, tick, picture, summary=not quiet, before_publish=picture.commit)
     if not quiet:
         click.echo(words.summary(report, verbose=verbose), err=True)
     if report.data_lost:

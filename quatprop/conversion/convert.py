@@ -125,8 +125,10 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
                 remarks=remarks,
             )
             provenance = report.provenance()
-            target.commit(provenance)
-            report_file.commit(provenance)
+            target.finish(provenance)
+            report_file.finish(provenance)
+            target.publish()
+            report_file.publish()
     return report
 
 

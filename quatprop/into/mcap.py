@@ -114,6 +114,8 @@ class McapCopyWriter(MessageWriter):
         The message to write the attitudes as.
     """
 
+    _output: OutputFile
+
     def __init__(self, log: McapLog, target: Path | str, message: Message) -> None:
         self._output = OutputFile(target)
         try:
@@ -129,14 +131,14 @@ class McapCopyWriter(MessageWriter):
         with output_errors(self._output.target):
             self._part.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the file with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Copy the rest, finish the file with its provenance."""
         with output_errors(self._output.target):
             self._part.finish(
                 lambda text: extended_record(text, self.encoder.topic, [self._part.added]),
                 provenance,
             )
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

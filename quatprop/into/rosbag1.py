@@ -44,6 +44,8 @@ class BagCopyWriter(MessageWriter):
         It is no ROS message.
     """
 
+    _output: OutputFile
+
     def __init__(self, log: Rosbag1Log, target: Path | str, message: Message) -> None:
         self.encoder = attitude_encoder(message, ("ros1",))
         refuse_streams(target, "a ROS 1 bag")
@@ -67,13 +69,13 @@ class BagCopyWriter(MessageWriter):
         with output_errors(self._output.target):
             self._bag.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the bag with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Copy the rest, finish the bag with its provenance."""
         with output_errors(self._output.target):
             self._bag.flush()
             self._copy.up_to(None, self._bag)
             self._bag.finish(provenance, self._copy.connections)
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

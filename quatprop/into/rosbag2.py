@@ -76,6 +76,8 @@ class Rosbag2CopyWriter(MessageWriter):
         The files or messages of the bag are compressed.
     """
 
+    _output: OutputPath
+
     def __init__(self, log: MessageLog, target: Path | str, message: Message) -> None:
         self._message = message
         self.encoder = attitude_encoder(message, ("cdr",))
@@ -113,8 +115,8 @@ class Rosbag2CopyWriter(MessageWriter):
                     self._finish_part({})
                     self._open_next()
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the bag with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Copy the rest, finish the bag with its provenance."""
         custom = {f"quatprop {self.encoder.topic.name}": provenance_json(provenance)}
         with self._output_errors():
             while len(self._parts) < len(self._files):
@@ -122,7 +124,6 @@ class Rosbag2CopyWriter(MessageWriter):
                 self._open_next()
             self._write_metadata(custom)
             self._finish_part(custom)
-        self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -59,6 +59,7 @@ def run(
     observer: Observer | None = None,
     *,
     summary: bool = True,
+    before_publish: Callable[[RunReport], None] = lambda _report: None,
 ) -> RunReport:
     """Propagate one log and write its attitude series.
 
@@ -73,6 +74,9 @@ def run(
     summary
         Whether somebody reads the report that is returned. What is only for a reader, and is kept
         in no file, is not computed otherwise.
+    before_publish
+        Called with the report when everything is written and nothing is in its place; where it
+        fails, no output is replaced.
 
     Returns
     -------
@@ -113,9 +117,13 @@ def run(
                 writer.write(series)
                 tick(stream.samples)
             report = stream.report(layout=output.layout, fingerprint=fingerprint.result())
-            writer.commit(report.as_json())
+            # Everything that can fail comes before the first output is put in its place.
+            writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)
-            report_file.commit(report.as_json())
+            report_file.finish(report.as_json())
+            before_publish(report)
+            writer.publish()
+            report_file.publish()
     return report
 
 

@@ -213,12 +213,17 @@ class ReportFile:
     def __init__(self, target: str | None) -> None:
         self._output = None if target is None else OutputFile(target)
 
-    def commit(self, report: Mapping[str, Any]) -> None:
-        """Write the report and put it in its place."""
+    def finish(self, report: Mapping[str, Any]) -> None:
+        """Write the report."""
         if self._output is not None:
             with output_errors(self._output.target):
                 self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
-            self._output.commit()
+            self._output.finish()
+
+    def publish(self) -> None:
+        """Put the report in its place."""
+        if self._output is not None:
+            self._output.publish()
 
     def __enter__(self) -> Self:
         return self

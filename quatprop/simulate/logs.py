@@ -73,9 +73,9 @@ class ImuMessages(LogWriter):
         messages = self._encoder.encode(measured, truth, self._target)
         self._container.write(arrival_ns(measured), messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # as of a recorder
-        """Finish the log, without provenance, and put it in its place."""
-        self._container.commit({})
+    def finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # as of a recorder
+        """Write the log to its end, without provenance."""
+        self._container.finish({})
 
 
 def open_log_writer(

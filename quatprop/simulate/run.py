@@ -92,9 +92,11 @@ def simulate(  # noqa: PLR0913  # a recording in full
                 attitudes.write(true)
             done += len(true)
             tick(done)
-        if attitudes is not None:
-            attitudes.commit(provenance)
-        log.commit(provenance)
+        written = [log] if attitudes is None else [attitudes, log]
+        for file in written:
+            file.finish(provenance)
+        for file in written:
+            file.publish()
 
 
 def _provenance(

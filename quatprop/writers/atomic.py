@@ -74,17 +74,26 @@ class OutputFile:
                 self._temp = LockedTemp(self._place, lambda path: path.open("xb"))
             self.stream = self._temp.made
 
-    def commit(self) -> None:
-        """Close the stream and put the file in its place."""
+    def finish(self) -> None:
+        """Close the stream; what is buffered is written, for which the disk may be too full."""
+        with output_errors(self.target):
+            self._close()
+
+    def publish(self) -> None:
+        """Put the finished file in its place."""
         try:
             with output_errors(self.target):
-                self._close()
                 if self._temp is not None:
                     if self._place.exists():
                         self._temp.path.chmod(stat.S_IMODE(self._place.stat().st_mode))
                     self._temp.path.replace(self._place)
         finally:
             self.discard()
+
+    def commit(self) -> None:
+        """Close the stream and put the file in its place."""
+        self.finish()
+        self.publish()
 
     def discard(self) -> None:
         """Remove what was not committed; may be called twice."""
@@ -165,7 +174,7 @@ class OutputPath:
             self._temp = LockedTemp(self._place, lambda path: path.mkdir())
         self.path = self._temp.path / self._place.name
 
-    def commit(self) -> None:
+    def publish(self) -> None:
         """Put the finished file or folder in its place."""
         try:
             with output_errors(self.target):

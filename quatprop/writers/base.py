@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from quatprop.conventions.layout import Layout
     from quatprop.series import AttitudeSeries
+    from quatprop.writers.atomic import OutputFile, OutputPath
     from quatprop.writers.messages.encoders import AttitudeEncoder
 
     Int64 = NDArray[np.int64]
@@ -66,11 +67,22 @@ def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, sli
 
 
 class Transaction(ABC):
-    """A context manager that removes what was not committed."""
+    """A context manager that removes what was not committed.
+
+    A commit has two steps, so that a run with several outputs writes all of them before it puts
+    the first in its place: :meth:`finish`, which may fail, and :meth:`publish`.
+    """
+
+    _output: OutputFile | OutputPath
+
+    def commit(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file and put it in its place; see :meth:`finish`."""
+        self.finish(provenance)
+        self.publish()
 
     @abstractmethod
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file and put it in its place.
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Write the file to its end.
 
         Parameters
         ----------
@@ -85,6 +97,10 @@ class Transaction(ABC):
             The file cannot be finished.
         """
 
+    def publish(self) -> None:
+        """Put the finished file in its place."""
+        self._output.publish()
+
     @abstractmethod
     def abort(self) -> None:
         """Remove what was not committed; does nothing after a commit."""
@@ -98,6 +114,8 @@ class Transaction(ABC):
 
 class TableWriter(Transaction):
     """A file of named columns: int64 stamps ``t_ns`` first, then float64."""
+
+    _output: OutputFile
 
     @abstractmethod
     def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
@@ -145,9 +163,13 @@ class SeriesWriter(Transaction):
     def __init__(self, file: Transaction) -> None:
         self._file = file
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file and put it in its place."""
-        self._file.commit(provenance)
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Write the file to its end."""
+        self._file.finish(provenance)
+
+    def publish(self) -> None:
+        """Put the finished file in its place."""
+        self._file.publish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

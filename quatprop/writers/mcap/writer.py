@@ -36,6 +36,8 @@ class McapWriter(MessageWriter):
         Of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``.
     """
 
+    _output: OutputFile
+
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         self._topic = topic.name
         self._output = OutputFile(target)
@@ -49,11 +51,11 @@ class McapWriter(MessageWriter):
         with output_errors(self._output.target):
             self._channel.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file, with its provenance."""
         with output_errors(self._output.target):
             finish_with_provenance(self._file, self._topic, provenance)
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -36,6 +36,8 @@ class BagWriter(MessageWriter):
         Of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``.
     """
 
+    _output: OutputFile
+
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         refuse_streams(target, "a ROS 1 bag")
         self._output = OutputFile(target)
@@ -47,11 +49,11 @@ class BagWriter(MessageWriter):
         with output_errors(self._output.target):
             self._bag.write(log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the bag, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the bag, with its provenance."""
         with output_errors(self._output.target):
             self._bag.finish(provenance)
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -155,6 +155,7 @@ class SqliteBagWriter(MessageWriter):
         Of the chunks of an MCAP file: ``"zstd"`` or ``"none"``.
     """
 
+    _output: OutputPath
     storage = StoragePlugin.SQLITE3
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
@@ -173,13 +174,12 @@ class SqliteBagWriter(MessageWriter):
         with _output_errors(self._target):
             self._bag.write_block(self._connection, log_ns, messages)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the folder, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the folder, with its provenance."""
         if provenance:
             self._bag.set_custom_data("quatprop", provenance_json(provenance))
         with _output_errors(self._target):
             self._bag.close()
-        self._output.commit()
 
     def abort(self) -> None:
         """Remove what was not committed."""

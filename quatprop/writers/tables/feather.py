@@ -37,8 +37,8 @@ class FeatherTable(ArrowTable):
         with output_errors(target):
             self._rows = pa.ipc.new_stream(self._body, self._schema)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file, with its provenance."""
         self._flush()
         schema = self._schema.with_metadata(metadata(provenance))
         with output_errors(self._output.target), self._body as body:
@@ -47,7 +47,7 @@ class FeatherTable(ArrowTable):
             with pa.ipc.new_file(self._output.stream, schema) as file:
                 for group in pa.ipc.open_stream(body):
                     file.write(group.replace_schema_metadata(schema.metadata))
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -55,12 +55,12 @@ class NpyTable(TableWriter):
             self._output.stream.write(rows.data)
         self._count += len(rows)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
-        """Finish the file and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
+        """Write the file to its end."""
         with output_errors(self._output.target):
             self._output.stream.seek(0)
             self._write_header()
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""
@@ -94,8 +94,8 @@ class NpzTable(TableWriter):
                 body.write(np.ascontiguousarray(column).data)
         self._count += len(t_ns)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file, with its provenance."""
         provenance_array = np.array(provenance_json(provenance))
         with (
             output_errors(self._output.target),
@@ -110,7 +110,7 @@ class NpzTable(TableWriter):
             with _member(archive, PROVENANCE) as member:
                 np.lib.format.write_array(member, provenance_array, allow_pickle=False)
         self._close()
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -49,13 +49,13 @@ class ParquetTable(ArrowTable):
                 },
             )
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance, and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Finish the file, with its provenance."""
         self._flush()
         with output_errors(self._output.target):
             self._parquet.add_key_value_metadata(metadata(provenance))
             self._parquet.close()
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -63,8 +63,8 @@ class TextTable(TableWriter):
             piece = [t_ns[rows], *(column[rows] for column in columns)]
             self._pool.submit(piece)
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file and put it in its place."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Write the file to its end."""
         self._pool.drain()
         self._pool.shutdown()
         self._write_text(b"")
@@ -73,7 +73,7 @@ class TextTable(TableWriter):
                 self._output.stream.write(COMMENT + provenance_json(provenance).encode() + b"\n")
                 body.seek(0)
                 shutil.copyfileobj(body, self._output.stream, 1 << 20)
-        self._output.commit()
+        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""
