@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from quatprop.check.case import BrokenCase, Case
+    from quatprop.check.case import Case, CaseNotRun
     from quatprop.check.lock import Pin
 
 OPTION = "--quatprop-suite"
@@ -78,7 +78,7 @@ class SuiteFile(pytest.File):
 class CaseItem(pytest.Item):
     """A case as a test."""
 
-    def __init__(self, *, case: Case | BrokenCase, pin: Pin | None, **options: Any) -> None:
+    def __init__(self, *, case: Case | CaseNotRun, pin: Pin | None, **options: Any) -> None:
         super().__init__(**options)
         self.case, self.pin = case, pin
 
@@ -93,9 +93,14 @@ class CaseItem(pytest.Item):
         from quatprop.check.runner import run_case
 
         result = run_case((self.case, self.pin))
-        if result.verdict != "pass":
+        if result.verdict == "skip":
+            pytest.skip(result.reason)
+        if result.verdict == "xfail":
+            pytest.xfail(result.reason)
+        if result.verdict in {"fail", "error"}:
             raise RegressionFailure("; ".join(filter(None, [result.summary, result.reason])))
-        self.add_report_section("call", "quatprop", "\n".join([result.summary, *result.notes]))
+        notes = [text for text in (result.summary, result.reason, *result.notes) if text]
+        self.add_report_section("call", "quatprop", "\n".join(notes))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Return the reason; other errors are shown with their traceback."""

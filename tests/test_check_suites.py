@@ -469,6 +469,123 @@ def test_a_reference_below_a_file_is_an_error_of_its_case(folder):
     assert (folder / "refs" / "good.parquet").exists()
 
 
+# Cases that are not judged, or known to fail, or gone.
+
+
+def test_a_case_can_be_skipped_with_a_reason(folder):
+    """It is not run; the reason is shown."""
+    suite = write(folder, TRUTH + stored("spin", "none.csv", 'skip = "no log yet"'))
+    result = check(suite, "--update", "--junit", folder / "junit.xml")
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[1:] == [
+        "skip   spin    no log yet", "2 cases: 1 passed, 1 skipped",
+    ]  # fmt: skip
+    root = ET.parse(folder / "junit.xml").getroot()  # noqa: S314  # our own file
+    assert root.get("skipped") == "1"
+    assert root.find(".//skipped").get("message") == "no log yet"
+
+
+@pytest.mark.parametrize("key", ["skip", "xfail"])
+def test_a_reason_is_a_text(folder, key):
+    """True says nothing to the next reader."""
+    result = check(write(folder, stored("spin", "spin.csv", f"{key} = true")))
+    assert result.exit_code == 2
+    assert f"case 'spin', '{key}': write the reason as text" in result.stdout
+
+
+def test_a_case_can_be_known_to_fail(folder):
+    """Its failure is no failure; an update does not hide it; a pass is reported."""
+    known = TRUTH + 'xfail = "the filter drifts"\n'
+    suite = write(folder, known.replace("0.1deg", "1e-9deg") + stored())
+    assert check(suite, "--update").exit_code == 0
+    for options in ((), ("--strict",), ("--update",)):
+        result = check(suite, *options)
+        assert result.exit_code == 0
+        first, reason, *_, last = result.stdout.splitlines()
+        assert first.startswith("xfail  coning  ")
+        assert reason.strip().startswith("the filter drifts: above the tolerance, first at +")
+        assert last == "2 cases: 1 passed, 1 failed as expected"
+    write(folder, known + stored())
+    result = check(suite)
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[1].startswith("XPASS  coning  0.0")
+    assert result.stdout.splitlines()[2].strip() == "it is known to fail: the filter drifts"
+    assert result.stdout.splitlines()[3] == "2 cases: 1 passed, 1 passed unexpectedly"
+    assert check(suite, "--strict").exit_code == 1
+
+
+def test_a_deleted_case_is_named(folder):
+    """--strict fails on it; an update removes it from the lock, and names its reference."""
+    suite = write(folder, stored() + stored("rest", "rest.parquet") + TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    assert check(suite, "-k", "spin", "--strict").exit_code == 0
+    write(folder, stored() + TRUTH)
+    result = check(suite)
+    way_out = "restore them, or remove them from the lock"
+    assert (result.exit_code, result.stderr) == (
+        0,
+        f"pinned, but not in the suite: 'rest'; {way_out} with --update\n",
+    )
+    assert json.loads(check(suite, "--json").stdout)["deleted"] == ["rest"]
+    assert check(suite, "--strict").exit_code == 1
+    result = check(suite, "--update", "--strict")
+    assert (result.exit_code, result.stderr.splitlines()) == (
+        0,
+        [
+            "removed from the lock: 'rest'",
+            f"no longer used, to be removed: {folder / 'refs' / 'rest.parquet'}",
+        ],
+    )
+    assert check(suite, "--strict").exit_code == 0
+
+
+def test_a_lost_lock_beside_its_references_says_so(folder):
+    """Not that the case is new."""
+    suite = write(folder, stored())
+    assert check(suite, "--update").exit_code == 0
+    (folder / "suite.lock.json").unlink()
+    reason = "the reference is there, but not in the lock; restore the lock, or check with --update"
+    assert reason in check(suite).stdout
+
+
+def test_pointers_of_git_lfs_are_not_updated(folder):
+    """Neither a log nor a reference that was not downloaded is taken for the file itself."""
+    suite = write(folder, stored())
+    assert check(suite, "--update").exit_code == 0
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+    for path in (folder / "refs" / "spin.parquet", folder / "logs" / "spin.csv"):
+        before = path.read_bytes()
+        path.write_text(pointer)
+        for options in ((), ("--update",)):
+            result = check(suite, *options)
+            assert result.exit_code == 2
+            assert f"{path}: it is a Git LFS pointer, not the file itself" in result.stdout
+        assert path.read_text() == pointer
+        path.write_bytes(before)
+
+
+def test_pinned_options_are_compared_by_value(folder):
+    """Another way of writing a number is no change."""
+    suite = write(folder, stored("spin", "spin.csv", "rate = 50", 'max-gap = "1s"', "bias=[0,0,1]"))
+    assert check(suite, "--update").exit_code == 0
+    write(folder, stored("spin", "spin.csv", "rate = 50.0", 'max-gap = "1000ms"', "bias=[0,0,1.0]"))
+    assert check(suite).exit_code == 0
+    write(folder, stored("spin", "spin.csv", "rate = 51", 'max-gap = "1s"', "bias=[0,0,1]"))
+    assert "rate is '51', not '50'; restore it" in check(suite).stdout
+
+
+def test_of_many_cases_those_that_pass_are_counted(folder):
+    """Failures come last, and -v lists all."""
+    many = "".join(stored(f"case{number}") for number in range(9))
+    suite = write(folder, many + stored("bad", "none.csv") + stored("z"))
+    result = check(suite, "--update")
+    first, second = result.stdout.splitlines()
+    assert first.startswith("ERROR  bad    ")
+    assert second == "11 cases: 10 passed, 1 error"
+    lines = check(suite, "-v").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR", "11"]
+
+
 # What CI is told.
 
 
@@ -575,8 +692,8 @@ sys.addaudithook(kill)
         command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False
     )
     first, second, last = result.stdout.splitlines()
-    assert first.startswith("ERROR  rest    the process that ran it was killed; is there enough m")
-    assert second.startswith("pass   coning  new  ")
+    assert first.startswith("pass   coning  new  ")
+    assert second.startswith("ERROR  rest    the process that ran it was killed; is there enough")
     assert (last, result.returncode) == ("2 cases: 1 passed, 1 error", 2)
 
 

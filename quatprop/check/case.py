@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.signals.attitude_input import AttitudeInput
 
-Verdict = Literal["pass", "fail", "error"]
+Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,8 @@ class Case:
         Whether the log must be the same bytes; False where the system under test makes the log.
     in_degrees
         Whether the tolerance is written in degrees; results are then shown in degrees.
+    xfail
+        Why the case is known to fail; empty where it must pass.
     line
         Line of the suite where the case begins.
     """
@@ -59,23 +61,27 @@ class Case:
     strict: bool = True
     pins_log: bool = True
     in_degrees: bool = False
+    xfail: str = ""
     line: int = 1
 
 
 @dataclass(frozen=True, slots=True)
-class BrokenCase:
-    """A case with a key or a value that cannot be used.
+class CaseNotRun:
+    """A case that the suite skips, or with a key or a value that cannot be used.
 
     Parameters
     ----------
     name, line
         As for :class:`Case`.
     reason
-        What is wrong, in a sentence that names the suite, the case and the key.
+        Why it is skipped; or what is wrong, with the suite, the case and the key.
+    verdict
+        ``"skip"`` or ``"error"``.
     """
 
     name: str
     reason: str
+    verdict: Verdict = "error"
     line: int = 1
 
 
@@ -89,7 +95,9 @@ class CaseResult:
         Those of the case.
     verdict
         ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
-        ``"error"``: there is no result, because an input is missing or something has changed.
+        ``"error"``: there is no result, because an input is missing or something has changed;
+        ``"skip"``: it was not run; ``"xfail"``: it failed, as it is known to do; ``"xpass"``: it
+        passed, though it is known to fail.
     reason
         Why it did not pass; empty for a pass.
     summary
@@ -137,10 +145,11 @@ class CaseResult:
         }
 
 
-def exit_code(results: Iterable[CaseResult]) -> int:
-    """Return 0 if all cases pass, 2 if there was an error, else 1.
+def exit_code(results: Iterable[CaseResult], *, strict: bool = False) -> int:
+    """Return 0 if no case fails, 2 if there was an error, else 1.
 
-    As with diff and grep, an error comes before a difference: the answer is incomplete.
+    As with diff and grep, an error comes before a difference: the answer is incomplete. If it is
+    `strict`, a case that passes unexpectedly is a failure.
     """
     verdicts = {result.verdict for result in results}
-    return 2 if "error" in verdicts else int("fail" in verdicts)
+    return 2 if "error" in verdicts else int("fail" in verdicts or (strict and "xpass" in verdicts))

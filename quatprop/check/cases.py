@@ -12,7 +12,7 @@ import os
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, NoReturn
 
-from quatprop.check.case import BrokenCase, Case
+from quatprop.check.case import Case, CaseNotRun
 from quatprop.check.spelling import sentence, suite_key
 from quatprop.check.suite import read_suite
 from quatprop.comparison.settings import COMPARE, comparison_settings
@@ -43,14 +43,14 @@ PARSERS: Mapping[str, Callable[[object], Any]] = {
 }
 """Key of a case -> parser of its value."""
 
-OWN_KEYS = {"log", "reference", "reference-log", "pin-log"}
+OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 """Keys of a case that are no settings."""
 
 PATHS = {"at": (), "q0": FROM_THE_LOG}
 """Settings that name a file, and their values that do not."""
 
 
-def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
+def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     """Read a suite and make its cases.
 
     Returns
@@ -68,10 +68,13 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
     suite = read_suite(path)
     for name in suite.defaults:
         _refuse_unknown(suite, name, None)
-    cases: list[Case | BrokenCase] = []
+    cases: list[Case | CaseNotRun] = []
     owners: dict[str, str] = {}
     for table in suite.tables:
         try:
+            if skip := reason_of(suite, table, "skip"):
+                cases.append(CaseNotRun(table.name, skip, "skip", table.line))
+                continue
             case = _CaseParser(suite, table).case()
             if case.reference is not None:
                 owner = owners.setdefault(os.path.realpath(case.reference), case.name)
@@ -80,8 +83,22 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | BrokenCase]]:
                     raise SuiteError(suite.path, reason, case.name, "reference")
             cases.append(case)
         except QuatpropError as error:
-            cases.append(BrokenCase(table.name, sentence(error), table.line))
+            cases.append(CaseNotRun(table.name, sentence(error), line=table.line))
     return suite, cases
+
+
+def reason_of(suite: Suite, table: CaseTable, key: str) -> str:
+    """Return why a case is skipped or known to fail; empty where it is not.
+
+    Raises
+    ------
+    SuiteError
+        The value is not a reason.
+    """
+    reason = table.values.get(key, "")
+    if key in table.values and (not isinstance(reason, str) or not reason.strip()):
+        raise SuiteError(suite.path, "write the reason as text", table.name, key)
+    return str(reason)
 
 
 def same_option(key: str, one: str | None, other: str | None) -> bool:
@@ -157,6 +174,7 @@ class _CaseParser:
             inputs=self._inputs,
             strict=not {"time-offset", "match", "max-dt"} & values.keys(),
             pins_log=pins_log,
+            xfail=reason_of(self._suite, self._table, "xfail"),
             in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
             line=self._table.line,
         )

@@ -53,6 +53,9 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
         There is no result: an input is missing, or something that is pinned has changed.
     """
     hashes = hash_inputs(case)
+    if pin is None and case.reference is not None and Path(case.reference).exists():
+        _refuse(case, "the reference is there, but not in the lock; restore the lock, or check "
+                "with ", Setting("update"))  # fmt: skip
     if pin is None:
         _refuse(case, "the lock has no entry for this case yet; run quatprop check with ",
                 Setting("update"), ", and look at what it writes")  # fmt: skip

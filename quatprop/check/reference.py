@@ -6,17 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop.check.case import Case
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
+from quatprop.provenance import fingerprint
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from typing import Any
 
-    from quatprop.check.case import Case
+    from quatprop.check.case import CaseNotRun
     from quatprop.check.case_run import CaseRun
     from quatprop.check.lock import Pin
     from quatprop.signals.attitude_input import LoadedAttitudes
@@ -140,3 +142,15 @@ def describe_provenance(case: Case, pin: Pin) -> str:
 
 def _provenance(path: str) -> Mapping[str, Any]:
     return read_reference(path).signal.provenance
+
+
+def orphaned_references(cases: Iterable[Case | CaseNotRun], deleted: Iterable[Pin]) -> list[Path]:
+    """Return the stored references of deleted cases, in the folders of the other references."""
+    digests = {pin.reference for pin in deleted}
+    used = {Path(case.reference) for case in cases if isinstance(case, Case) and case.reference}
+    return [
+        path
+        for folder in sorted({path.parent for path in used})
+        for path in sorted(folder.glob("*.parquet"))
+        if path not in used and fingerprint(path)["sha256"] in digests
+    ]

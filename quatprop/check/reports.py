@@ -17,20 +17,29 @@ from quatprop.text import plain
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.check.case import CaseResult
+    from quatprop.check.case import CaseResult, Verdict
 
-VERDICTS = {"pass": "pass", "fail": "FAIL", "error": "ERROR"}
-"""Verdicts in text."""
+VERDICTS: Mapping[Verdict, tuple[str, str, str]] = {
+    "pass": ("pass", "passed", "passed"),
+    "fail": ("FAIL", "failed", ":x: failed"),
+    "error": ("ERROR", "errors", ":warning: error"),
+    "skip": ("skip", "skipped", "skipped"),
+    "xfail": ("xfail", "failed as expected", "failed as expected"),
+    "xpass": ("XPASS", "passed unexpectedly", ":warning: passed unexpectedly"),
+}
+"""Verdict -> how it is written before a case, after a count, and on GitHub."""
 
-GITHUB_VERDICTS = {"pass": "passed", "fail": ":x: failed", "error": ":warning: error"}
-"""Verdicts in the summary on GitHub."""
-
-JUNIT_ELEMENTS = {"fail": "failure", "error": "error"}
+JUNIT_ELEMENTS: Mapping[Verdict, str] = {
+    "fail": "failure", "error": "error", "skip": "skipped", "xfail": "skipped",
+}  # fmt: skip
 """Verdict -> element of JUnit XML."""
 
-WIDTH = max(map(len, VERDICTS.values()))
+NEEDS_ATTENTION: frozenset[Verdict] = frozenset({"fail", "error", "xpass"})
+"""Verdicts that somebody has to look at."""
+
+WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
 
 def result_text(result: CaseResult, width: int) -> str:
@@ -47,11 +56,17 @@ def result_text(result: CaseResult, width: int) -> str:
     if result.updated is not None and result.verdict != "error":
         summary = f"{result.updated:<7}  {summary}"
     name = f"{plain(result.name):<{width}}"
-    first = f"{VERDICTS[result.verdict]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
-    below = [result.reason] if summary and result.reason else []
-    below += [*result.changes, *(() if result.reason else result.notes)]
+    first = f"{VERDICTS[result.verdict][0]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
     indent = " " * (WIDTH + 2)
+    below = _below(result) if summary else _below(result)[1:]
     return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
+
+
+def _below(result: CaseResult) -> list[str]:
+    """Return the reason, the changes, and the notes unless the reason has them."""
+    reason = [result.reason] if result.reason else []
+    notes = () if result.verdict in {"fail", "error"} else result.notes
+    return [*reason, *result.changes, *notes]
 
 
 def totals(results: Sequence[CaseResult]) -> str:
@@ -64,11 +79,13 @@ def totals(results: Sequence[CaseResult]) -> str:
     '3 cases: 2 passed, 1 failed'
     """
     verdicts = [result.verdict for result in results]
-    passed, failed, errors = (verdicts.count(verdict) for verdict in ("pass", "fail", "error"))
-    counts = [f"{passed} passed"]
-    counts += [f"{failed} failed"] if failed else []
-    counts += [f"{errors} error{'s' * (errors != 1)}"] if errors else []
-    return f"{len(results)} case{'s' * (len(results) != 1)}: {', '.join(counts)}"
+    counts = {verdict: verdicts.count(verdict) for verdict in VERDICTS}
+    texts = [
+        f"{count} {text.removesuffix('s') if (text, count) == ('errors', 1) else text}"
+        for (verdict, count), (_, text, _) in zip(counts.items(), VERDICTS.values(), strict=True)
+        if count or verdict == "pass"
+    ]
+    return f"{len(results)} case{'s' * (len(results) != 1)}: {', '.join(texts)}"
 
 
 def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:
@@ -93,7 +110,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
         "tests": str(len(results)),
         "failures": str(verdicts.count("fail")),
         "errors": str(verdicts.count("error")),
-        "skipped": "0",
+        "skipped": str(verdicts.count("skip") + verdicts.count("xfail")),
         "time": f"{sum(result.seconds for result in results):.3f}",
     }
     root = ET.Element("testsuites", counts)
@@ -114,7 +131,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             element.text = "\n".join(filter(None, [result.summary, reason]))
-        elif text := "\n".join(filter(None, [result.summary, *map(plain, result.notes)])):
+        elif text := "\n".join(filter(None, [result.summary, *map(plain, _below(result))])):
             ET.SubElement(case, "system-out").text = text
     ET.indent(root)
     with open_atomic(target) as stream:
@@ -134,7 +151,7 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
     rows += ["| case | verdict | worst error | why |", "|---|---|---|---|"]
     for result in results:
         why = result.reason or "; ".join([*result.changes, *result.notes])
-        cells = [result.name, GITHUB_VERDICTS[result.verdict], result.summary, why]
+        cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
         rows.append(f"| {' | '.join(map(_markdown, cells))} |")
     try:
         with Path(target).open("a", encoding="utf-8") as stream:
@@ -146,7 +163,7 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
 def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[str]:
     """Yield a line for each case that did not pass, which GitHub shows beside the suite."""
     for result in results:
-        if result.verdict != "pass":
+        if result.verdict in {"fail", "error"}:
             where = f"file={_property(suite.as_posix())},line={result.line}"
             title = _property(f"{result.name}: {result.verdict}")
             message = "; ".join(filter(None, [result.summary, result.reason]))

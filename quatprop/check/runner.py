@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.check.case import BrokenCase, Case, CaseResult
+from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.judge import judge
 from quatprop.check.lock import write_lock
 from quatprop.check.spelling import sentence
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     from quatprop.check.lock import Pin
 
-    PinnedCase = tuple[Case | BrokenCase, Pin | None]
+    PinnedCase = tuple[Case | CaseNotRun, Pin | None]
 
 
 def select_cases(
-    cases: Sequence[Case | BrokenCase], patterns: Sequence[str]
-) -> list[Case | BrokenCase]:
+    cases: Sequence[Case | CaseNotRun], patterns: Sequence[str]
+) -> list[Case | CaseNotRun]:
     """Return the cases whose names match one of the patterns; all where there are none.
 
     Parameters
@@ -59,22 +59,27 @@ def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
         Write its reference anew instead of judging.
     """
     case, pin = pinned
-    if isinstance(case, BrokenCase):
-        return CaseResult(case.name, "error", case.reason, line=case.line)
+    if isinstance(case, CaseNotRun):
+        return CaseResult(case.name, case.verdict, case.reason, line=case.line)
     began = time.perf_counter()
     try:
-        result = (update if updating else judge)(case, pin)
+        # An update would make a known failure pass.
+        result = (update if updating and not (case.xfail and pin) else judge)(case, pin)
     except QuatpropError as error:
         result = CaseResult(case.name, "error", sentence(error))
     except Exception as error:
         if (user_error := as_user_error(error)) is None:
             raise
         result = CaseResult(case.name, "error", sentence(user_error))
+    if case.xfail and result.verdict == "fail":
+        result = replace(result, verdict="xfail", reason=f"{case.xfail}: {result.reason}")
+    elif case.xfail and result.verdict == "pass":
+        result = replace(result, verdict="xpass", reason=f"it is known to fail: {case.xfail}")
     return replace(result, seconds=time.perf_counter() - began, line=case.line)
 
 
 def run_cases(
-    cases: Sequence[Case | BrokenCase],
+    cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
     *,
     lock: Path | None = None,

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import quiet_option
-
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from quatprop.check.case import BrokenCase, Case, CaseResult
+    from quatprop.check.case import Case, CaseNotRun, CaseResult
+    from quatprop.check.lock import Pin
     from quatprop.check.suite import Suite
+
+
+MAX_LISTED = 8
+"""Of more cases, those that pass are only counted."""
 
 
 @click.command(no_args_is_help=True)
@@ -44,10 +47,17 @@ if TYPE_CHECKING:
     "Cases that pass are left as they are.",
 )
 @click.option(
+    "--strict",
+    is_flag=True,
+    help="Fail, too, if a case that is pinned is no longer in the suite, or if one passes that is "
+    "known to fail.",
+)
+@click.option(
     "--junit", metavar="FILE", help="Also write the results as JUnit XML.  [default: none]"
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
-@quiet_option
+@click.option("-q", "--quiet", is_flag=True, help="Only failures and the totals.")
+@click.option("-v", "--verbose", is_flag=True, help="A line for every case that passes.")
 def command(suite: str, **options: Any) -> None:
     """Compare recorded logs with references.
 
@@ -70,7 +80,8 @@ def command(suite: str, **options: Any) -> None:
     max-dt...; those of its B begin with reference-, as reference-topic); paths are relative to
     the suite. --update writes the references, and SUITE.lock.json, which pins the SHA-256 of the
     inputs and the options of each case. Keep all of them with the suite. Use pin-log = false
-    where the system under test makes the log.
+    where the system under test makes the log, skip = "REASON" to leave a case out, and
+    xfail = "REASON" for a case that is known to fail.
 
     Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
     that is pinned changed), whatever the other cases do.
@@ -85,21 +96,44 @@ def command(suite: str, **options: Any) -> None:
     cases = select_cases(all_cases, patterns)
     if not cases:
         raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
-    names = {case.name for case in all_cases}
-    pins = {name: pin for name, pin in read_lock(loaded.lock).items() if name in names}
+    locked = read_lock(loaded.lock)
+    pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
+    deleted = {name: pin for name, pin in locked.items() if name not in pins}
     _refuse_overlap(loaded, all_cases, options["junit"])
     lock = loaded.lock if options["update"] else None
     running = run_cases(cases, pins, lock=lock, processes=options["processes"])
     with closing(running):
-        results = _show(running, cases, quiet=options["as_json"] or options["quiet"])
+        listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
+        as_json = options["as_json"]
+        results = _show(running, cases, listed=listed and not as_json, quiet=as_json)
     if options["as_json"]:
-        click.echo(json.dumps(_report(loaded, results), indent=2))
+        click.echo(json.dumps(_report(loaded, results, deleted), indent=2))
     _report_to_ci(loaded, results, options["junit"])
-    if code := exit_code(results):
+    if deleted:
+        _report_deleted(all_cases, deleted, updating=options["update"])
+    strict = options["strict"]
+    code = exit_code(results, strict=strict) or int(bool(strict and deleted and lock is None))
+    if code:
         raise click.exceptions.Exit(code)
 
 
-def _refuse_overlap(suite: Suite, cases: Sequence[Case | BrokenCase], junit: str | None) -> None:
+def _report_deleted(
+    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, updating: bool
+) -> None:
+    """Name the cases that the lock has and the suite has not."""
+    from quatprop.check.reference import orphaned_references
+    from quatprop.text import listed, plain
+
+    if not updating:
+        way_out = "restore them, or remove them from the lock with --update"
+        click.echo(f"pinned, but not in the suite: {listed(deleted)}; {way_out}", err=True)
+        return
+    click.echo(f"removed from the lock: {listed(deleted)}", err=True)
+    for path in orphaned_references(cases, deleted.values()):
+        click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
+
+
+def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
     """Refuse to replace an input of a case, or another output."""
     from quatprop.check.case import Case
     from quatprop.writers.targets import checked_place, refuse_overlap
@@ -113,24 +147,31 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | BrokenCase], junit: str
 
 
 def _show(
-    running: Iterable[CaseResult], cases: Sequence[Case | BrokenCase], *, quiet: bool
+    running: Iterable[CaseResult], cases: Sequence[Case | CaseNotRun], *, listed: bool, quiet: bool
 ) -> list[CaseResult]:
-    """Show the result of each case as soon as it is there, and return all of them."""
-    from quatprop.check.reports import result_text, totals
+    """Show the results, failures last, and return all of them."""
+    from quatprop.check.reports import NEEDS_ATTENTION, result_text, totals
     from quatprop.text import plain
 
     width = max(len(plain(case.name)) for case in cases)
-    results = []
-    for result in running:
-        results.append(result)
+    results, last = [], []
+    try:
+        for result in running:
+            results.append(result)
+            if result.verdict in NEEDS_ATTENTION:
+                last.append(result)
+            elif listed:
+                click.echo(result_text(result, width))
+    finally:
+        # After an interruption, too.
         if not quiet:
-            click.echo(result_text(result, width))
+            click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
     if not quiet:
         click.echo(totals(results))
     return results
 
 
-def _report(suite: Suite, results: list[CaseResult]) -> Any:
+def _report(suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin]) -> Any:
     from quatprop import __version__
     from quatprop.provenance import as_json
 
@@ -142,6 +183,7 @@ def _report(suite: Suite, results: list[CaseResult]) -> Any:
             "passed": verdicts.count("pass"),
             "failed": verdicts.count("fail"),
             "errors": verdicts.count("error"),
+            "deleted": list(deleted),
             "cases": [result.report() for result in results],
         }
     )
