@@ -14,11 +14,13 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
 
 from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import messages_at, walk_records
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
 from quatprop.containers.mcap.summary import MAGIC, MALFORMED, McapIndex, RecordStream, read_footer
-from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.writers.mcap.channel import INDEX_ENTRY, compressed_chunk
+from quatprop.text import Setting
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.definitions import IDS
+from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
 
@@ -78,6 +81,13 @@ class McapCopy:
 
     def __init__(self, log: McapLog) -> None:
         self._path, self._source, overview = log.path, log.source, log.index
+        if any(id_ >= IDS for id_ in overview.channels):
+            raise UnsupportedLogError(
+                log.path,
+                "it defines channel ids more than once, as files that were put one behind another "
+                "do; write the attitudes to a file of their own with ",
+                Setting("output"),
+            )
         self._budget = DecompressionBudget(self._source.size)
         try:
             footer = read_footer(self._source)

@@ -225,7 +225,7 @@ class MessageReader(Protocol):
         Raises
         ------
         MessageError
-            LocatedMessages do not fit; its `positions` say which.
+            Messages do not fit; its `positions` say which.
         """
 
 

@@ -10,13 +10,18 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.limits import DecompressionBudget, checksums_matter
+from quatprop.containers.limits import checksums_matter
+from quatprop.containers.mcap.definitions import (
+    IDS,
+    Definitions,
+    leading_definitions,
+    read_definitions,
+)
 from quatprop.containers.mcap.messages import messages_at, walk_records
 from quatprop.containers.mcap.regions import (
     CHANNEL,
@@ -31,9 +36,7 @@ from quatprop.containers.mcap.regions import (
     SCHEMA,
     TORN,
     Region,
-    RegionError,
     chunk_head,
-    load,
 )
 from quatprop.containers.mcap.resync import CHUNKS, RECORDS, next_record
 from quatprop.containers.mcap.summary import MAGIC, Summary, read_footer, read_summary
@@ -41,7 +44,6 @@ from quatprop.containers.mcap.summary import MAGIC, Summary, read_footer, read_s
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.summary import Footer, McapIndex
 
@@ -78,12 +80,12 @@ def build_index(source: FileSource) -> McapIndex:
         scan.run(is_closed=footer is not None)
     index = summary.index
     index.regions, index.losses = scan.regions, scan.losses
-    for opcode, content, place in scan.definitions:
-        index.define(opcode, content, place)
-    _read_definitions(source, index, is_complete=summary.is_complete)
-    for channel in {id_ for region in index.regions for id_ in region.holds or ()}:
+    for opcode, content, place, first_id in scan.definitions.records:
+        index.define(opcode, content, place, first_id)
+    read_definitions(source, index, is_complete=summary.is_complete)
+    for channel in {id_ for region in index.regions for id_ in region.ids}:
         if channel not in index.channels:
-            index.losses.note(f"channel {channel}", "no record defines it")
+            index.losses.note(f"channel {channel % IDS}", "no record defines it")
     return index
 
 
@@ -121,7 +123,9 @@ class _Scan:
     Attributes
     ----------
     summary_start
-        Where the data end record ends; 0 while none was read.
+        Where the first data end record ends; 0 while none was read.
+    is_ended
+        Whether a data end was read, so that nothing more is expected.
     """
 
     def __init__(self, source: FileSource, end: int, indexed: dict[int, Region]) -> None:
@@ -130,9 +134,10 @@ class _Scan:
         self.indexed = indexed
         self.starts = sorted(indexed)
         self.regions: list[Region] = []
-        self.definitions: list[tuple[int, Buffer, str]] = []
+        self.definitions = Definitions()
         self.losses = Losses()
         self.summary_start = 0
+        self.is_ended = False
 
     def run(self, *, is_closed: bool) -> None:
         """Scan the data section; `is_closed` says whether the file has a footer."""
@@ -145,11 +150,11 @@ class _Scan:
                 continue
             begin = position
             opcode, position = self._step(position)
-            if opcode == DATA_END:
+            if opcode == DATA_END and not self.summary_start:
                 self.summary_start = position
                 self._check_data(begin)
-                position = self._next_indexed(position)
-        if is_closed or self.summary_start:
+            self.is_ended = self.is_ended or opcode == DATA_END
+        if is_closed or self.is_ended:
             return
         if not self.losses or self.losses[-1].reason != TORN:
             self.losses.note(
@@ -173,6 +178,12 @@ class _Scan:
             is_whole = False
         elif opcode == CHUNK:
             is_whole = False
+        if head.startswith(MAGIC):
+            # Files that were put one behind another: a footer comes before, a header after.
+            if opcode == MAGIC[0] and self.source.read(position + len(MAGIC), 8) == MAGIC:
+                self.definitions.begin_file()
+                self.is_ended = False
+            return 0, position + len(MAGIC)
         if not is_whole:
             return 0, self._damaged(position, opcode)
         if opcode == MESSAGE:
@@ -181,7 +192,7 @@ class _Scan:
             self._message_index(position, length, head)
         elif opcode in {SCHEMA, CHANNEL}:
             content = self.source.read(position + RECORD.size, min(length, MAX_SIZE))
-            self.definitions.append((opcode, content, f"at byte {position}"))
+            self.definitions.add(opcode, content, f"at byte {position}")
         return opcode, end
 
     def _is_torn(self, position: int) -> bool:
@@ -213,6 +224,8 @@ class _Scan:
         if resumed_at is None:
             resumed_at = self._next_record(position + 1, limit, RECORDS)
         skipped_to = limit if resumed_at is None else resumed_at
+        if self.is_ended and resumed_at is None:
+            return skipped_to  # a damaged summary, which holds no messages
         is_opcode = 0 < opcode <= DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
         if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
@@ -247,7 +260,11 @@ class _Scan:
 
     def _chunk(self, position: int, length: int, head: bytes) -> None:
         first, *_ = CHUNK_HEAD.unpack_from(head, RECORD.size)
-        self.regions.append(Region(position, RECORD.size + length, True, min(first, LATEST)))
+        region = Region(position, RECORD.size + length, True, min(first, LATEST))
+        for opcode, content in leading_definitions(self.source, region):
+            self.definitions.add(opcode, content, f"in the {region.place}")
+        region.first_id = self.definitions.first_id
+        self.regions.append(region)
 
     def _message_index(self, position: int, length: int, head: bytes) -> None:
         region = self.regions[-1] if self.regions else None
@@ -270,56 +287,18 @@ class _Scan:
         if walked.malformed:
             place = f"messages at byte {position}"
             self.losses.note(place, "too short to be messages", walked.malformed)
+        end = walked.end
         for opcode, begin, stop in walked.definitions:
+            if self.definitions.redefines(opcode, data[begin:stop]):
+                end = begin - RECORD.size  # what follows is another region
+                break
             place = f"at byte {position + begin - RECORD.size}"
-            self.definitions.append((opcode, data[begin:stop], place))
-        messages = messages_at(data, walked.offsets)
+            self.definitions.add(opcode, data[begin:stop], place)
+        messages = messages_at(data, walked.offsets[walked.offsets < end])
         if messages:
             counts = messages.counts()
             first = int(messages.log_ns.min())
             holds = dict.fromkeys(counts, 0)
-            self.regions.append(
-                Region(position, walked.end, False, first, holds=holds, counts=counts)
-            )
-        return position + walked.end
-
-
-def _read_definitions(source: FileSource, index: McapIndex, *, is_complete: bool) -> None:
-    """Read the chunks that may hold channels and schemas not yet defined."""
-    suspect = []
-    define = partial(_define_from, source, index, DecompressionBudget(source.size))
-    for region in index.regions:
-        if region.holds is None:
-            needed = not is_complete or not all(map(index.is_defined, index.channels))
-        else:
-            needed = not all(map(index.is_defined, region.holds))
-        if needed and not define(region, check=True):
-            suspect.append(region)  # noted as a loss when its messages are read
-    # Definitions in a chunk with a wrong checksum are better than none.
-    for region in suspect:
-        if not (is_complete and all(map(index.is_defined, index.channels))):
-            define(region, check=False)
-
-
-def _define_from(
-    source: FileSource,
-    index: McapIndex,
-    budget: DecompressionBudget,
-    region: Region,
-    *,
-    check: bool,
-) -> bool:
-    """Add the definitions in a region; return whether it can be read."""
-    try:
-        loaded = load(source, region, budget, check=check)
-    except RegionError:
-        return False
-    data = loaded.data
-    walked = walk_records(data)
-    for opcode, begin, stop in walked.definitions:
-        index.define(opcode, memoryview(data)[begin:stop], f"in the {region.place}")
-    if region.holds is None and walked.end == len(data) and not loaded.damage:
-        messages = messages_at(data, walked.offsets)
-        region.counts = messages.counts() if messages else {}
-        region.holds = dict.fromkeys(region.counts, 0)
-    return True
+            self.regions.append(Region(position, end, False, first, holds=holds, counts=counts))
+            self.regions[-1].first_id = self.definitions.first_id
+        return position + end

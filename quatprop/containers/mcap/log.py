@@ -138,7 +138,7 @@ class McapLog(MessageLog):
             The messages of one chunk in the order of the chunk.
         """
         ids = self._ids.get(channel, [])
-        regions = [r for r in self._regions if r.holds is None or any(i in r.holds for i in ids)]
+        regions = [r for r in self._regions if r.holds is None or not set(ids).isdisjoint(r.ids)]
         regions.sort(key=lambda region: (region.first_ns, region.start))
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
         count = 0
@@ -151,11 +151,12 @@ class McapLog(MessageLog):
                     count += lost or 0
                     continue
                 if isinstance(content, Loaded):
-                    data, messages = content.data, self._messages(content, region, ids)
+                    data, messages = content.data, self._messages(content, region, region.own(ids))
                 else:
                     data, messages = content
                 if messages:
                     count += len(messages)
+                    self._remark_on_clamped(messages)
                     yield _block(data, messages, bound)
         self._check_count(channel.topic, ids, count)
 
@@ -169,6 +170,12 @@ class McapLog(MessageLog):
     def close(self) -> None:
         """Close the file."""
         self.source.close()
+
+    def _remark_on_clamped(self, messages: LocatedMessages) -> None:
+        if not self.remarks and messages.log_ns.max() == LATEST:
+            self.remarks = [
+                "log times after the year 2262 do not fit int64 ns and are read as the last that does"
+            ]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""
@@ -256,14 +263,14 @@ def _load(
 ) -> RegionContent:
     """Return the selected messages of a region or, where that is as quick, all of it."""
     try:
-        return selected_messages(source, region, ids) or load(source, region, budget)
+        return selected_messages(source, region, region.own(ids)) or load(source, region, budget)
     except RegionError as error:
         return error
 
 
 def _message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
     """Return how many messages of some channels the regions hold; None if that is unknown."""
-    counts = [region.count(id_) for region in regions for id_ in ids]
+    counts = [region.count(id_) for region in regions for id_ in region.own(ids)]
     return None if None in counts else sum(count for count in counts if count is not None)
 
 

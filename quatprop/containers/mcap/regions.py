@@ -17,6 +17,8 @@ from quatprop.containers.compression import CompressionError, decompress, decomp
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.limits import DecompressionBudget
@@ -58,6 +60,8 @@ class Region:
         None if it is unknown which channels the region holds.
     counts
         Number of messages of each channel, by channel id, where they were counted.
+    first_id
+        What is added to its channel ids to tell them from those defined elsewhere in the file.
     """
 
     start: int
@@ -67,6 +71,7 @@ class Region:
     index_length: int = 0
     holds: dict[int, int] | None = None
     counts: dict[int, int] | None = None
+    first_id: int = 0
 
     @property
     def end(self) -> int:
@@ -77,6 +82,16 @@ class Region:
     def place(self) -> str:
         """Where it is, for a sentence."""
         return f"{'chunk' if self.is_chunk else 'messages'} at byte {self.start}"
+
+    @property
+    def ids(self) -> list[int]:
+        """Ids in the index of the channels that it holds, where that is known."""
+        return [self.first_id + id_ for id_ in self.holds or ()]
+
+    def own(self, ids: Sequence[int]) -> list[int]:
+        """Return the ids in its own records of channels of the index."""
+        own = (id_ - self.first_id for id_ in ids)
+        return [id_ for id_ in own if 0 <= id_ < 1 << 16]
 
     def count(self, channel: int) -> int | None:
         """Return how many messages of a channel it holds; None if that is unknown."""
@@ -180,7 +195,7 @@ def load(
             return Loaded(
                 decompress_prefix(data_on_disk, chunk.compression, chunk.size), raw, damage
             )
-        data = decompress(data_on_disk, chunk.compression, chunk.size)
+        data = decompress(data_on_disk, chunk.compression, chunk.size or None)
     except CompressionError as error:
         raise RegionError(error.reason) from error
     budget.spend(len(data) if chunk.compression else 0)

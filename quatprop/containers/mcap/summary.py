@@ -42,7 +42,7 @@ class McapIndex:
     channels, schemas
         The records by their ids.
     counts
-        LocatedNumber of messages of each channel id, where the file states them.
+        Number of messages of each channel id, where the file states them.
     metadata
         Where the metadata records with provenance begin, by the summary.
     losses
@@ -56,14 +56,25 @@ class McapIndex:
     metadata: list[int] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
 
-    def define(self, opcode: int, content: Buffer, place: str) -> None:
-        """Add a schema or channel record; the first with an id counts."""
+    def define(self, opcode: int, content: Buffer, place: str, first_id: int = 0) -> None:
+        """Add a schema or channel record; the first with an id counts.
+
+        Parameters
+        ----------
+        opcode, content, place
+            The record, and where it is.
+        first_id
+            What is added to its ids.
+        """
         try:
             if opcode == SCHEMA:
                 schema = records.Schema.read(RecordStream(content))
+                schema.id += first_id
                 self.schemas.setdefault(schema.id, schema)
             else:
                 channel = records.Channel.read(RecordStream(content))
+                channel.id += first_id
+                channel.schema_id += first_id if channel.schema_id else 0
                 self.channels.setdefault(channel.id, channel)
         except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"

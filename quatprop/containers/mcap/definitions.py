@@ -1,0 +1,143 @@
+"""Schemas and channels of an MCAP file, whose ids may be defined anew in the middle of it.
+
+Files that were put one behind another have ids of their own, each counted from 1. So the ids of an
+index are those of the records plus :attr:`Region.first_id`, which differs from part to part.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from quatprop.containers.compression import decompress_prefix
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.mcap.messages import messages_at, walk_records
+from quatprop.containers.mcap.regions import CHANNEL, PEEK, SCHEMA, RegionError, chunk_head, load
+from quatprop.containers.mcap.summary import McapIndex
+
+if TYPE_CHECKING:
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.regions import Region
+
+IDS = 1 << 16
+"""Ids that the records of one part can have."""
+
+_LEADING = 1 << 14
+"""Bytes of a chunk that are read for the definitions at its beginning."""
+_NOT_DEFINITIONS = frozenset(range(256)) - {SCHEMA, CHANNEL}
+
+
+class Definitions:
+    """Schema and channel records in order of the file.
+
+    Attributes
+    ----------
+    first_id
+        What is added to the ids of the current part.
+    records
+        Opcode, content, place and `first_id` of each record.
+    """
+
+    def __init__(self) -> None:
+        self.first_id = 0
+        self.records: list[tuple[int, Buffer, str, int]] = []
+        self._current: dict[tuple[int, bytes], tuple[Buffer, str]] = {}
+
+    def begin_file(self) -> None:
+        """Begin another file that follows in the same file; no id keeps its meaning."""
+        self.first_id += IDS
+        self._current.clear()
+
+    def redefines(self, opcode: int, content: Buffer) -> bool:
+        """Tell whether a record gives a channel another topic, encoding or schema."""
+        before = self._current.get((opcode, bytes(content[:2])))
+        if before is None or opcode != CHANNEL or before[0] == content:
+            return False
+        earlier, later = _identity(before[0]), _identity(content)
+        return earlier is not None and later is not None and earlier != later
+
+    def add(self, opcode: int, content: Buffer, place: str) -> None:
+        """Add a record; one that redefines a channel begins another part."""
+        key = opcode, bytes(content[:2])
+        if self.redefines(opcode, content):
+            self.first_id += IDS
+            self._current[key] = content, place
+            for (kind, _), (earlier, where) in self._current.items():
+                self.records.append((kind, earlier, where, self.first_id))
+        elif key not in self._current:
+            self._current[key] = content, place
+            self.records.append((opcode, content, place, self.first_id))
+
+
+def _identity(content: Buffer) -> tuple[str, str, int] | None:
+    """Return topic, encoding and schema of a channel record; None where it is damaged."""
+    index = McapIndex()
+    index.define(CHANNEL, content, "")
+    for channel in index.channels.values():
+        return channel.topic, channel.message_encoding, channel.schema_id
+    return None
+
+
+def leading_definitions(source: FileSource, region: Region) -> list[tuple[int, Buffer]]:
+    """Return opcode and content of the definitions at the beginning of a chunk."""
+    chunk = chunk_head(source.read(region.start, PEEK), region.length)
+    if chunk is None:
+        return []
+    size = min(chunk.end - chunk.begin, _LEADING)
+    front = source.read(region.start + chunk.begin, size)
+    data = bytes(decompress_prefix(front, chunk.compression, min(chunk.size, 4 * _LEADING)))
+    walked = walk_records(data, stop_at=_NOT_DEFINITIONS)
+    return [(opcode, data[begin:end]) for opcode, begin, end in walked.definitions]
+
+
+def read_definitions(source: FileSource, index: McapIndex, *, is_complete: bool) -> None:
+    """Read the chunks that may hold channels and schemas not yet defined.
+
+    Parameters
+    ----------
+    source
+        The file.
+    index
+        What is known of it; definitions are added.
+    is_complete
+        Whether all its channels are known.
+    """
+    suspect = []
+    define = partial(_define_from, source, index, DecompressionBudget(source.size))
+    for region in index.regions:
+        if region.holds is None:
+            needed = not is_complete or not all(map(index.is_defined, index.channels))
+        else:
+            needed = not all(map(index.is_defined, region.ids))
+        if needed and not define(region, check=True):
+            suspect.append(region)  # noted as a loss when its messages are read
+    # Definitions in a chunk with a wrong checksum are better than none.
+    for region in suspect:
+        if not (is_complete and all(map(index.is_defined, index.channels))):
+            define(region, check=False)
+
+
+def _define_from(
+    source: FileSource,
+    index: McapIndex,
+    budget: DecompressionBudget,
+    region: Region,
+    *,
+    check: bool,
+) -> bool:
+    """Add the definitions in a region; return whether it can be read."""
+    try:
+        loaded = load(source, region, budget, check=check)
+    except RegionError:
+        return False
+    data = loaded.data
+    walked = walk_records(data)
+    for opcode, begin, stop in walked.definitions:
+        content = memoryview(data)[begin:stop]
+        index.define(opcode, content, f"in the {region.place}", region.first_id)
+    if region.holds is None and walked.end == len(data) and not loaded.damage:
+        messages = messages_at(data, walked.offsets)
+        region.counts = messages.counts() if messages else {}
+        region.holds = dict.fromkeys(region.counts, 0)
+    return True
