@@ -20,7 +20,8 @@ from quatprop.containers import prefetch
 from quatprop.containers.base import Channel, Loss
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.mcap.messages import LATEST, walk_records
+from quatprop.containers.mcap.messages import LATEST
+from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")

@@ -15,12 +15,13 @@ from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, Metadata
 
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
-from quatprop.containers.mcap.messages import messages_at, walk_records
+from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
 from quatprop.containers.mcap.summary import MAGIC, MALFORMED, McapIndex, RecordStream, read_footer
+from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
-from quatprop.writers.mcap.channel import INDEX_ENTRY, compressed_chunk
 from quatprop.text import Setting
+from quatprop.writers.mcap.channel import INDEX_ENTRY, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
@@ -28,8 +29,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.containers.mcap.definitions import IDS
-from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.mcap.messages import messages_at, walk_records
+from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import CHANNEL, PEEK, SCHEMA, RegionError, chunk_head, load
 from quatprop.containers.mcap.summary import McapIndex
+from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer

@@ -22,7 +22,7 @@ from quatprop.containers.mcap.definitions import (
     leading_definitions,
     read_definitions,
 )
-from quatprop.containers.mcap.messages import messages_at, walk_records
+from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
     CHANNEL,
     CHUNK,
@@ -40,12 +40,13 @@ from quatprop.containers.mcap.regions import (
 )
 from quatprop.containers.mcap.resync import CHUNKS, RECORDS, next_record
 from quatprop.containers.mcap.summary import MAGIC, Summary, read_footer, read_summary
+from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.summary import Footer, McapIndex
+    from quatprop.containers.mcap.summary import McapIndex
 
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""
@@ -68,7 +69,9 @@ def build_index(source: FileSource) -> McapIndex:
     """
     footer = read_footer(source)
     summary = Summary() if footer is None else read_summary(source, footer)
-    end = _end_of_data(source, footer, summary)
+    end = source.size
+    if footer is not None:
+        end = footer.data_end if summary else footer.footer_start
     scan = _Scan(source, end, _usable_chunks(source, summary))
     scan.run(is_closed=footer is not None)
     if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
@@ -87,13 +90,6 @@ def build_index(source: FileSource) -> McapIndex:
         if channel not in index.channels:
             index.losses.note(f"channel {channel % IDS}", "no record defines it")
     return index
-
-
-def _end_of_data(source: FileSource, footer: Footer | None, summary: Summary) -> int:
-    """Return where the scan ends at the latest."""
-    if footer is None:
-        return source.size
-    return footer.data_end if summary else footer.footer_start
 
 
 def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Region]:

@@ -14,12 +14,7 @@ from quatprop.containers.compression import LARGE
 from quatprop.containers.file_source import source_of
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.index import build_index
-from quatprop.containers.mcap.messages import (
-    indexed_offsets,
-    messages_at,
-    messages_past_damage,
-    walk_records,
-)
+from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
 from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.regions import (
     PEEK,
@@ -31,6 +26,7 @@ from quatprop.containers.mcap.regions import (
 )
 from quatprop.containers.mcap.selected import selected_messages
 from quatprop.containers.mcap.summary import MAGIC
+from quatprop.containers.mcap.walk import walk_records
 from quatprop.containers.prefetch import Deferred, prefetch
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
@@ -173,9 +169,8 @@ class McapLog(MessageLog):
 
     def _remark_on_clamped(self, messages: LocatedMessages) -> None:
         if not self.remarks and messages.log_ns.max() == LATEST:
-            self.remarks = [
-                "log times after the year 2262 do not fit int64 ns and are read as the last that does"
-            ]
+            remark = "log times after the year 2262 do not fit int64 ns and are read as the last "
+            self.remarks = [f"{remark}that does"]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""

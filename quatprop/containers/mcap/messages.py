@@ -6,125 +6,25 @@ disagrees with the records, the records are walked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.containers.base import LATEST
-from quatprop.containers.mcap.regions import (
-    CHANNEL,
-    INDEX_ENTRY,
-    INDEX_HEAD,
-    MESSAGE,
-    MESSAGE_INDEX,
-    RECORD,
-    SCHEMA,
-)
+from quatprop.containers.mcap.regions import INDEX_ENTRY, INDEX_HEAD, MESSAGE, MESSAGE_INDEX, RECORD
+from quatprop.containers.mcap.walk import MESSAGE_HEAD
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.mcap.regions import Region
 
-_MESSAGE_HEAD = np.dtype(
-    {
-        "names": ["opcode", "length", "channel", "log", "publish", "front", "back"],
-        "formats": ["u1", "<u8", "<u2", "<i8", "<i8", "<u8", "<u8"],
-        # front and back lie over opcode, length and channel: messages that agree in both agree
-        # in all three, which is one comparison less.
-        "offsets": [0, 1, 9, 15, 23, 0, 3],
-    }
-)
-_HEAD = _MESSAGE_HEAD.itemsize
+_HEAD = MESSAGE_HEAD.itemsize
 _FIXED = _HEAD - RECORD.size
-_LONG_RUN = 16
-"""Equal lengths in a row after which further records of that length are looked for in bulk."""
-
-
-@dataclass(slots=True)
-class WalkedRecords:
-    """The result of walking over records.
-
-    Parameters
-    ----------
-    offsets
-        Where each message record begins, shape ``(N,)``, int64.
-    definitions
-        Opcode, and begin and end of the content, of each schema and channel.
-    end
-        Where the walk ended: after the last whole record, or before one to stop at.
-    malformed
-        Message records too short to be messages.
-    """
-
-    offsets: NDArray[np.int64]
-    definitions: list[tuple[int, int, int]] = field(default_factory=list)
-    end: int = 0
-    malformed: int = 0
-
-
-def walk_records(data: Buffer, stop_at: Container[int] = frozenset({0})) -> WalkedRecords:
-    """Follow the records of `data` by their lengths.
-
-    Parameters
-    ----------
-    data
-        Records, one after another.
-    stop_at
-        Opcodes to stop at; no record has opcode 0.
-    """
-    result = WalkedRecords(np.empty(0, np.int64))
-    parts: list[NDArray[np.int64]] = []
-    single: list[int] = []
-    size = len(data)
-    position = run = 0
-    previous = -1
-    while position + RECORD.size <= size:
-        opcode, length = RECORD.unpack_from(data, position)
-        end = position + RECORD.size + length
-        if end > size or opcode in stop_at:
-            break
-        if opcode != MESSAGE:
-            if opcode in {SCHEMA, CHANNEL}:
-                result.definitions.append((opcode, position + RECORD.size, end))
-        elif length < _FIXED:
-            result.malformed += 1
-        else:
-            single.append(position)
-            run = run + 1 if length == previous else 0
-            previous = length
-            if run >= _LONG_RUN:
-                more = _run(data, end, length)
-                stride = end - position
-                parts += (np.array(single), end + stride * np.arange(more))
-                single = []
-                end += stride * more
-                run = 0
-        position = end
-    result.offsets = np.concatenate([*parts, np.array(single, np.int64)])
-    result.end = position
-    return result
-
-
-def _run(data: Buffer, position: int, length: int) -> int:
-    """Return how many message records of one length follow each other from `position`."""
-    stride = RECORD.size + length
-    possible = (len(data) - position) // stride
-    done, ask = 0, 64
-    while done < possible:
-        ask = min(4 * ask, possible - done)
-        head = np.ndarray(
-            (ask,), _MESSAGE_HEAD, data, offset=position + done * stride, strides=(stride,)
-        )
-        same = (head["opcode"] == MESSAGE) & (head["length"] == length)
-        if not same.all():
-            return done + int(same.argmin())
-        done += ask
-    return done
 
 
 @dataclass(slots=True)
@@ -240,7 +140,7 @@ def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages 
     stride = RECORD.size + length
     if int(offsets[-1]) != first + (count - 1) * stride or first + count * stride > len(data):
         return None
-    head = np.ndarray((count,), _MESSAGE_HEAD, data, offset=first, strides=(stride,))
+    head = np.ndarray((count,), MESSAGE_HEAD, data, offset=first, strides=(stride,))
     front, back = head["front"], head["back"]
     if not ((front == front[0]).all() and (back == back[0]).all()):
         return None
@@ -263,7 +163,7 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | Non
     # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
     # records begin anywhere.
     every = np.ndarray((len(data) - _HEAD + 1,), f"V{_HEAD}", data, strides=(1,))
-    head = every[offsets].view(_MESSAGE_HEAD)
+    head = every[offsets].view(MESSAGE_HEAD)
     length = head["length"]
     # A length below the minimum wraps to a very large one, as it has no sign.
     if (head["opcode"] != MESSAGE).any() or (length - _FIXED > len(data)).any():
