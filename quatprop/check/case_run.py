@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.check.spelling import sentence, spelled
 from quatprop.comparison.compare import compare
+from quatprop.comparison.summary import criterion_text
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
@@ -129,10 +130,12 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
             f"({result.first_exceeding.t_ns} ns)"
         )
     cause = result.likely_cause
+    others = [one for one in result.criteria if one.setting != "tol" and not one.passed]
+    failures = [*filter(None, [failure]), *(criterion_text(one, result) for one in others)]
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
-        failure=failure,
+        failure="; ".join(failures),
         cause=f"{spelled(cause.sentence)} ({cause.name})" if cause else "",
         report=result.report(),
     )

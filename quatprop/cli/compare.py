@@ -40,8 +40,8 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     """Measure the geodesic error between two attitude series, A and B.
 
     Each is a table of attitudes, or a log with a topic of them: the same log twice, too. q and -q
-    are the same attitude. Exit code 0: no error is above --tol; 1: one is; 2: A and B cannot be
-    read or compared; 3: as 0, but some of A or B was left out.
+    are the same attitude. B is the reference. Exit code 0: all criteria pass (--tol and others); 1:
+    one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was left out.
     """
     from quatprop import __version__
     from quatprop.cli.spelling import spelled

@@ -51,6 +51,13 @@ VALUES = {
     "rate": "HZ",
     "at": "FILE",
     "tol": "ANGLE",
+    "rms_tol": "ANGLE",
+    "final_tol": "ANGLE",
+    "p95_tol": "ANGLE",
+    "window_tol": "ANGLE",
+    "window_rms_tol": "ANGLE",
+    "drift_tol": "DRIFT",
+    "min_coverage": "PERCENT",
     "time_offset": "DUR|auto",
     "max_dt": "DUR",
     "min_matched": "PERCENT",
@@ -117,6 +124,15 @@ HELP = {
     "at": "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
     "method; times outside the log are left out.  [default: at the samples]",
     "tol": "Largest error that passes, such as 1e-9rad or 0.1deg.  [default: none, all pass]",
+    "rms_tol": "Largest RMS error that passes.  [default: none]",
+    "final_tol": "Largest final error that passes.  [default: none]",
+    "p95_tol": "Largest 95th percentile of the error that passes.  [default: none]",
+    "window_tol": "Largest error over windows that passes; with --window.  [default: none]",
+    "window_rms_tol": "Largest RMS error over windows that passes; with --window.  [default: none]",
+    "drift_tol": "Largest drift that passes, in either direction, such as 10deg/h.  "
+    "[default: none]",
+    "min_coverage": "Least part of {log}, of its time and of its samples, that must be compared.  "
+    "[default: none]",
     "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or by "
     "the mean of all; or its reference and body frame (mount), from the motion.  [default: none]",
     "time_offset": "Added to the stamps of {log}, such as -12ms; auto estimates it from the "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.comparison.settings import COMPARE
 from quatprop.text import Text, plain
 
 if TYPE_CHECKING:
@@ -14,8 +15,7 @@ if TYPE_CHECKING:
 OPTION_NAMES = {"kind": "from", "representation": "as"}
 """Settings whose option has another name."""
 
-ONCE = {"align", "match", "max_dt", "min_matched", "time_offset", "tol", "window", "normalize",
-        "on_invalid"}  # fmt: skip
+ONCE = {*COMPARE, "normalize", "on_invalid"}
 """Settings that a command with two inputs has once, not once for each."""
 
 LOOKUPS = {"at", "q0"}

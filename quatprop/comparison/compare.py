@@ -10,6 +10,7 @@ import numpy as np
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import associate, shifted
 from quatprop.comparison.clocks import find_offset
+from quatprop.comparison.criteria import coverage, judge
 from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
 from quatprop.comparison.settings import ComparisonSettings
@@ -67,9 +68,8 @@ def compare(
     settings = settings or ComparisonSettings()
     remarks: list[str] = []
     a, b = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
-    found = find_offset(a, b) if settings.time_offset == "auto" else None
-    offset_ns = found.ns if found else int(settings.time_offset)
-    b = shifted(b, offset_ns)
+    offset = _offset(a, b, settings)
+    b = shifted(b, offset.added_to_b_ns)
     match = partial(
         associate,
         match=settings.match,
@@ -79,13 +79,8 @@ def compare(
     pairs = match(a, b)
     alignment = align(settings.align, pairs.a, pairs.b)
     errors, opposite = geodesic_errors(pairs, alignment)
-    limit = np.inf if settings.tol is None else settings.tol
-    worst, passed = int(np.argmax(errors)), bool(errors.max() <= limit)
     sample = partial(_sample, pairs, errors)
-    cause = None
-    if settings.tol is None or not passed:
-        cause = likely_cause(a, b, match, settings.align, errors)
-    if pairs.match == "exact" and opposite and errors[worst] <= SMALL:
+    if pairs.match == "exact" and opposite and errors.max() <= SMALL:
         remarks.append(
             f"B has the opposite sign in {opposite} of {len(pairs)} samples: q and -q are the "
             "same attitude, so this is no error"
@@ -93,22 +88,38 @@ def compare(
     window = None
     if settings.window:
         window = window_statistics(pairs.t_ns, pairs.a, alignment.apply(pairs.b), settings.window)
+    statistics, drift = error_statistics(errors), drift_deg_h(pairs.t_ns, errors)
+    covered = coverage(pairs, b)
+    criteria = tuple(judge(settings, statistics, window, drift, covered))
+    passed = all(criterion.passed for criterion in criteria)
+    limit = np.inf if settings.tol is None else settings.tol
+    above = statistics.max > limit
+    explain = not (criteria and passed)
     return Comparison(
         t_ns=pairs.t_ns,
         errors=errors,
         association=_matching(pairs),
-        time_offset=AppliedOffset(offset_ns, found),
+        time_offset=offset,
         alignment=alignment,
-        error_rad=error_statistics(errors),
-        drift_deg_h=drift_deg_h(pairs.t_ns, errors),
-        worst=sample(worst),
+        error_rad=statistics,
+        drift_deg_h=drift,
+        worst=sample(int(np.argmax(errors))),
         window=window,
+        coverage=covered,
         tolerance_rad=settings.tol,
+        criteria=criteria,
         passed=passed,
-        first_exceeding=None if passed else sample(int(np.argmax(errors > limit))),
-        likely_cause=cause,
+        first_exceeding=sample(int(np.argmax(errors > limit))) if above else None,
+        likely_cause=likely_cause(a, b, match, settings.align, errors) if explain else None,
         remarks=tuple(remarks),
     )
+
+
+def _offset(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> AppliedOffset:
+    if settings.time_offset == "auto":
+        found = find_offset(a, b)
+        return AppliedOffset(found.ns, found)
+    return AppliedOffset(settings.time_offset, None)
 
 
 def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSeries:

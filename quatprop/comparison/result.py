@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.clocks import ClockOffset
+    from quatprop.comparison.criteria import Coverage, Criterion
     from quatprop.comparison.diagnosis import Cause
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
     from quatprop.text import Text
@@ -106,14 +107,18 @@ class Comparison:
         The pair with the largest error.
     window
         Errors of the rotations over windows, where they were asked for.
+    coverage
+        How much of B was compared.
     tolerance_rad
         The largest error that passes, rad; None: every error does.
+    criteria
+        The verdict on each criterion.
     passed
-        Whether no error is above the tolerance.
+        Whether all criteria passed.
     first_exceeding
-        The first pair above it.
+        The first pair with an error above the tolerance.
     likely_cause
-        What explains the error, where something does and the tolerance was exceeded or not given.
+        What explains the error, where something does and a criterion failed or none was given.
     remarks
         What else a reader should know.
     """
@@ -127,7 +132,9 @@ class Comparison:
     drift_deg_h: float | None
     worst: ComparedSample
     window: WindowStatistics | None
+    coverage: Coverage
     tolerance_rad: float | None
+    criteria: tuple[Criterion, ...]
     passed: bool
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None

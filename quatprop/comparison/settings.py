@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
 from quatprop.settings import Choice, duration, number
-from quatprop.text import listed, quoted
+from quatprop.text import Setting, listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -20,7 +20,19 @@ ALIGNMENTS = ("none", "first", "mean", "mount")
 MATCHES = ("exact", "nearest", "interpolate")
 """How attitudes are matched in time: equal stamps, the nearest sample, slerp."""
 
-_ANGLE = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(rad|deg)", re.ASCII)
+RAD_PER_UNIT = {
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "deg": math.pi / 180,
+    "arcmin": math.pi / 180 / 60,
+    "arcsec": math.pi / 180 / 3600,
+}
+"""Radians in each unit of an angle."""
+
+DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
+"""deg/h in each unit of a drift."""
+
+_QUANTITY = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z/]+)", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +41,15 @@ class ComparisonSettings:
 
     Parameters
     ----------
-    tol
-        Largest geodesic error that passes, rad; None: every error passes.
+    tol, rms_tol, final_tol, p95_tol
+        Largest worst, RMS, final and 95th percentile geodesic error that passes, rad; None: every
+        error passes.
+    window_tol, window_rms_tol
+        The same for the worst and the RMS error of the rotations over windows, rad.
+    drift_tol
+        Largest drift in either direction that passes, deg/h.
+    min_coverage
+        Least percentage of the reference, B, that must be compared: of its time and its samples.
     align
         One of :data:`ALIGNMENTS`.
     time_offset
@@ -44,15 +63,34 @@ class ComparisonSettings:
         Percentage of the samples in the common time that must be matched, 0 to 100.
     window
         Also compare the rotations over windows of this length, ns; None: no windows.
+
+    Raises
+    ------
+    UsageError
+        A limit on errors over windows is given, and no window.
     """
 
     tol: float | None = None
+    rms_tol: float | None = None
+    final_tol: float | None = None
+    p95_tol: float | None = None
+    window_tol: float | None = None
+    window_rms_tol: float | None = None
+    drift_tol: float | None = None
+    min_coverage: float | None = None
     align: str = "none"
     time_offset: int | Literal["auto"] = 0
     match: str | None = None
     max_dt: int | None = None
     min_matched: float = 50.0
     window: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("window_tol", "window_rms_tol"):
+            if getattr(self, name) is not None and not self.window:
+                raise UsageError(
+                    Setting(name), " needs windows; give their length with ", Setting("window")
+                )
 
 
 def angle_rad(value: object) -> float:
@@ -70,14 +108,37 @@ def angle_rad(value: object) -> float:
     """
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
-    match = _ANGLE.fullmatch(str(value).strip())
-    parsed = float(match[1]) if match else math.inf
-    if not match or math.isinf(parsed):
-        raise UsageError(
-            f"{quoted(value)} is not an angle; write a number with its unit, such as 1e-9rad or "
-            "0.1deg"
-        )
-    return math.radians(parsed) if match[2] == "deg" else parsed
+    return _quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+
+
+def drift_deg_h(value: object) -> float:
+    """Return a drift in deg/h: a number in deg/h, or text such as ``"10deg/h"``.
+
+    Raises
+    ------
+    UsageError
+        The text is not a number with one of these units.
+
+    Examples
+    --------
+    >>> drift_deg_h("0.1deg/s")
+    360.0
+    """
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    return _quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
+
+
+def _quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
+    """Return a number with a unit, in the unit whose factor is 1."""
+    match = _QUANTITY.fullmatch(str(value).strip())
+    if not match or match[2] not in units or math.isinf(float(match[1])):
+        sentence = f"{quoted(value)} is not {noun}; write a number with its unit, such as"
+        raise UsageError(f"{sentence} {examples}")
+    # Degrees as by everyone else, to the last bit.
+    if match[2] == "deg":
+        return math.radians(float(match[1]))
+    return float(match[1]) * units[match[2]]
 
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:
@@ -109,6 +170,13 @@ def _percentage(value: object) -> float:
 
 COMPARE: Mapping[str, Callable[[object], Any]] = {
     "tol": angle_rad,
+    "rms_tol": angle_rad,
+    "final_tol": angle_rad,
+    "p95_tol": angle_rad,
+    "window_tol": angle_rad,
+    "window_rms_tol": angle_rad,
+    "drift_tol": drift_deg_h,
+    "min_coverage": _percentage,
     "align": Choice(*ALIGNMENTS),
     "time_offset": time_offset_ns,
     "match": Choice(*MATCHES),
@@ -126,6 +194,13 @@ class CompareOptions(TypedDict, total=False):
     """
 
     tol: float | str | None
+    rms_tol: float | str | None
+    final_tol: float | str | None
+    p95_tol: float | str | None
+    window_tol: float | str | None
+    window_rms_tol: float | str | None
+    drift_tol: float | str | None
+    min_coverage: float | None
     align: str
     time_offset: int | str
     match: str | None

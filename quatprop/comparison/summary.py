@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.comparison.alignment import Alignment, MountingFit
+    from quatprop.comparison.criteria import Criterion
     from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
     from quatprop.comparison.statistics import WindowStatistics
     from quatprop.rendering import Row, Spell
@@ -45,15 +46,8 @@ def comparison_rows(
     yield "worst", _sample(comparison.worst, first_ns)
     if comparison.window:
         yield "window", _window(comparison.window, first_ns)
-    if comparison.tolerance_rad is not None:
-        tolerance = f"the tolerance {angle_text(comparison.tolerance_rad)}"
-        if comparison.first_exceeding is None:
-            yield "passed", f"no error above {tolerance}"
-        else:
-            yield (
-                "failed",
-                f"above {tolerance}, first at {_sample(comparison.first_exceeding, first_ns)}",
-            )
+    for criterion in comparison.criteria:
+        yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
         yield "cause", f"likely ({cause.name}): {spell(cause.sentence)}"
         rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
@@ -62,6 +56,28 @@ def comparison_rows(
     yield from _remarks("B", b, spell)
     for remark in comparison.remarks:
         yield "remark", spell(remark)
+
+
+def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
+    """Return the verdict on a criterion: what was measured, and what is allowed."""
+    label, value, limit = criterion.label, criterion.value, criterion.limit
+    match criterion.setting:
+        case "tol":
+            tolerance = f"the tolerance {angle_text(limit)}"
+            if comparison.first_exceeding is None:
+                return f"no error above {tolerance}"
+            first = _sample(comparison.first_exceeding, comparison.association.first_ns)
+            return f"above {tolerance}, first at {first}"
+        case "drift_tol":
+            return f"{label} {value:+.6g} deg/h, at most {limit:.6g} deg/h"
+        case "min_coverage":
+            covered = comparison.coverage
+            samples = ""
+            if covered.samples is not None:
+                samples = f" and {covered.samples:.4g} % of the samples"
+            return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
+        case _:
+            return f"{label} {angle_text(value)}, at most {angle_text(limit)}"
 
 
 def _series(operand: LoadedAttitudes) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.summary import comparison_rows
+from quatprop.comparison.summary import comparison_rows, criterion_text
 from quatprop.plot.accumulators import ERROR, Accumulator
 from quatprop.plot.page import FactTable, Page
 from quatprop.plot.picture import Group, Mark, PlottedFile, picture
@@ -161,7 +161,7 @@ def _verdict(file: ComparedFile) -> str:
     comparison, text = file.comparison, f"{file.name}: {_sizes(file.comparison)}"
     if comparison.tolerance_rad is None:
         return text
-    relation = "within" if comparison.passed else "above"
+    relation = "within" if comparison.first_exceeding is None else "above"
     return f"{text}; {relation} the tolerance of {degrees_text(comparison.tolerance_rad, DIGITS)}"
 
 
@@ -174,6 +174,9 @@ def _warnings(
                 f"{name} is above the tolerance, first at sample {first.index} of {first.at}, "
                 f"{first.t_ns} ns: {degrees_text(first.error_rad, DIGITS)}"
             )
+        for criterion in comparison.criteria:
+            if not criterion.passed and criterion.setting != "tol":
+                yield f"{name}: {criterion_text(criterion, comparison)}"
         if cause := comparison.likely_cause:
             yield f"{name}: likely cause ({cause.name}): {spell(cause.sentence)}"
         yield from (f"{name}: {spell(remark)}" for remark in comparison.remarks)

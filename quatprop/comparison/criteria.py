@@ -1,0 +1,107 @@
+"""Criteria of a comparison: limits on errors, drift and coverage, each judged by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.comparison.association import Pairs
+    from quatprop.comparison.settings import ComparisonSettings
+    from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
+    from quatprop.series import AttitudeSeries
+
+GAP_INTERVALS = 10
+"""Between pairs further apart than this many median intervals, nothing was compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """A limit and whether it was kept.
+
+    Parameters
+    ----------
+    setting
+        The setting that gives the limit, such as ``"rms_tol"``.
+    label
+        What is limited.
+    value, limit
+        What was measured and what is allowed, in `unit`.
+    unit
+        ``"rad"``, ``"deg/h"`` or ``"%"``.
+    passed
+        Whether the value is within the limit: not above it, or for a coverage not below it.
+    """
+
+    setting: str
+    label: str
+    value: float
+    limit: float
+    unit: str
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """How much of the reference, B, was compared, in percent.
+
+    Parameters
+    ----------
+    time
+        Of its time span: the time between neighbouring pairs, without gaps.
+    samples
+        Of its samples; None where they were interpolated, and so have no partners of their own.
+    """
+
+    time: float
+    samples: float | None
+
+    @property
+    def least(self) -> float:
+        """The smaller of the two."""
+        return self.time if self.samples is None else min(self.time, self.samples)
+
+
+def coverage(pairs: Pairs, reference: AttitudeSeries) -> Coverage:
+    """Return how much of a reference the pairs cover."""
+    intervals = np.diff(pairs.t_ns)
+    compared_ns = int(intervals[intervals <= GAP_INTERVALS * np.median(intervals)].sum())
+    span_ns = int(reference.t_ns[-1] - reference.t_ns[0])
+    time = min(100 * compared_ns / span_ns, 100.0) if span_ns else 100.0
+    counted = pairs.match == "exact" or pairs.at == "B"
+    return Coverage(time, 100 * len(pairs) / len(reference) if counted else None)
+
+
+def judge(
+    settings: ComparisonSettings,
+    errors: ErrorStatistics,
+    window: WindowStatistics | None,
+    drift_deg_h: float | None,
+    covered: Coverage,
+) -> Iterator[Criterion]:
+    """Yield the verdict on each criterion that the settings have."""
+    limits = [
+        ("tol", "largest error", errors.max),
+        ("rms_tol", "RMS error", errors.rms),
+        ("final_tol", "final error", errors.final),
+        ("p95_tol", "95 % error", errors.p95),
+    ]
+    if window is not None:
+        limits += [
+            ("window_tol", "worst error over windows", window.max_rad),
+            ("window_rms_tol", "RMS error over windows", window.rms_rad),
+        ]
+    for setting, label, value in limits:
+        if (limit := getattr(settings, setting)) is not None:
+            yield Criterion(setting, label, value, limit, "rad", value <= limit)
+    if settings.drift_tol is not None:
+        drift = drift_deg_h or 0.0
+        passed = abs(drift) <= settings.drift_tol
+        yield Criterion("drift_tol", "drift", drift, settings.drift_tol, "deg/h", passed)
+    if settings.min_coverage is not None:
+        value, least = covered.least, settings.min_coverage
+        yield Criterion("min_coverage", "coverage", value, least, "%", value >= least)

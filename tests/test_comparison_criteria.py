@@ -1,0 +1,172 @@
+"""Criteria of a comparison: each judged by itself and named in the verdict, and coverage too."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from quatprop.cli import cli
+from quatprop.comparison.compare import compare
+from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparison_settings
+from quatprop.errors import UsageError
+from quatprop.series import AttitudeSeries
+
+STEP_NS = 10_000_000
+T_NS = 1_700_000_000_000_000_000 + STEP_NS * np.arange(2001)
+SECONDS = STEP_NS * 1e-9 * np.arange(2001)
+DEG = np.radians(1.0)
+
+
+def series(angles_deg, t_ns=T_NS):
+    """Return rotations about x by angles in deg."""
+    vectors = np.radians(angles_deg)[:, None] * [[1.0, 0.0, 0.0]]
+    return AttitudeSeries(t_ns, Rotation.from_rotvec(vectors).as_quat(scalar_first=True))
+
+
+REST = series(np.zeros(2001))
+RAMP = series(SECONDS / 20 * 2)
+"""An error that grows to 2 deg in 20 s: RMS 2/sqrt(3), 95 % 1.9, 0.1 deg a second, 360 deg/h."""
+
+
+def criteria(comparison):
+    """Return setting -> value, limit and whether it passed."""
+    return {one.setting: (one.value, one.limit, one.passed) for one in comparison.criteria}
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "options"),
+    [
+        ("tol", 2 * DEG, {}),
+        ("rms_tol", 2 / np.sqrt(3) * DEG, {}),
+        ("final_tol", 2 * DEG, {}),
+        ("p95_tol", 1.9 * DEG, {}),
+        ("window_tol", 0.1 * DEG, {"window": 10**9}),
+        ("window_rms_tol", 0.1 * DEG, {"window": 10**9}),
+        ("drift_tol", 360.0, {}),
+    ],
+)
+def test_each_criterion_passes_at_its_value_and_fails_below_it(setting, value, options):
+    """Limits 1 % above and below the true value decide, and the verdict has value and limit."""
+    for factor, passed in ((1.01, True), (0.99, False)):
+        settings = ComparisonSettings(**{setting: factor * value}, **options)
+        comparison = compare(RAMP, REST, settings)
+        found, limit, verdict = criteria(comparison)[setting]
+        assert found == pytest.approx(value, rel=1e-3)
+        assert (limit, verdict, comparison.passed) == (factor * value, passed, passed)
+
+
+def test_drift_counts_in_both_directions():
+    """An error that shrinks is a drift, too."""
+    comparison = compare(series(2 - SECONDS / 20 * 2), REST, ComparisonSettings(drift_tol=300))
+    assert comparison.drift_deg_h == pytest.approx(-360, rel=1e-6)
+    assert not comparison.passed
+
+
+def test_several_criteria_are_judged_at_once():
+    """One that fails is enough, and the others keep their verdicts."""
+    settings = comparison_settings(
+        tol="3deg", rms_tol="1deg", final_tol="2.1deg", window="1s", window_tol="6.3arcmin"
+    )
+    comparison = compare(RAMP, REST, settings)
+    verdicts = {name: passed for name, (_, _, passed) in criteria(comparison).items()}
+    assert verdicts == {"tol": True, "rms_tol": False, "final_tol": True, "window_tol": True}
+    assert not comparison.passed
+    assert comparison.first_exceeding is None
+
+
+def test_samples_that_are_gone_count():
+    """A tenth of the samples covers a tenth of the reference, though it has all of its time."""
+    thin = AttitudeSeries(REST.t_ns[::10], REST.wxyz[::10])
+    comparison = compare(thin, REST, ComparisonSettings(match="exact", min_coverage=98))
+    assert comparison.coverage.time == pytest.approx(100)
+    assert comparison.coverage.samples == pytest.approx(100 * 201 / 2001)
+    assert criteria(comparison)["min_coverage"] == (comparison.coverage.samples, 98, False)
+    assert compare(thin, REST, ComparisonSettings(match="exact", min_coverage=10)).passed
+
+
+@pytest.mark.parametrize("kept", [slice(0, 1800), slice(200, None)])
+def test_time_that_is_gone_counts(kept):
+    """A recording that begins late or ends early covers nine tenths."""
+    short = AttitudeSeries(REST.t_ns[kept] + 1, REST.wxyz[kept])
+    comparison = compare(short, REST, ComparisonSettings(min_coverage=95))
+    assert comparison.coverage.time == pytest.approx(90, abs=0.1)
+    assert not comparison.passed
+
+
+def test_a_gap_is_not_covered():
+    """Time in which one series has no samples is missing from the coverage."""
+    kept = np.r_[0:500, 1500:2001]
+    comparison = compare(AttitudeSeries(REST.t_ns[kept], REST.wxyz[kept]), REST)
+    assert comparison.coverage.time == pytest.approx(50, abs=0.1)
+
+
+def test_a_longer_recording_covers_everything():
+    """What the reference does not have is no matter."""
+    reference = AttitudeSeries(REST.t_ns[500:1500], REST.wxyz[500:1500])
+    comparison = compare(REST, reference, ComparisonSettings(min_coverage=100))
+    assert (comparison.coverage.time, comparison.coverage.samples) == (100, 100)
+    assert comparison.passed
+
+
+@pytest.mark.parametrize(
+    ("text", "rad"),
+    [
+        ("1rad", 1.0),
+        ("2mrad", 2e-3),
+        ("3deg", np.radians(3)),
+        ("6 arcmin", np.radians(0.1)),
+        ("36arcsec", np.radians(0.01)),
+    ],
+)
+def test_angles_have_the_units_of_data_sheets(text, rad):
+    """Radians, degrees and their parts."""
+    assert angle_rad(text) == pytest.approx(rad, rel=1e-15)
+
+
+def test_drifts_have_units():
+    """Degrees an hour, degrees a second, radians a second."""
+    for text, deg_h in (("10deg/h", 10), ("0.1 deg/s", 360), ("1e-3rad/s", np.degrees(3.6))):
+        assert comparison_settings(drift_tol=text).drift_tol == pytest.approx(deg_h, rel=1e-12)
+    with pytest.raises(UsageError, match=r"^'10' is not a drift; write .* such as 10deg/h$"):
+        comparison_settings(drift_tol="10")
+
+
+def test_window_criteria_need_a_window():
+    """The sentence names both settings."""
+    with pytest.raises(UsageError, match=r"^window_tol needs windows; give their length with win"):
+        comparison_settings(window_tol="1deg")
+
+
+def write(path, attitudes):
+    """Write a table of attitudes."""
+    rows = zip(attitudes.t_ns.tolist(), attitudes.wxyz.tolist(), strict=True)
+    lines = [",".join(map(repr, [t, *q])) for t, q in rows]
+    path.write_text("\n".join(["t_ns,qw,qx,qy,qz", *lines]) + "\n")
+    return str(path)
+
+
+def test_the_command_line_names_each_criterion(tmp_path):
+    """Every criterion has its line, and its entry in the JSON."""
+    files = [write(tmp_path / "a.csv", RAMP), write(tmp_path / "b.csv", REST)]
+    limits = ["--tol", "3deg", "--rms-tol", "1deg", "--final-tol", "2.1deg", "--p95-tol", "2deg",
+              "--window", "1s", "--window-tol", "0.2deg", "--window-rms-tol", "0.05deg",
+              "--drift-tol", "400deg/h", "--min-coverage", "99"]  # fmt: skip
+    result = CliRunner().invoke(cli, ["compare", *files, *limits])
+    assert result.exit_code == 1, result.output
+    lines = [line for line in result.stdout.splitlines() if line.startswith(("passed", "failed"))]
+    windows = "0.00174533 rad (0.1 deg)"
+    assert lines == [
+        "passed    no error above the tolerance 0.0523599 rad (3 deg)",
+        "failed    RMS error 0.0201558 rad (1.15484 deg), at most 0.0174533 rad (1 deg)",
+        "passed    final error 0.0349066 rad (2 deg), at most 0.0366519 rad (2.1 deg)",
+        "passed    95 % error 0.0331613 rad (1.9 deg), at most 0.0349066 rad (2 deg)",
+        f"passed    worst error over windows {windows}, at most 0.00349066 rad (0.2 deg)",
+        f"failed    RMS error over windows {windows}, at most 0.000872665 rad (0.05 deg)",
+        "passed    drift +360 deg/h, at most 400 deg/h",
+        "passed    coverage 100 % of the time and 100 % of the samples of B, at least 99 %",
+    ]
+    result = CliRunner().invoke(cli, ["compare", *files, *limits, "--json"])
+    judged = {one["setting"]: one["passed"] for one in json.loads(result.stdout)["criteria"]}
+    assert [name for name, passed in judged.items() if not passed] == ["rms_tol", "window_rms_tol"]
