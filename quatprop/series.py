@@ -180,6 +180,9 @@ class AttitudeSeries:
     wxyz
         Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
         float64.
+    position
+        Position of the body in the reference frame, shape ``(N, 3)``, m; None where it is not
+        known.
 
     Raises
     ------
@@ -189,11 +192,15 @@ class AttitudeSeries:
 
     t_ns: Int64
     wxyz: Float64
+    position: Float64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
         wxyz = rows_of("wxyz", self.wxyz, len(self.t_ns), 4)
         object.__setattr__(self, "wxyz", _read_only(wxyz))
+        if self.position is not None:
+            position = rows_of("position", self.position, len(self.t_ns), 3)
+            object.__setattr__(self, "position", _read_only(position))
 
     def __len__(self) -> int:
         return len(self.t_ns)

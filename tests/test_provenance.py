@@ -119,7 +119,7 @@ def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
     sentence = (
         "the metadata of topic '/attitude' say scalar-first, but 'quaternion' of "
         "'geometry_msgs/msg/QuaternionStamped' is scalar-last by definition; settle it with "
-        "--from-layout scalar-last"
+        "from_layout='scalar-last'"
     )
     with open_log(path) as log:
         with pytest.raises(UsageError, match=sentence):
@@ -134,7 +134,7 @@ def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
     with open_log(path) as log:
         source = choose_attitudes(log, AttitudeSelection())
         ((_, wxyz),) = source.rows()
-        with pytest.raises(UsageError, match="--from-convention says hamilton, but the metadata"):
+        with pytest.raises(UsageError, match="from_convention says hamilton, but the metadata"):
             choose_attitudes(log, AttitudeSelection(from_convention="hamilton"))
     assert source.meaning.convention == "jpl"
     assert wxyz.tolist() == [[1, 0, 0, 0], [0.6, -0.8, 0, 0]]

@@ -99,6 +99,7 @@ class Unsound:
 
     t_ns = np.arange(5) * 1_000_000_000
     wxyz = np.array([[1, 0, 0, 0], [0] * 4, [np.nan, 0, 0, 1], [0.6, 0.8, 0, 0], [0, 0, 1.01, 0]])
+    position = None
 
     def __len__(self):
         return len(self.t_ns)

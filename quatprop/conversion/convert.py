@@ -110,12 +110,21 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
             Fingerprint(job.log, wanted=kept or output.report is not None) as fingerprint,
         ):
             singular = 0
-            for series in check.apply(source.rows()):
-                singular += write(series.t_ns, signs.applied(job.meaning.converted(series.wxyz)))
+            # A reference that is turned into the body is no place for a position.
+            has_room = getattr(target, "holds_positions", False)
+            keeps = has_room and source.meaning.direction == HAMILTON.direction
+            read = source.poses if keeps and source.poses else source.rows
+            for series in check.apply(read()):
+                wxyz = signs.applied(job.meaning.converted(series.wxyz))
+                singular += write(replace(series, wxyz=wxyz))
                 tick(check.counts.used)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            remarks = (*source.remarks, *log.remarks, *remarks_on(job, singular))
+            remarks = (
+                *source.remarks,
+                *log.remarks,
+                *remarks_on(job, singular, positions_lost=source.poses is not None and not keeps),
+            )
             report = conversion_report(
                 job,
                 log,

@@ -12,7 +12,6 @@ from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_VERTICAL_DEG, REPRESENTATIONS
 from quatprop.errors import OutputError, UsageError
 from quatprop.into import open_into
-from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.writers import WRITERS, keeps_provenance, kind_of, layout_of, open_table, open_writer
@@ -26,18 +25,19 @@ if TYPE_CHECKING:
     from quatprop.conventions.representations import Representation
     from quatprop.conversion.convert import Conversion
     from quatprop.pipeline.settings import OutputSettings
+    from quatprop.series import AttitudeSeries
     from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter, TableWriter, Transaction
 
-    Write = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
-    """Takes stamps and quaternions wxyz; returns how many rows are not unique as written."""
+    Write = Callable[[AttitudeSeries], int]
+    """Takes attitudes; returns how many rows are not unique as written."""
 
 
 @contextmanager
 def open_destination(
     job: Conversion, log: MessageLog | TableLog
 ) -> Iterator[tuple[Transaction, Write]]:
-    """Give the file to be committed, and a function that writes stamps and quaternions wxyz."""
+    """Give the file to be committed, and a function that writes attitudes."""
     output = job.output
     kind = kind_of(output.path, output.to)
     if job.representation in REPRESENTATIONS:
@@ -92,29 +92,25 @@ def _open_attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) ->
     )
 
 
-def _write_attitudes(
-    writer: AttitudeWriter, t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
-) -> int:
-    writer.write(AttitudeSeries(t_ns, wxyz))
+def _write_attitudes(writer: AttitudeWriter, series: AttitudeSeries) -> int:
+    writer.write(series)
     return 0
 
 
-def _write_representation(
-    table: TableWriter, form: Representation, t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
-) -> int:
-    values = form.values(wxyz)
-    table.write(t_ns, [np.ascontiguousarray(column) for column in values.T])
+def _write_representation(table: TableWriter, form: Representation, series: AttitudeSeries) -> int:
+    values = form.values(series.wxyz)
+    table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
     return 0 if form.singular is None else form.singular(values)
 
 
-def _write_columns(
-    table: TableWriter, order: tuple[int, ...], t_ns: NDArray[np.int64], wxyz: NDArray[np.float64]
-) -> int:
-    table.write(t_ns, [wxyz[:, place] for place in order])
+def _write_columns(table: TableWriter, order: tuple[int, ...], series: AttitudeSeries) -> int:
+    table.write(series.t_ns, [series.wxyz[:, place] for place in order])
     return 0
 
 
-def remarks_on(job: Conversion, singular: int) -> Iterator[str | Text]:
+def remarks_on(
+    job: Conversion, singular: int, *, positions_lost: bool = False
+) -> Iterator[str | Text]:
     """Yield what a reader of the output should know.
 
     Parameters
@@ -123,7 +119,11 @@ def remarks_on(job: Conversion, singular: int) -> Iterator[str | Text]:
         The conversion.
     singular
         Rows whose yaw and roll cannot be distinguished.
+    positions_lost
+        Whether the source has positions and the output none.
     """
+    if positions_lost:
+        yield "the positions beside the attitudes are not kept: the output has no place for them"
     if singular:
         yield (
             f"{singular} rows are within {NEAR_VERTICAL_DEG} deg of pitch +-90 deg, where yaw and "

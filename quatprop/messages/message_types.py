@@ -7,7 +7,7 @@ definition.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
@@ -105,6 +105,8 @@ class OrientationField:
         A number that is -1 where the orientation is absent.
     frames
         Which frames it relates, where the type fixes them.
+    position
+        Three numbers x, y, z, m: the position that belongs to it.
     fields
         Paths of the numbers: one of four in the order of `layout`, or w, x, y, z; empty in the
         table.
@@ -116,6 +118,7 @@ class OrientationField:
     layout: Layout | None = SCALAR_LAST
     absent: str | None = None
     frames: str = ""
+    position: str | None = None
     fields: tuple[str, ...] = ()
     stamps: tuple[Stamp, ...] = ()
 
@@ -157,8 +160,10 @@ _SENT = Stamp(("timestamp",), "us")
 _SAMPLED = (Stamp(("timestamp_sample",), "us"),)
 _FRD_TO_NED = OrientationField("q", SCALAR_FIRST, frames="FRD body to NED reference")
 _FOXGLOVE_STAMP = (Stamp.of_time("timestamp"),)
-_FOXGLOVE_POSE = OrientationField("pose.orientation")
-_FOXGLOVE_TRANSFORM = SignalFields(orientation=OrientationField("rotation"), stamps=_FOXGLOVE_STAMP)
+_FOXGLOVE_POSE = OrientationField("pose.orientation", position="pose.position")
+_FOXGLOVE_TRANSFORM = SignalFields(
+    orientation=OrientationField("rotation", position="translation"), stamps=_FOXGLOVE_STAMP
+)
 _FOXGLOVE_ODOMETRY = SignalFields(
     rate=RateField(("angular_velocity",), measured=False),
     orientation=_FOXGLOVE_POSE,
@@ -173,12 +178,14 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
         acceleration=AccelerationField("linear_acceleration", "linear_acceleration_covariance[0]"),
     ),
     "geometry_msgs/msg/QuaternionStamped": SignalFields(orientation=OrientationField("quaternion")),
-    "geometry_msgs/msg/PoseStamped": SignalFields(orientation=OrientationField("pose.orientation")),
+    "geometry_msgs/msg/PoseStamped": SignalFields(
+        orientation=OrientationField("pose.orientation", position="pose.position")
+    ),
     "geometry_msgs/msg/PoseWithCovarianceStamped": SignalFields(
-        orientation=OrientationField("pose.pose.orientation")
+        orientation=OrientationField("pose.pose.orientation", position="pose.pose.position")
     ),
     "geometry_msgs/msg/TransformStamped": SignalFields(
-        orientation=OrientationField("transform.rotation")
+        orientation=OrientationField("transform.rotation", position="transform.translation")
     ),
     "geometry_msgs/msg/TwistStamped": SignalFields(
         rate=RateField(("twist.angular",), measured=False)
@@ -188,7 +195,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
     ),
     "nav_msgs/msg/Odometry": SignalFields(
         rate=RateField(("twist.twist.angular",), measured=False),
-        orientation=OrientationField("pose.pose.orientation"),
+        orientation=OrientationField("pose.pose.orientation", position="pose.pose.position"),
     ),
     "foxglove.FrameTransform": _FOXGLOVE_TRANSFORM,
     "foxglove.Odometry": _FOXGLOVE_ODOMETRY,
@@ -215,7 +222,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
     ),
     "px4_msgs/msg/VehicleOdometry": SignalFields(
         rate=RateField(("angular_velocity",), measured=False),
-        orientation=_FRD_TO_NED,
+        orientation=replace(_FRD_TO_NED, position="position"),
         stamps=(*_SAMPLED, _SENT),
     ),
 }

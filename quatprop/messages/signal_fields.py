@@ -241,17 +241,17 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
         rate = rate if _is_rate(rate, root) else None
     if orientation is not None:
         components, layout = _quaternion(root, prefix + orientation.name)
-        orientation = (
-            components
-            and replace(
-                orientation,
-                name=prefix + orientation.name,
-                layout=layout or orientation.layout,
-                absent=existing(orientation.absent),
-                fields=components,
-                stamps=stamps_for(components[0]),
-            )
-        ) or None
+        position = existing(orientation.position)
+        orientation = replace(
+            orientation,
+            name=prefix + orientation.name,
+            layout=layout or orientation.layout,
+            absent=existing(orientation.absent),
+            position=position if position and _count(find(root, position)) == AXES else None,
+            fields=components,
+            stamps=stamps_for(prefix + orientation.name),
+        )
+        orientation = orientation if components else None
     if acceleration is not None:
         name = existing(acceleration.name)
         absent = existing(acceleration.absent)

@@ -59,12 +59,15 @@ class Transforms:
         Number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64.
     wxyz
         Rotations child -> parent, shape ``(N, 4)``, float64.
+    position
+        Positions of the child in the parent, shape ``(N, 3)``, float64, m.
     """
 
     message: Int64
     t_ns: Int64
     frames: Int64
     wxyz: Float64
+    position: Float64
 
 
 class TransformDecoder:
@@ -116,7 +119,7 @@ class TransformDecoder:
         ]
         if not elements:
             none = np.empty(0, np.int64)
-            return Transforms(none, none, none, np.empty((0, 4)))
+            return Transforms(none, none, none, np.empty((0, 4)), np.empty((0, 3)))
         message = np.concatenate([element.message for element in elements])
         # A stable sort keeps the order of the elements within each message.
         order = np.argsort(message, kind="stable")
@@ -125,6 +128,7 @@ class TransformDecoder:
             np.concatenate([element.t_ns for element in elements])[order],
             np.concatenate([element.frames for element in elements])[order],
             np.concatenate([element.wxyz for element in elements])[order],
+            np.concatenate([element.position for element in elements])[order],
         )
 
     def _groups(self, block: MessageBlock) -> list[tuple[Int64, Placement, str]]:
@@ -172,7 +176,8 @@ class TransformDecoder:
         frames = self._frames(cursor.block, cursor.name(), cursor.name())
         values = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)
         wxyz = values[:, [6, 3, 4, 5]].astype(np.float64)
-        return Transforms(cursor.messages, t_ns, frames, wxyz)
+        position = values[:, :3].astype(np.float64)
+        return Transforms(cursor.messages, t_ns, frames, wxyz, position)
 
     def _frames(self, block: MessageBlock, parent: _Names, child: _Names) -> Int64:
         """Return the number of each pair of names, adding new pairs."""

@@ -219,7 +219,7 @@ def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelectio
             continue
         name, absent = beside.acceleration
         clock = choose_clock(log, channel, beside.rate.stamps, selection)
-        reading = FieldReader(log, channel, [name], clock, absent)
+        reading = FieldReader(log, channel, clock, [name], [absent])
         rows: Rows = timed_values(log, channel, reading)
         return rows
     raise _no_accelerations(log)

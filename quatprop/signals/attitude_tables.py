@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,14 +15,27 @@ from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_c
 from quatprop.signals.message_values import ABSENT
 from quatprop.signals.signal import AttitudeSignal
 from quatprop.tables.matching.choose import match_quaternion, match_rotation
+from quatprop.tables.matching.column_names import parse_name
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
     from quatprop.conventions import Meaning
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.signal import Rows
+    from quatprop.signals.signal import Poses, Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
+
+AXES = 3
+"""Numbers in a position."""
+
+_POSITION = re.compile(
+    r"(?P<set>t|(?:.*\.)?(?:position|translation)\.|p_[a-z]+_[a-z]+_)(?P<axis>[xyz])"
+)
+"""Columns of a position, by their name without a unit."""
 
 
 def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
@@ -60,6 +75,7 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         provenance=provenance,
         rows=partial(_quaternion_rows if is_quaternion else _rotation_rows, log, columns, meaning),
         representation=representation,
+        poses=_poses(log, columns, meaning) if is_quaternion else None,
     )
 
 
@@ -100,10 +116,35 @@ def _remarks(columns: ColumnMatch) -> tuple[str, ...]:
 
 def _quaternion_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
     for t_ns, numbers in log.rows(columns.timed):
-        wxyz = numbers[:, :4]
-        for absent in numbers[:, 4:].T:
-            wxyz[absent == ABSENT] = np.nan
-        yield t_ns, meaning.converted(wxyz)
+        yield t_ns, meaning.converted(_marked(numbers))
+
+
+def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[], Poses] | None:
+    """Return what reads the positions beside quaternions; None where there is no single set."""
+    sets: dict[str, dict[str, int]] = {}
+    for number, name in enumerate(map(parse_name, log.columns())):
+        match = _POSITION.fullmatch(name.key)
+        if match and name.unit in {"", "m"}:
+            sets.setdefault(match["set"], {})[match["axis"]] = number
+    positions = [[found[axis] for axis in "xyz"] for found in sets.values() if len(found) == AXES]
+    if len(positions) != 1:
+        return None
+    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *positions[0]))
+
+    def poses() -> Poses:
+        for t_ns, numbers in log.rows(timed):
+            wxyz = _marked(numbers[:, :-AXES])
+            yield t_ns, meaning.converted(wxyz), numbers[:, -AXES:]
+
+    return poses
+
+
+def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return quaternions, NaN where a mark behind them says that they are absent."""
+    wxyz = numbers[:, :4]
+    for absent in numbers[:, 4:].T:
+        wxyz[absent == ABSENT] = np.nan
+    return wxyz
 
 
 def _rotation_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:

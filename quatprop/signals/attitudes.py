@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.message_values import MessageReader
-    from quatprop.signals.signal import Rows
+    from quatprop.signals.signal import Poses, Rows
     from quatprop.tables.base import TableLog
 
 
@@ -133,8 +133,13 @@ def _of_field(
     order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
     meaning = meaning_of(log.path, selection, recorded)
     clock = choose_clock(log, channel, field.stamps, selection)
-    reader = FieldReader(log, channel, field.fields, clock, field.absent)
+    groups = (field.fields, [field.absent])
+    reader = FieldReader(log, channel, clock, *groups)
     rows = partial(_message_rows, log, channel, reader, order, meaning)
+    poses = None
+    if field.position is not None:
+        pose_reader = FieldReader(log, channel, clock, *groups, [field.position])
+        poses = partial(_message_poses, log, channel, pose_reader, order, meaning)
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
     placeholder = _is_beside_rate(channel, field, log.path) and _is_identity(rows())
     if placeholder:
@@ -150,6 +155,7 @@ def _of_field(
         provenance=provenance,
         rows=rows,
         stamps=partial(stamps_logged, log, channel, reader),
+        poses=poses,
         placeholder=placeholder,
     )
 
@@ -202,6 +208,7 @@ def _of_transforms(
         provenance=provenance,
         rows=partial(_message_rows, log, channel, reader, SCALAR_FIRST.order, meaning),
         stamps=stamps,
+        poses=partial(_message_poses, log, channel, reader, SCALAR_FIRST.order, meaning),
     )
 
 
@@ -214,5 +221,18 @@ def _message_rows(
 ) -> Rows:
     """Yield the attitudes that a channel stores in the order `order` and means as `meaning`."""
     places = [order.index(part) for part in range(4)]
-    for t_ns, stored in timed_values(log, channel, reader):
+    for t_ns, stored, *_ in timed_values(log, channel, reader):
         yield t_ns, meaning.converted(stored[:, places])
+
+
+def _message_poses(
+    log: MessageLog,
+    channel: Channel,
+    reader: MessageReader,
+    order: tuple[int, ...],
+    meaning: Meaning,
+) -> Poses:
+    """Yield the attitudes of :func:`_message_rows`, and the positions beside them."""
+    places = [order.index(part) for part in range(4)]
+    for t_ns, stored, position in timed_values(log, channel, reader):
+        yield t_ns, meaning.converted(stored[:, places]), position

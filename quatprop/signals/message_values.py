@@ -239,18 +239,18 @@ class GroupDecoder:
     clock
         Time base.
     *groups
-        Dotted paths.
+        Dotted paths; None is left out.
     """
 
     def __init__(
-        self, log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str]
+        self, log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str | None]
     ) -> None:
         self.path = log.path
         self.topic = channel.topic
         self._clock = clock
-        self._sizes = [len(group) for group in (clock.fields, *groups)]
-        fields = [*clock.fields, *(name for group in groups for name in group)]
-        self._decoder = decoder_of(channel, fields, log.path)
+        present = [[name for name in group if name] for group in (clock.fields, *groups)]
+        self._sizes = [len(group) for group in present]
+        self._decoder = decoder_of(channel, [name for group in present for name in group], log.path)
 
     def decode(self, block: MessageBlock) -> tuple[Int64, list[list[NDArray[Any]]]]:
         """Return the time of each message, int64 ns, and the columns of each group."""
@@ -262,36 +262,19 @@ class GroupDecoder:
 class FieldReader(GroupDecoder):
     """Reads one row of numbers a message.
 
-    Parameters
-    ----------
-    log, channel
-        Where the messages are.
-    fields
-        Dotted paths of the values: one of a row of numbers, or several of one.
-    clock
-        Time base.
-    absent
-        Dotted path of a number that is -1 where the values are absent.
+    Its groups are the values (one row of numbers, or several numbers), a number that is -1 where
+    they are absent, and another row of numbers beside them, given as it is.
     """
 
-    def __init__(
-        self,
-        log: MessageLog,
-        channel: Channel,
-        fields: Sequence[str],
-        clock: Clock,
-        absent: str | None = None,
-    ) -> None:
-        super().__init__(log, channel, clock, fields, (absent,) if absent else ())
-
     def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, values)``; the order is the block's."""
-        t_ns, (fields, marks) = self.decode(block)
+        """Return log times with ``(t_ns, values)``, or also `beside`; the order is the block's."""
+        t_ns, (fields, marks, *others) = self.decode(block)
         values = as_rows(fields)
         for mark in marks:
             if (mark == ABSENT).any():
                 values[mark == ABSENT] = np.nan
-        return Columns(block.log_ns, (t_ns, values), block.not_before_ns)
+        beside = [as_rows(other) for other in others if other]
+        return Columns(block.log_ns, (t_ns, values, *beside), block.not_before_ns)
 
 
 def as_rows(fields: list[NDArray[Any]]) -> Float64:

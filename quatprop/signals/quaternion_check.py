@@ -108,13 +108,16 @@ class QuaternionCheck:
         self._normalize = normalize
         self._drop = drop
 
-    def apply(self, batches: Iterable[tuple[Int64, Float64]]) -> Iterator[AttitudeSeries]:
+    def apply(
+        self, batches: Iterable[tuple[Int64, Float64] | tuple[Int64, Float64, Float64]]
+    ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
         Parameters
         ----------
         batches
-            Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``.
+            Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps positions,
+            shape ``(N, 3)``.
 
         Raises
         ------
@@ -122,14 +125,16 @@ class QuaternionCheck:
             Rows are invalid. Nothing is yielded from the first of them on; all are counted before
             the error is raised.
         """
-        for t_ns, wxyz in batches:
+        for t_ns, wxyz, *position in batches:
             valid, scaled = self._valid(t_ns, wxyz)
             if self.counts.invalid and not self._drop:
                 continue
             if valid.all():
-                series = AttitudeSeries(t_ns, scaled)
+                series = AttitudeSeries(t_ns, scaled, *position)
             else:
-                series = AttitudeSeries(t_ns[valid], scaled[valid])
+                series = AttitudeSeries(
+                    t_ns[valid], scaled[valid], *(rows[valid] for rows in position)
+                )
             self.counts.used += len(series)
             if len(series):
                 yield series

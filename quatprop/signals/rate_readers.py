@@ -46,7 +46,7 @@ def rate_reader(log: MessageLog, channel: Channel, field: RateField, clock: Cloc
         return _BurstReader(log, channel, field, field.burst, clock)
     if field.span is not None:
         return _IncrementReader(log, channel, field, field.span, clock)
-    return FieldReader(log, channel, field.fields, clock, field.absent)
+    return FieldReader(log, channel, clock, field.fields, [field.absent])
 
 
 class _IncrementReader(GroupDecoder):

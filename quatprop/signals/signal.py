@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TableLog
 
     Int64 = NDArray[np.int64]
-    Rows: TypeAlias = Iterator[tuple[Int64, NDArray[np.float64]]]
+    Float64 = NDArray[np.float64]
+    Rows: TypeAlias = Iterator[tuple[Int64, Float64]]
+    Poses: TypeAlias = Iterator[tuple[Int64, Float64, Float64]]
 
 TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
 
@@ -126,6 +128,9 @@ class AttitudeSignal(Signal):
         How the attitudes were made, as their file says.
     representation
         ``"quaternion"`` or a key of :data:`quatprop.conventions.representations.REPRESENTATIONS`.
+    poses
+        Reads positions of the body in the reference frame beside them, shape ``(N, 3)``, m; None
+        where there are none.
     placeholder
         Whether it is the identity in every message of a sensor: never set.
     """
@@ -135,6 +140,7 @@ class AttitudeSignal(Signal):
     meaning: Meaning
     provenance: dict[str, Any]
     representation: str = "quaternion"
+    poses: Callable[[], Poses] | None = None
     placeholder: bool = False
 
 

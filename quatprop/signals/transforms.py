@@ -36,7 +36,7 @@ class TransformReader:
         self._path = log.path
 
     def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, wxyz)``; none, one or more rows of a message."""
+        """Return log times with ``(t_ns, wxyz, position)``; any number of rows of a message."""
         transforms = self._decoder.transforms(block)
         ours = transforms.frames == 0
         message = transforms.message[ours]
@@ -44,7 +44,11 @@ class TransformReader:
             t_ns = transforms.t_ns[ours]
         else:
             t_ns = self._clock.ns((), block, self._path)[message]
-        return Columns(block.log_ns[message], (t_ns, transforms.wxyz[ours]), block.not_before_ns)
+        return Columns(
+            block.log_ns[message],
+            (t_ns, transforms.wxyz[ours], transforms.position[ours]),
+            block.not_before_ns,
+        )
 
 
 def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Frames:

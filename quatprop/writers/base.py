@@ -113,7 +113,15 @@ class Transaction(ABC):
 
 
 class TableWriter(Transaction):
-    """A file of named columns: int64 stamps ``t_ns`` first, then float64."""
+    """A file of named columns: int64 stamps ``t_ns`` first, then float64.
+
+    Attributes
+    ----------
+    holds_positions
+        Whether three columns of positions may follow those of the quaternion.
+    """
+
+    holds_positions = False
 
     _output: OutputFile
 
@@ -177,7 +185,15 @@ class SeriesWriter(Transaction):
 
 
 class AttitudeWriter(SeriesWriter):
-    """Takes batches of attitudes in order; the arrays must not change before the commit."""
+    """Takes batches of attitudes in order; the arrays must not change before the commit.
+
+    Attributes
+    ----------
+    holds_positions
+        Whether positions are written too; where a batch has none, they are zero.
+    """
+
+    holds_positions = False
 
     @abstractmethod
     def write(self, series: AttitudeSeries) -> None:
@@ -199,10 +215,14 @@ class AttitudeTable(AttitudeWriter):
         super().__init__(table)
         self._table = table
         self._order = layout.order
+        self.holds_positions = table.holds_positions
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch."""
-        self._table.write(series.t_ns, [series.wxyz[:, component] for component in self._order])
+        columns = [series.wxyz[:, component] for component in self._order]
+        if self.holds_positions and series.position is not None:
+            columns += list(series.position.T)
+        self._table.write(series.t_ns, columns)
 
 
 class AttitudeMessages(AttitudeWriter):
@@ -232,6 +252,7 @@ class AttitudeMessages(AttitudeWriter):
         self._encoder = encoder
         self._target = target
         self._log_times = log_times
+        self.holds_positions = encoder.holds_positions
 
     def write(self, series: AttitudeSeries) -> None:
         """Append a batch."""

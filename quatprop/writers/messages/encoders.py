@@ -30,9 +30,12 @@ class AttitudeEncoder(Protocol):
     ----------
     topic
         The topic and its definition.
+    holds_positions
+        Whether positions are written too.
     """
 
     topic: Topic
+    holds_positions: bool
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
         """Return the messages of a batch, shape ``(N,)``.
@@ -92,6 +95,7 @@ class RosEncoder:
             "position": "3<f8",
             "xyzw": "4<f8",
         }
+        self.holds_positions = "position" in definition.parts
         fields = {part: formats[part] for part in definition.parts}
         self._records = RosRecords(fields, {"count": 1} if "count" in fields else {}, ros1=ros1)
 
@@ -99,4 +103,6 @@ class RosEncoder:
         """Return the messages of a batch."""
         rows = self._records.stamped(series.t_ns, target)
         rows["xyzw"][:, :3], rows["xyzw"][:, 3] = series.wxyz[:, 1:], series.wxyz[:, 0]
+        if self.holds_positions and series.position is not None:
+            rows["position"] = series.position
         return rows

@@ -105,6 +105,8 @@ class FoxgloveEncoder:
         The topic and its definition.
     """
 
+    holds_positions = False
+
     def __init__(self, message: Message) -> None:
         name = message.definition.name
         self.topic = Topic(message.topic_name, name, "protobuf", "protobuf", schema_of(name))

@@ -1,6 +1,6 @@
 """The messages that attitudes can be written as: types, topics, frames.
 
-A position or translation, which attitudes do not have, is zero. The message's frame is the
+A position or translation is zero where the attitudes have none. The message's frame is the
 reference; the child of a transform is the body, so that it maps body to reference, as the attitude
 does. All of these types define the quaternion as x, y, z, w: there is no other layout.
 """

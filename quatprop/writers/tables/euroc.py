@@ -1,6 +1,6 @@
 """Attitudes in the layout of the EuRoC ground truth: position, then quaternion, scalar first.
 
-Only the columns that trajectory tools read: the position, which attitudes do not have, is zero;
+Only the columns that trajectory tools read: the position is zero where the attitudes have none;
 velocities and biases are left out rather than invented. Stamps are in ns.
 """
 
@@ -30,6 +30,8 @@ _FORMATTER = delimited(",", ("timestamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 class EurocTable(TextTable):
     """Write quaternions as EuRoC ground truth; parameters as for a CSV table."""
 
+    holds_positions = True
+
     def __init__(
         self,
         target: Path | str,
@@ -41,5 +43,6 @@ class EurocTable(TextTable):
 
 
 def _rows(columns: list[NDArray[Any]]) -> pa.Buffer:
-    t_ns, *wxyz = columns
-    return _FORMATTER([t_ns, *[np.zeros(len(t_ns), np.int8)] * 3, *wxyz])
+    t_ns, wxyz, position = columns[0], columns[1:5], columns[5:]
+    position = position or [np.zeros(len(t_ns), np.int8)] * 3
+    return _FORMATTER([t_ns, *position, *wxyz])

@@ -1,7 +1,7 @@
 """Attitudes as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw`` between blanks.
 
 Seconds are written with nine decimals from the integer nanoseconds, so nothing is rounded; the
-position, which attitudes do not have, is zero.
+position is zero where the attitudes have none.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ _DECIMALS = 9
 class TumTable(TextTable):
     """Write quaternions as a TUM trajectory; parameters as for a CSV table."""
 
+    holds_positions = True
+
     def __init__(
         self,
         target: Path | str,
@@ -41,8 +43,9 @@ class TumTable(TextTable):
 
 
 def _rows(columns: list[NDArray[Any]]) -> pa.Buffer:
-    t_ns, *xyzw = columns
-    return _FORMATTER([seconds(t_ns), *[np.zeros(len(t_ns), np.int8)] * 3, *xyzw])
+    t_ns, xyzw, position = columns[0], columns[1:5], columns[5:]
+    position = position or [np.zeros(len(t_ns), np.int8)] * 3
+    return _FORMATTER([seconds(t_ns), *position, *xyzw])
 
 
 def seconds(t_ns: NDArray[np.int64]) -> pa.Array:
