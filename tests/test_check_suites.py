@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 
+from quatprop import __version__
 from quatprop.check import cases
 from quatprop.check.case_run import propagate_case
 from quatprop.cli import cli, compare, propagate
@@ -584,6 +586,75 @@ def test_of_many_cases_those_that_pass_are_counted(folder):
     assert second == "11 cases: 10 passed, 1 error"
     lines = check(suite, "-v").stdout.splitlines()
     assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR", "11"]
+
+
+# First steps, and evidence.
+
+
+def test_a_suite_can_be_written_for_logs(folder):
+    """With a case for each log, and their references; a suite that is there is not replaced."""
+    suite = folder / "ci" / "suite.toml"
+    suite.parent.mkdir()
+    shutil.copy(folder / "logs" / "spin.csv", folder / "a b.csv")
+    (folder / "more").mkdir()
+    shutil.copy(folder / "logs" / "spin.csv", folder / "more" / "spin.csv")
+    logs = [folder / "logs" / "spin.csv", folder / "more" / "spin.csv", folder / "a b.csv"]
+    result = check(suite, "--init", *logs)
+    assert result.exit_code == 0, result.output
+    assert [line.split()[1] for line in result.stdout.splitlines()[:2]] == ["spin", "spin-2"]
+    assert '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n' in suite.read_text()
+    assert check(suite).stdout.splitlines()[-1] == "3 cases: 3 passed"
+    again = check(suite, "--init", *logs)
+    assert (again.exit_code, again.stderr) == (
+        2, f"Error: {suite}: there is a suite already; add cases to it, or name another file\n",
+    )  # fmt: skip
+    assert "--init needs a LOG for each case" in check(suite, logs[0]).stderr
+
+
+def test_a_case_can_be_explained(folder):
+    """What it depends on, what of it has changed, and how it is judged; nothing is run."""
+    suite = write(folder, stored("spin", "spin.csv", 'method = "mean"') + TRUTH)
+    assert "lock       no entry" in check(suite, "--explain").stdout
+    assert check(suite, "--update").exit_code == 0
+    write(folder, stored("spin", "spin.csv", 'method = "end"') + TRUTH)
+    (folder / "refs" / "spin.parquet").unlink()
+    result = check(suite, "--explain")
+    assert result.exit_code == 0
+    spin, coning = result.stdout.split("\n\n")
+    title, log, method, reference, judged, stamps, samples, lock = spin.splitlines()
+    assert title == "spin (line 1 of the suite)"
+    assert log.startswith(f"  log        {folder / 'logs' / 'spin.csv'}: SHA-256 ")
+    assert log.endswith(", as pinned")
+    assert method == "  method     end, pinned as mean"
+    assert reference.endswith("spin.parquet: no such file or folder; check the path")
+    assert judged == "  judged by  worst error of at most 1e-09 rad, alignment none"
+    assert (stamps.strip(), samples.strip()) == ("equal timestamps", "1000 samples")
+    assert lock == f"  lock       by quatprop {__version__}"
+    assert "coning.truth.csv, an independent series" in coning
+    assert "worst error of at most 0.1 deg" in coning
+
+
+def test_the_evidence_of_a_failure_is_kept(folder):
+    """The attitudes, a page, and commands that repeat the case."""
+    suite = write(folder, TRUTH.replace("case.coning", 'case."a/b"') + stored())
+    assert check(suite, "--update").exit_code == 0
+    text = TRUTH.replace("case.coning", 'case."a/b"').replace("0.1deg", "1e-9deg")
+    write(folder, text + stored())
+    result = check(suite, "--artifacts", folder / "failed")
+    place = folder / "failed" / "a%2Fb"
+    assert result.exit_code == 1
+    assert f"; see {place}\n" in result.stdout
+    assert sorted(path.name for path in place.iterdir()) == [
+        "attitude.parquet", "commands.txt", "error.html",
+    ]  # fmt: skip
+    assert "<svg" in (place / "error.html").read_text()
+    codes = []
+    for line in (place / "commands.txt").read_text().splitlines():
+        name, *arguments = shlex.split(line)
+        assert name == "quatprop"
+        codes.append(CliRunner().invoke(cli, arguments).exit_code)
+    assert codes == [0, 1]
+    assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
 
 
 # What CI is told.

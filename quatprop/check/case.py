@@ -36,6 +36,8 @@ class Case:
         An independent attitude series, such as motion capture, or a topic of a log.
     options
         The propagation settings of the suite that are not the default, as text.
+    comparison_options
+        The settings of the comparison and of the reference, by key, as text.
     inputs
         The files that are read: key of the suite -> path.
     strict
@@ -57,6 +59,7 @@ class Case:
     reference: str | None
     external: AttitudeInput | None
     options: Mapping[str, str]
+    comparison_options: Mapping[str, str]
     inputs: Mapping[str, str]
     strict: bool = True
     pins_log: bool = True

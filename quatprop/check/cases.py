@@ -152,7 +152,8 @@ class _CaseParser:
         texts = self._texts(PROPAGATION_KEYS)
         parsed = self._parse(PROPAGATION_KEYS, texts)
         reference = self._reference()
-        given = self._parse(REFERENCE_KEYS, self._texts(REFERENCE_KEYS))
+        reference_texts = self._texts(REFERENCE_KEYS)
+        given = self._parse(REFERENCE_KEYS, reference_texts)
         external = None
         if reference is None:
             path = self._path("reference-log") if "reference-log" in values else log
@@ -163,14 +164,18 @@ class _CaseParser:
             propagation = propagation_settings(parsed)
         except UsageError as error:
             self._refuse(sentence(error))
+        comparison_texts = self._comparison_texts(stored=reference is not None)
         return Case(
             name=self._table.name,
             log=log,
             propagation=propagation,
-            comparison=comparison_settings(**self._comparison(stored=reference is not None)),
+            comparison=comparison_settings(**self._parse(COMPARISON_KEYS, comparison_texts)),
             reference=reference,
             external=external,
             options=_options(parsed, texts),
+            comparison_options={
+                key: str(text) for key, text in {**comparison_texts, **reference_texts}.items()
+            },
             inputs=self._inputs,
             strict=not {"time-offset", "match", "max-dt"} & values.keys(),
             pins_log=pins_log,
@@ -202,12 +207,10 @@ class _CaseParser:
             )
         return reference
 
-    def _comparison(self, *, stored: bool) -> dict[str, Any]:
+    def _comparison_texts(self, *, stored: bool) -> dict[str, object]:
         if "tol" not in self._values and not stored:
             self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
-        return self._parse(
-            COMPARISON_KEYS, {"tol": DEFAULT_TOLERANCE, **self._texts(COMPARISON_KEYS)}
-        )
+        return {"tol": DEFAULT_TOLERANCE, **self._texts(COMPARISON_KEYS)}
 
     def _path(self, key: str) -> str:
         value = self._values[key]

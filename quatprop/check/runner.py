@@ -15,6 +15,7 @@ from quatprop.check.spelling import sentence
 from quatprop.check.update import update
 from quatprop.errors import QuatpropError
 from quatprop.parallel import KILLED, in_order, map_processes
+from quatprop.text import plain
 from quatprop.third_party_errors import as_user_error
 
 if TYPE_CHECKING:
@@ -48,7 +49,9 @@ def select_cases(
     return [case for case in cases if matches(case.name)]
 
 
-def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
+def run_case(
+    pinned: PinnedCase, *, updating: bool = False, artifacts: Path | None = None
+) -> CaseResult:
     """Judge or update a case; an error becomes its result.
 
     Parameters
@@ -57,6 +60,8 @@ def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
         The case, and what it depended on when it was last updated.
     updating
         Write its reference anew instead of judging.
+    artifacts
+        Where to keep the evidence of a failure; None: nowhere.
     """
     case, pin = pinned
     if isinstance(case, CaseNotRun):
@@ -65,6 +70,11 @@ def run_case(pinned: PinnedCase, *, updating: bool = False) -> CaseResult:
     try:
         # An update would make a known failure pass.
         result = (update if updating and not (case.xfail and pin) else judge)(case, pin)
+        if artifacts is not None and result.verdict == "fail":
+            from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
+
+            place = write_artifacts(case, pin, artifacts)
+            result = replace(result, reason=f"{result.reason}; see {plain(place)}")
     except QuatpropError as error:
         result = CaseResult(case.name, "error", sentence(error))
     except Exception as error:
@@ -83,6 +93,7 @@ def run_cases(
     pins: Mapping[str, Pin],
     *,
     lock: Path | None = None,
+    artifacts: Path | None = None,
     processes: int = 1,
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
@@ -96,6 +107,8 @@ def run_cases(
     lock
         Update: write references anew, and at the end the lock, with the pins of all other cases;
         None judges.
+    artifacts
+        As for :func:`run_case`.
     processes
         Number of cases at a time; the results are the same for any number.
     """
@@ -106,7 +119,7 @@ def run_cases(
             new_pins[result.name] = result.pin
 
     pinned = [(case, pins.get(case.name)) for case in cases]
-    work = partial(run_case, updating=lock is not None)
+    work = partial(run_case, updating=lock is not None, artifacts=artifacts)
     results = map_processes(work, pinned, processes, _killed, record=record)
     try:
         yield from in_order(results)

@@ -1,15 +1,19 @@
-"""Read a suite: TOML with ``[defaults]`` and a table for each case."""
+"""Read and write suites: TOML with ``[defaults]`` and a table for each case."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import tomllib
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SuiteError
 from quatprop.text import listed, quoted
+from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -98,6 +102,38 @@ def read_suite(path: Path | str) -> Suite:
             for name, case in cases.items()
         ),
     )
+
+
+def write_suite(path: Path | str, logs: Iterable[str]) -> None:
+    """Write a new suite with a case for each log, whose references are still to be made.
+
+    Raises
+    ------
+    SuiteError
+        There is a suite already.
+    OutputError
+        It cannot be written.
+    """
+    path = Path(path)
+    if path.exists():
+        raise SuiteError(path, "there is a suite already; add cases to it, or name another file")
+    names: dict[str, str] = {}
+    for log in logs:
+        stem = Path(log).stem
+        numbered = (f"{stem}-{number}" for number in count(2))
+        name = next(name for name in chain([stem], numbered) if name not in names)
+        names[name] = Path(os.path.relpath(log, path.parent)).as_posix()
+    lines = [
+        "# Cases of quatprop check; the keys are options of propagate and compare.",
+        "[defaults]",
+    ]
+    for name, log in names.items():
+        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+        reference = json.dumps(f"refs/{name}.parquet", ensure_ascii=False)
+        lines += ["", f"[case.{key}]", f"log = {json.dumps(log, ensure_ascii=False)}"]
+        lines += [f"reference = {reference}"]
+    with open_atomic(path) as stream:
+        stream.write(("\n".join(lines) + "\n").encode())
 
 
 def _line_of(name: str, lines: Iterable[str]) -> int:

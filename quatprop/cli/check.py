@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -23,6 +24,7 @@ MAX_LISTED = 8
 
 @click.command(no_args_is_help=True)
 @click.argument("suite", metavar="SUITE.toml")
+@click.argument("logs", metavar="[LOG...]", nargs=-1)
 @click.option(
     "-k",
     "patterns",
@@ -47,6 +49,22 @@ MAX_LISTED = 8
     "Cases that pass are left as they are.",
 )
 @click.option(
+    "--init",
+    is_flag=True,
+    help="Write SUITE.toml, with a case for each LOG, and the references.",
+)
+@click.option(
+    "--explain",
+    is_flag=True,
+    help="Show what the cases depend on, what is pinned, and how they are judged; run nothing.",
+)
+@click.option(
+    "--artifacts",
+    metavar="DIR",
+    help="Keep the attitudes, a page with the error, and the commands of each case that fails in "
+    "DIR/CASE.  [default: none]",
+)
+@click.option(
     "--strict",
     is_flag=True,
     help="Fail, too, if a case that is pinned is no longer in the suite, or if one passes that is "
@@ -58,7 +76,7 @@ MAX_LISTED = 8
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @click.option("-q", "--quiet", is_flag=True, help="Only failures and the totals.")
 @click.option("-v", "--verbose", is_flag=True, help="A line for every case that passes.")
-def command(suite: str, **options: Any) -> None:
+def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     """Compare recorded logs with references.
 
     SUITE.toml has one table [case.NAME] for each case, and [defaults] for all of them:
@@ -88,9 +106,15 @@ def command(suite: str, **options: Any) -> None:
     """
     from quatprop.check.case import exit_code
     from quatprop.check.cases import load_cases
+    from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
     from quatprop.check.runner import run_cases, select_cases
+    from quatprop.check.suite import write_suite
 
+    if options["init"] != bool(logs):
+        raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
+    if options["init"]:
+        write_suite(suite, logs)
     loaded, all_cases = load_cases(suite)
     patterns = options["patterns"]
     cases = select_cases(all_cases, patterns)
@@ -99,9 +123,13 @@ def command(suite: str, **options: Any) -> None:
     locked = read_lock(loaded.lock)
     pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
     deleted = {name: pin for name, pin in locked.items() if name not in pins}
+    if options["explain"]:
+        click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
+        return
     _refuse_overlap(loaded, all_cases, options["junit"])
-    lock = loaded.lock if options["update"] else None
-    running = run_cases(cases, pins, lock=lock, processes=options["processes"])
+    lock = loaded.lock if options["update"] or options["init"] else None
+    artifacts = options["artifacts"] and Path(options["artifacts"])
+    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=options["processes"])
     with closing(running):
         listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
         as_json = options["as_json"]
