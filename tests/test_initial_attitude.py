@@ -227,3 +227,60 @@ def test_stdin_cannot_be_read_twice():
     result = run("-", "-o", "-", "--q0", "level")
     assert result.exit_code == 2
     assert "stdin can be read only once" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "first_ns"), [(["--on-nonfinite", "drop"], 10), (["--on-backwards", "sort"], -50)]
+)
+def test_the_attitude_is_that_of_the_first_sample_used(options, first_ns, tmp_path):
+    """What the timestamp handling drops or moves does not say where the propagation begins."""
+    log, other, out = tmp_path / "log.csv", tmp_path / "other.csv", tmp_path / "out.csv"
+    rate = "nan" if "drop" in options else "0"
+    rows = [f"0,{rate},0,0", "10,0,0,0", "20,0,0,0", *(["-50,0,0,0"] if rate == "0" else [])]
+    log.write_text("\n".join(["t_ns,wx,wy,wz", *rows, ""]))
+    half = [(t, math.radians(t) / 2) for t in range(-60, 61, 10)]
+    other.write_text(
+        "t_ns,qw,qx,qy,qz\n" + "".join(f"{t},{math.cos(a)},0,0,{math.sin(a)}\n" for t, a in half)
+    )
+    result = run(log, "-o", out, "--q0", other, *options)
+    assert result.exit_code in (0, 3), result.output
+    angle = math.radians(first_ns) / 2
+    assert geodesic_angle(first_row(out), [math.cos(angle), 0, 0, math.sin(angle)]) < 1e-15
+
+
+@pytest.mark.parametrize("choice", ["drop", "hold"])
+def test_a_missing_rate_does_not_refuse_level(choice, resting):
+    """One NaN in the first second is left out or replaced, as everywhere."""
+    log, out = resting
+    lines = log.read_text().splitlines(keepends=True)
+    lines[30] = lines[30].replace(",0,0,0,", ",nan,0,0,")
+    log.write_text("".join(lines))
+    result = run(log, "-o", out, "--q0", "level", "--on-nonfinite", choice)
+    assert result.exit_code in (0, 3), result.output
+    expected = math.radians(15)
+    assert geodesic_angle(first_row(out), [math.cos(expected), math.sin(expected), 0, 0]) < 1e-3
+
+
+def test_level_of_a_sorted_log_is_that_of_its_earliest_second(resting):
+    """Gravity is averaged from the earliest sample on, wherever in the log it is."""
+    log, out = resting
+    header, *rows = log.read_text().splitlines(keepends=True)
+    tipped = [f"{(k - 300) * 10_000_000},0,0,0,0,{G},0\n" for k in range(150)]
+    log.write_text("".join([header, *rows, *tipped]))
+    result = run(log, "-o", out, "--q0", "level", "--on-backwards", "sort")
+    assert result.exit_code == 0, result.output
+    assert geodesic_angle(first_row(out), [math.sqrt(0.5), math.sqrt(0.5), 0, 0]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "first", "last"),
+    [(["--start", "+20ns"], 20, 40), (["--end", "-20ns"], 0, 20), (["--end", "+10ns"], 0, 10)],
+)
+def test_relative_times_count_from_the_earliest_and_latest_sample(options, first, last, tmp_path):
+    """Wherever those are in the log."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    log.write_text("t_ns,wx,wy,wz\n" + "".join(f"{t},0,0,0\n" for t in (10, 20, 0, 40, 30)))
+    result = run(log, "-o", out, "--on-backwards", "sort", *options)
+    assert result.exit_code == 0, result.output
+    stamps = [int(line.split(",")[0]) for line in out.read_text().splitlines()[1:]]
+    assert stamps == list(range(first, last + 1, 10))

@@ -26,9 +26,10 @@ def peak_bytes(blocks):
             t_ns = np.arange(k * BLOCK, (k + 1) * BLOCK)
             yield GyroSeries(t_ns, np.zeros((BLOCK, 3)))
 
-    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
+    timeline = Timeline(Policy(), "log")
+    segments = Segments(timeline, IDENTITY, method="start", rates="body")
     tracemalloc.start()
-    for _ in segments.attitudes(batches()):
+    for _ in segments.attitudes(timeline.apply(batches())):
         pass
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
@@ -45,8 +46,9 @@ def test_the_difference_of_methods_is_that_of_their_ends(method):
     """It is the angle between the ends of coning and of start, whichever was asked for."""
     random = np.random.default_rng(1)
     t_ns, rate = np.arange(500) * 10_000_000, random.normal(0, 2, (500, 3))
-    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method=method, rates="body")
-    (series,) = segments.attitudes([GyroSeries(t_ns, rate)])
+    timeline = Timeline(Policy(), "log")
+    segments = Segments(timeline, IDENTITY, method=method, rates="body")
+    (series,) = segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)]))
     assert (series.wxyz == attitudes(t_ns, rate, method=method)).all()
     ends = [attitudes(t_ns, rate, method=each)[-1] for each in ("start", "coning")]
     assert segments.method_sensitivity_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)
@@ -54,9 +56,10 @@ def test_the_difference_of_methods_is_that_of_their_ends(method):
 
 def test_the_sensitivity_is_computed_where_it_is_read():
     """Nobody pays for a second propagation whose result is not wanted."""
-    segments = Segments(Timeline(Policy(), "log"), IDENTITY, method="start", rates="body")
+    timeline = Timeline(Policy(), "log")
+    segments = Segments(timeline, IDENTITY, method="start", rates="body")
     batch = GyroSeries(np.arange(9) * 10_000_000, np.ones((9, 3)))
-    for _ in segments.attitudes([batch], sensitivity=False):
+    for _ in segments.attitudes(timeline.apply([batch]), sensitivity=False):
         pass
     assert segments.method_sensitivity_rad is None
 
@@ -68,8 +71,9 @@ def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
     t_ns, rate = np.arange(200) * 10_000_000, random.normal(0, 2, (200, 3))
     t_ns[120:] += 10_000_000_000
     policy = Policy(on_gap=on_gap)
-    segments = Segments(Timeline(policy, "log"), IDENTITY, method="start", rates="body")
-    list(segments.attitudes([GyroSeries(t_ns, rate)]))
+    timeline = Timeline(policy, "log")
+    segments = Segments(timeline, IDENTITY, method="start", rates="body")
+    list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
     ends = []
     for method in ("start", "coning"):
         if on_gap == "hold":

@@ -206,7 +206,7 @@ def test_segments_end_where_gaps_begin(on_gap, size, monkeypatch):
     timeline = Timeline(Policy(on_gap=on_gap, max_gap_ns=50 * MS), "log.csv")
     segments = [
         [int(t_ns) // MS for series in segment for t_ns in series.t_ns]
-        for segment in timeline.segments(batches)
+        for segment in timeline.segments(timeline.apply(batches))
     ]
     assert segments == [[0, 10, 20], [90, 100], [200], [300, 310]]
     assert timeline.counts.gaps.count == 3
@@ -216,7 +216,7 @@ def test_segments_end_where_gaps_begin(on_gap, size, monkeypatch):
 def test_other_gap_policies_know_one_segment():
     """Held gaps are propagated across."""
     timeline = Timeline(Policy(max_gap_ns=50 * MS), "log.csv")
-    (segment,) = timeline.segments([gyro([0, 10, 100])])
+    (segment,) = timeline.segments(timeline.apply([gyro([0, 10, 100])]))
     assert sum(map(len, segment)) == 3
 
 

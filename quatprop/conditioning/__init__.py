@@ -167,7 +167,7 @@ def condition(
     if settings.looks_ahead:
         windows = windows_of(read(), settings.static_ns or REST_WINDOW_NS)
         if len(windows):
-            first_ns, last_ns = int(windows["first_ns"][0]), int(windows["last_ns"][-1])
+            first_ns, last_ns = int(windows["first_ns"].min()), int(windows["last_ns"].max())
         if settings.static_ns is not None:
             rest = _bias_rest(longest_rest(windows))
             bias = rest.mean_rad_s

@@ -117,7 +117,8 @@ def _by_index(rows: NDArray[np.void]) -> NDArray[np.void]:
 def _merged(rows: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
     """Add up the rows from each start to the next."""
     merged = rows[starts]
-    merged["last_ns"] = rows["last_ns"][np.append(starts[1:], len(rows)) - 1]
+    merged["first_ns"] = np.minimum.reduceat(rows["first_ns"], starts)
+    merged["last_ns"] = np.maximum.reduceat(rows["last_ns"], starts)
     for name in ("count", "total", "squares"):
         merged[name] = np.add.reduceat(rows[name], starts, axis=0)
     return merged

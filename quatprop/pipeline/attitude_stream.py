@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import clipping_remarks, condition
@@ -9,7 +10,7 @@ from quatprop.containers.remote import without_secret
 from quatprop.errors import NoSamplesError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
-from quatprop.pipeline.initial_attitude import Recording, starting
+from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
@@ -77,19 +78,11 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity = observer, sensitivity
         self._rows = 0
-        batches, self._conditioned = condition(
+        self._batches, self._conditioned = condition(
             source.batches, settings.conditioning, UNITS[source.unit]
         )
-        recording = Recording(log, source, settings.selection, self._conditioned.mount)
-        self._q0, self._batches = starting(settings.q0, recording, batches)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
-        self._segments = Segments(
-            self._timeline,
-            self._q0,
-            method=settings.method,
-            rates=settings.rates,
-            times=_times(settings),
-        )
+        self._times = _times(settings)
 
     @property
     def samples(self) -> int:
@@ -104,17 +97,39 @@ class AttitudeStream:
         NoSamplesError
             There are none.
         """
-        used = self._checks.observe(self._batches)
+        rates = self._checks.observe(self._batches)
         if self._observer is not None:
-            used = self._observer.rates(used)
-        attitudes = self._segments.attitudes(used, sensitivity=self._sensitivity)
+            rates = self._observer.rates(rates)
+        used = self._timeline.apply(rates)
+        first = next(used, None)
+        if first is None:
+            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside)
+        self._segments = self._begin(first)
+        attitudes = self._segments.attitudes(chain([first], used), sensitivity=self._sensitivity)
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
         for series in every(attitudes, self._settings.every or 1):
             self._rows += len(series)
             yield series
-        if not self.samples:
-            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside)
+
+    def _begin(self, first: GyroSeries) -> Segments:
+        """Return the propagation from the first samples used, at their attitude."""
+        settings = self._settings
+        recording = Recording(
+            self._log,
+            self._source,
+            settings.selection,
+            self._conditioned.mount,
+            in_order=settings.policy.on_backwards != "sort",
+        )
+        self._q0 = first_attitude(settings.q0, recording, first)
+        return Segments(
+            self._timeline,
+            self._q0,
+            method=settings.method,
+            rates=settings.rates,
+            times=self._times,
+        )
 
     def report(
         self, *, layout: str | None = None, fingerprint: Mapping[str, Any] | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -82,35 +81,36 @@ class Recording(NamedTuple):
     source, selection
         Its rates, and how they were chosen.
     mount
-        Sensor axes to body axes, shape ``(3, 3)``, for the accelerometer too; None for the same.
+        Sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
+        for the same.
+    in_order
+        Whether samples are used in the order of the log, not sorted.
     """
 
     log: MessageLog | TableLog | None
     source: RateSignal
     selection: RateSelection
     mount: Float64 | None
+    in_order: bool = True
 
 
-def starting(
-    start: InitialAttitude, recording: Recording, samples: Iterator[GyroSeries]
-) -> tuple[Float64, Iterator[GyroSeries]]:
-    """Return the attitude at the first sample, and the samples, of which the first were needed.
+def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSeries) -> Float64:
+    """Return the attitude at the first sample that is propagated.
 
     Parameters
     ----------
-    start
-        What the user wants.
+    wanted
+        Where to take it from.
     recording
         Where the samples come from.
-    samples
-        The rates that will be propagated, in body axes.
+    first
+        The first samples that are propagated, in body axes: those that the timestamp handling
+        leaves, so that the attitude is that of the first one.
 
     Returns
     -------
-    wxyz : ndarray
+    ndarray
         Unit quaternion body -> reference, shape ``(4,)``.
-    samples : iterator of GyroSeries
-        All samples.
 
     Raises
     ------
@@ -120,25 +120,21 @@ def starting(
         The log has no accelerations, or the other series, or the log's own orientation, does not
         reach to the first sample.
     """
-    first = next(samples, None) if start.source else None
-    if first is None:
-        return unit_q0(start.wxyz), samples
-    log, source, selection, mount = recording
+    if not wanted.source:
+        return unit_q0(wanted.wxyz)
+    log, mount = recording.log, recording.mount
     first_ns = int(first.t_ns[0])
-    if start.source not in {"level", "log"}:
-        return unit_q0(attitude_at(start.source, first_ns)), chain([first], samples)
+    if wanted.source not in {"level", "log"}:
+        return unit_q0(attitude_at(wanted.source, first_ns))
     if log is None:
-        raise UsageError(Setting("q0", start.source), " needs a log, not rates in memory")
-    if start.source == "log":
-        wxyz = first_orientation(log, source, first_ns)
-        if mount is not None:
-            # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
-            wxyz = multiply(unit_q0(wxyz), conjugate(from_matrix(mount)))
-    else:
-        _refuse_motion(first, log)
-        force = _force(log, source, selection, first_ns)
-        wxyz = level(force if mount is None else mount @ force, start.heading, down=start.down)
-    return unit_q0(wxyz), chain([first], samples)
+        raise UsageError(Setting("q0", wanted.source), " needs a log, not rates in memory")
+    if wanted.source == "log":
+        wxyz = unit_q0(first_orientation(log, recording.source, first_ns))
+        # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
+        return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
+    _refuse_motion(first, log)
+    force = _force(log, recording, first_ns)
+    return level(force if mount is None else mount @ force, wanted.heading, down=wanted.down)
 
 
 def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
@@ -183,17 +179,19 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
         )
 
 
-def _force(
-    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection, first_ns: int
-) -> Float64:
+def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
+    source, selection = recording.source, recording.selection
     if is_table(log):
         rows = _table_forces(log, selection)
     else:
         rows = _message_forces(cast("MessageLog", log), source, selection)
+    last_ns = first_ns + LEVEL_NS
     parts = []
-    for t_ns, force in takewhile(lambda row: row[0][0] <= first_ns + LEVEL_NS, rows):
-        parts.append(force[(t_ns >= first_ns) & (t_ns <= first_ns + LEVEL_NS)])
+    for t_ns, force in rows:
+        if recording.in_order and t_ns[0] > last_ns:
+            break
+        parts.append(force[(t_ns >= first_ns) & (t_ns <= last_ns)])
     forces = np.concatenate(parts) if parts else np.zeros((0, 3))
     forces = forces[np.isfinite(forces).all(axis=1)]
     mean = forces.mean(axis=0) if len(forces) else np.zeros(3)

@@ -60,19 +60,19 @@ class Segments:
         self._other_final: NDArray[np.float64] | None = None
 
     def attitudes(
-        self, batches: Iterable[GyroSeries], *, sensitivity: bool = True
+        self, samples: Iterable[GyroSeries], *, sensitivity: bool = True
     ) -> Iterator[AttitudeSeries]:
         """Return the attitudes at every sample, or at the times that are wanted.
 
         Parameters
         ----------
-        batches
-            Samples in the order of the log.
+        samples
+            What the timeline's policy leaves of the log, in blocks.
         sensitivity
             Whether to find out how much the final attitude depends on the method.
         """
         self._other_final = self._q0 if sensitivity else None
-        return chain.from_iterable(map(self._wanted, self._timeline.segments(batches)))
+        return chain.from_iterable(map(self._wanted, self._timeline.segments(samples)))
 
     def _wanted(self, segment: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
         propagated = self._propagated(segment)

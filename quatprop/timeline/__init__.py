@@ -77,24 +77,23 @@ class Timeline:
             self._measure(batch, self._stamps.intervals(batch.t_ns))
             yield batch
 
-    def segments(self, batches: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
-        """Yield what :meth:`apply` does, cut at the gaps that are not propagated across.
+    def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
+        """Cut samples at the gaps that are not propagated across.
 
         Parameters
         ----------
-        batches
-            Samples in the order of the log.
+        blocks
+            What :meth:`apply` yields.
 
         Yields
         ------
         iterator of GyroSeries
             The samples of one segment; take them all before the next segment.
         """
-        applied = self.apply(batches)
         if not self.policy.cuts_at_gaps:
-            yield applied
+            yield iter(blocks)
             return
-        for _, numbered in groupby(self._numbered(applied), key=itemgetter(0)):
+        for _, numbered in groupby(self._numbered(blocks), key=itemgetter(0)):
             yield (series for _, series in numbered)
 
     def _numbered(self, blocks: Iterable[GyroSeries]) -> Iterator[tuple[int, GyroSeries]]:
