@@ -9,6 +9,7 @@ import numpy as np
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, provenance_in
+from quatprop.tables.cut_archive import CutArchive
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
 from quatprop.tables.typed_table import DamageError
@@ -44,12 +45,18 @@ class NpzLog(NumpyTable):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        self._archive: zipfile.ZipFile | CutArchive
         try:
             self._archive = zipfile.ZipFile(path)
         except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            raise DamagedLogError(
-                path, f"its directory is damaged ({plain(error)}); was it written to the end?"
-            ) from error
+            self._archive = CutArchive(path)
+            if not any(name.endswith(_SUFFIX) for name in self._archive.namelist()):
+                raise DamagedLogError(
+                    path, f"its directory is damaged ({plain(error)}); was it written to the end?"
+                ) from error
+            self.losses.note(
+                "end of the file", "its directory is damaged: more arrays may be missing"
+            )
         try:
             self._describe()
         except BaseException:
@@ -97,6 +104,9 @@ class NpzLog(NumpyTable):
             except HeaderError as error:
                 refused = refused or f"its array {name}: {error}"
             except DamageError as error:
+                if isinstance(self._archive, CutArchive):
+                    self.losses.note(f"array {name}", f"it is damaged: {error}")
+                    continue
                 # Which columns it had is not known, so whether they are wanted is neither.
                 raise DamagedLogError(
                     self.path, f"its array {name} is damaged ({error}); save it again"

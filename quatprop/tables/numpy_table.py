@@ -161,10 +161,12 @@ class _ArrayBlock:
         self.damage = ""
         step = columns[0][1].step
         size = step * count
+        # What comes before a cut is returned by read1 and discarded by read.
+        read = getattr(stream, "read1", stream.read)
         try:
             # In pieces: those before the one that is damaged are given out.
             while len(self._data) < size and (
-                piece := stream.read(min(size - len(self._data), _PIECE_BYTES))
+                piece := read(min(size - len(self._data), _PIECE_BYTES))
             ):
                 self._data += piece
         except _ARCHIVE_ERRORS as error:
