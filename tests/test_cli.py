@@ -15,7 +15,7 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
-from quatprop.cli import COMMANDS, cli
+from quatprop.cli.commands import COMMANDS, cli
 from quatprop.kinematics.quaternion import geodesic_angle
 
 EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]\n"

@@ -20,7 +20,11 @@ from quatprop.simulate.run import simulate
 
 QUATPROP = Path(sys.executable).with_name("quatprop")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
-ENDS = {signal.SIGINT: (130, "Interrupted.\n"), signal.SIGTERM: (143, "")}
+ENDS = {
+    signal.SIGINT: (130, "Interrupted.\n"),
+    signal.SIGTERM: (143, ""),
+    signal.SIGHUP: (129, ""),
+}
 SHELL = "/bin/sh"
 FULL = Path("/dev/full")
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
@@ -67,6 +71,59 @@ def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(logs, tmp_pat
         assert (process.returncode, shown) == ENDS[number]
         assert out.read_text() == "old"
         assert list(tmp_path.iterdir()) == [out]
+
+
+def test_an_interruption_at_the_start_is_no_traceback(logs, tmp_path):
+    """Ctrl-C is handled before anything large is imported."""
+    code = "from quatprop.cli import main; print(flush=True); main()"
+    run_it = ["propagate", logs / "long.mcap", "-o", tmp_path / "out.csv"]
+    for wait in (0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, *run_it],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        process.stdout.readline()
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, shown = process.communicate(timeout=20)
+        assert process.returncode in ({130} if wait else {130, -signal.SIGINT})
+        if process.returncode == 130:
+            assert shown == "Interrupted.\n"
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_inside_a_destructor_is_not_lost():
+    """Python drops what a destructor raises; the run ends all the same."""
+    code = (
+        "import os, signal, sys, time\n"
+        "from quatprop.cli.interruption import handle_signals, interruptible\n"
+        "handle_signals()\n"
+        "class Closing:\n"
+        "    def __del__(self): os.kill(os.getpid(), signal.SIGINT); time.sleep(0.01)\n"
+        "with interruptible():\n"
+        "    try:\n"
+        "        Closing()\n"
+        "        time.sleep(10)\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('interrupted')\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=20
+    )
+    assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\n", "")
+
+
+def test_a_closed_stdout_is_a_sentence(logs, tmp_path):
+    """What would go there is refused; a file of its own is written as always."""
+    out = tmp_path / "out.csv"
+    for target, expected in (("-", 2), (out, 0)):
+        command = f"'{QUATPROP}' propagate '{logs / 'small.csv'}' -o '{target}' -q >&-"
+        result = subprocess.run([SHELL, "-c", command], check=False, capture_output=True, text=True)
+        assert result.returncode == expected
+        assert result.stderr == (
+            "Error: -: standard output is closed; name a file\n" if expected else ""
+        )
+    assert out.read_text().count("\n") == 201
 
 
 def test_a_reader_that_has_gone_is_no_error(logs):

@@ -1,118 +1,39 @@
 """The command line: options in, exit code out.
 
-One file a command; a command's module, and what it needs, is imported when it is run. Exit codes:
-0 done; 1 a comparison or check failed; 2 wrong usage or unreadable input; 3 done, but with data
-lost; 130 interrupted.
+Exit codes: 0 done; 1 a comparison or check failed; 2 wrong usage or unreadable input; 3 done, but
+with data lost; 130 interrupted. This module imports next to nothing, so that Ctrl-C is handled from
+the start.
 """
 
 from __future__ import annotations
 
 import sys
-from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
-import click
+if TYPE_CHECKING:
+    import click
 
-COMMANDS = {
-    "info": "Show what a log holds: every source of body rates.",
-    "propagate": "Turn the body rates of one log into its attitude series.",
-    "batch": "Turn the body rates of many logs into attitude series.",
-    "convert": "Write an attitude series in another layout, convention, form or format.",
-    "compare": "Measure the error between two attitude series.",
-    "plot": "Draw rates, attitudes, or the error against a reference.",
-    "check": "Hold recorded logs against references, as a regression test.",
-    "simulate": "Write a log whose true attitude is known.",
-}
-"""Every command with its one-line help, so that ``--help`` imports none of them."""
-
-INTERRUPTED = 130
-
-
-class Unusable(click.ClickException):
-    """Wrong usage or unreadable input: one sentence, exit code 2."""
-
-    exit_code = 2
-
-
-class Commands(click.Group):
-    """A group that imports a command when it is asked for."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names in the order in which the help shows them."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Import and return one command."""
-        if cmd_name not in COMMANDS:
-            return None
-        command: click.Command = import_module(f"quatprop.cli.{cmd_name}").command
-        return command
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; an error becomes a sentence and an exit code here, and only here."""
-        from quatprop.cli.spelling import sentence
-        from quatprop.errors import QuatpropError
-
-        try:
-            return super().invoke(ctx)
-        except QuatpropError as error:
-            raise Unusable(sentence(error)) from error
-        except BrokenPipeError:
-            # The reader of our output has gone, as in `| head`: that is its right.
-            ctx.exit(0)
-        except KeyboardInterrupt:
-            click.echo("Interrupted.", err=True)
-            ctx.exit(INTERRUPTED)
-        except (click.ClickException, click.Abort, click.exceptions.Exit):
-            raise
-        except Exception as error:
-            from quatprop.third_party_errors import as_user_error
-
-            if (known := as_user_error(error)) is None:
-                raise
-            raise Unusable(sentence(known)) from error
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """List the commands from the table."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
-
-
-def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
-    if not wanted or ctx.resilient_parsing:
-        return
-    from quatprop import __version__
-
-    click.echo(f"quatprop {__version__}")
-    ctx.exit()
-
-
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_print_version,
-    help="Show the version and exit.",
-)
-def cli() -> None:
-    """Turn recorded gyroscope logs into attitude.
-
-    Reads body rates from MCAP, ROS 1 and ROS 2 bags, CSV, Parquet and Feather, applies the exact
-    constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product, attitude
-    body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
-    """
+    cli: click.Group
 
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    import signal
+    from quatprop.cli.interruption import handle_signals
 
-    # Told to end, a run ends as on Ctrl-C: what is half-written is removed.
-    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
+    handle_signals()
+    from quatprop.cli.commands import FAILED, cli
+
     try:
         cli(prog_name="quatprop")
     except OSError:
-        # Not even stderr takes words any more; all else has become a sentence before.
-        sys.exit(Unusable.exit_code)
+        # Not even stderr can be written to; every other error has become a sentence before.
+        sys.exit(FAILED)
+
+
+def __getattr__(name: str) -> click.Group:
+    """Import the commands when they are first used."""
+    if name != "cli":
+        raise AttributeError(f"module 'quatprop.cli' has no attribute {name!r}")
+    from quatprop.cli.commands import cli
+
+    return cli

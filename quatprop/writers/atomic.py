@@ -62,6 +62,8 @@ class OutputFile:
         self.target = target
         self._temp: LockedTemp[BinaryIO] | None = None
         if is_stdout(target):
+            if sys.stdout is None:
+                raise OutputError(target, "standard output is closed; name a file")
             sys.stdout.flush()
             self.stream: BinaryIO = sys.stdout.buffer
         elif is_stream(target):

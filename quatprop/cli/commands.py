@@ -1,0 +1,103 @@
+"""The commands, each in a module of its own that is imported when the command is run."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import click
+
+from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
+
+COMMANDS = {
+    "info": "Show what a log holds: every source of body rates.",
+    "propagate": "Turn the body rates of one log into its attitude series.",
+    "batch": "Turn the body rates of many logs into attitude series.",
+    "convert": "Write an attitude series in another layout, convention, form or format.",
+    "compare": "Measure the error between two attitude series.",
+    "plot": "Draw rates, attitudes, or the error against a reference.",
+    "check": "Hold recorded logs against references, as a regression test.",
+    "simulate": "Write a log whose true attitude is known.",
+}
+"""Every command with its one-line help, so that ``--help`` imports none of them."""
+
+FAILED = 2
+"""Exit code of wrong usage, unreadable input and outputs that cannot be written."""
+
+
+class Unusable(click.ClickException):
+    """Wrong usage or unreadable input: one sentence, exit code 2."""
+
+    exit_code = FAILED
+
+
+class Commands(click.Group):
+    """A group that imports a command when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names in the order in which the help shows them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Import and return one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = import_module(f"quatprop.cli.{cmd_name}").command
+        return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; an error becomes a sentence and an exit code here, and only here."""
+        from quatprop.cli.spelling import sentence
+        from quatprop.errors import QuatpropError
+
+        try:
+            with interruptible():
+                return super().invoke(ctx)
+        except QuatpropError as error:
+            raise Unusable(sentence(error)) from error
+        except BrokenPipeError:
+            # The reader of our output has gone, as in `| head`: that is its right.
+            ctx.exit(0)
+        except KeyboardInterrupt:
+            click.echo(MESSAGE, err=True)
+            ctx.exit(INTERRUPTED)
+        except (click.ClickException, click.Abort, click.exceptions.Exit):
+            raise
+        except Exception as error:
+            from quatprop.third_party_errors import as_user_error
+
+            if (known := as_user_error(error)) is None:
+                raise
+            raise Unusable(sentence(known)) from error
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """List the commands from the table."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
+    if not wanted or ctx.resilient_parsing:
+        return
+    from quatprop import __version__
+
+    click.echo(f"quatprop {__version__}")
+    ctx.exit()
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
+def cli() -> None:
+    """Turn recorded gyroscope logs into attitude.
+
+    Reads body rates from MCAP, ROS 1 and ROS 2 bags, CSV, Parquet and Feather, applies the exact
+    constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product, attitude
+    body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
+    """

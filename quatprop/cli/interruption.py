@@ -1,0 +1,107 @@
+"""Interruption of the command line: Ctrl-C, and requests to end.
+
+A command that is interrupted removes its temporary files and ends with 130, or with 143 or 129
+where it is told to end. Handlers of signals belong to the whole process, so that they are set here
+and nowhere else.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from contextlib import contextmanager
+from importlib.machinery import PathFinder
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from importlib.machinery import ModuleSpec
+    from types import FrameType, ModuleType
+
+INTERRUPTED = 130
+MESSAGE = "Interrupted."
+
+_AGAIN_S = 0.01
+
+
+def handle_signals() -> None:
+    """Handle signals for a run of the command line."""
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # What is ignored from outside, as by nohup, stays ignored.
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _end)
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, _exit_at_once)
+    if hasattr(signal, "setitimer"):
+        sys.unraisablehook = _raise_again
+    sys.meta_path.insert(0, _PyarrowFinder())
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C raise KeyboardInterrupt in this block, where there is something to tidy up.
+
+    Outside of it the process ends at once: while modules are imported, the exception could come
+    where nobody expects it. Does nothing where :func:`handle_signals` was not called.
+    """
+    if signal.getsignal(signal.SIGINT) is not _exit_at_once:
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, _exit_at_once)
+
+
+def _end(number: int, _frame: FrameType | None) -> NoReturn:
+    sys.exit(128 + number)
+
+
+def _exit_at_once(_number: int, _frame: FrameType | None) -> None:
+    os.write(2, f"{MESSAGE}\n".encode())
+    os._exit(INTERRUPTED)
+
+
+def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise an interruption again that came inside a destructor, where exceptions are lost."""
+    error = unraisable.exc_value
+    if not isinstance(error, KeyboardInterrupt | SystemExit):
+        sys.__unraisablehook__(unraisable)
+        return
+
+    def raise_error(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise error
+
+    signal.signal(signal.SIGALRM, raise_error)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+class _PyarrowFinder:
+    """Turns off pyarrow's own handlers when it is imported.
+
+    They would take signals while it parses, and a process that is told to end then would abort.
+    """
+
+    def find_spec(
+        self,
+        name: str,
+        path: Sequence[str] | None = None,
+        target: ModuleType | None = None,
+    ) -> ModuleSpec | None:
+        """Find pyarrow as usual, once, and change its handlers after it is loaded."""
+        if name != "pyarrow":
+            return None
+        sys.meta_path.remove(self)
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_quietly(module: ModuleType) -> None:
+                execute(module)
+                module.enable_signal_handlers(False)
+
+            spec.loader.exec_module = execute_quietly  # type: ignore[method-assign]
+        return spec
