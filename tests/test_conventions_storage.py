@@ -216,3 +216,12 @@ def test_unknown_words_are_refused():
         Meaning(direction="up")
     with pytest.raises(UsageError, match=r"no sign 'any'; choose one of 'keep', 'continuous', 'po"):
         Signs("any")
+
+
+def test_a_positive_sign_decides_half_turns_too():
+    """With w = 0, the first component that is not zero is positive: q and -q give the same."""
+    rows = np.array([[0, 0, -0.6, 0.8], [-0.0, -1, 0, 0], [0, 0, 0, -1], [-0.5, 0.5, 0.5, 0.5]])
+    expected = [[0, 0, 0.6, -0.8], [0, 1, 0, 0], [0, 0, 0, 1], [0.5, -0.5, -0.5, -0.5]]
+    for signed in (Signs("positive").applied(rows), Signs("positive").applied(-rows)):
+        assert signed.tolist() == expected
+        assert not np.signbit(signed[:, 0]).any()

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
-from quatprop.plot.files import View, view_file
+from quatprop.plot.files import view_file
 from quatprop.plot.picture import picture
+from quatprop.plot.view import View
 from quatprop.rendering import instant_text
 
 T0 = 1_700_000_000_000_000_000

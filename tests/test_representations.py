@@ -241,9 +241,9 @@ def test_gimbal_lock_is_told(tmp_path):
     out = tmp_path / "out.csv"
     result = run(path, out, "--as", "euler-zyx", "--euler-unit", "deg")
     assert (
-        "note: 3 rows are within 0.01 deg of pitch +-90 deg, where yaw and roll cannot be told "
-        "apart: they share the turn equally and jump from row to row; together they are still the "
-        "attitude"
+        "note: 3 rows are within 0.01 deg of pitch +-90 deg, where yaw and roll cannot be "
+        "distinguished: they share the rotation equally and jump from row to row; "
+        "together they are still the attitude"
     ) in result.stderr
     assert geodesic_angle(read(out), read(path)).max() < 1e-15 * 4
-    assert "cannot be told apart" not in run(path, out, "--as", "matrix").stderr
+    assert "cannot be distinguished" not in run(path, out, "--as", "matrix").stderr

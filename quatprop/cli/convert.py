@@ -53,7 +53,8 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
     default="keep",
     show_default=True,
     help="Of q and -q, which are the same attitude: the one that is there, the one nearer to the "
-    "row before, or the one with w >= 0.",
+    "row before, or the one with w >= 0 (of half turns, w = 0, the one whose first component that "
+    "is not zero is positive).",
 )
 @click.option(
     "--as",

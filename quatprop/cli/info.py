@@ -17,7 +17,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.pipeline.survey import LogSurvey, SignalSurvey
+    from quatprop.pipeline.log_survey import LogSurvey, SignalSurvey
 
 COLUMNS = {
     "source": "source",

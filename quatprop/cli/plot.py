@@ -75,8 +75,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     quatprop plot attitude.csv -o report.html --reference truth.csv --tol 0.1deg
     """
     from quatprop.cli import summary
-    from quatprop.plot.files import View
     from quatprop.plot.run import Plot, plot
+    from quatprop.plot.view import View
     from quatprop.selection import RateSelection
 
     reference = chosen["reference"]

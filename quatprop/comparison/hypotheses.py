@@ -148,9 +148,10 @@ def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     if alignment == "mount":
         return
     body = mean_rotation(multiply(conjugate(b), a))
+    angle = float(geodesic_angle(IDENTITY, body))
     yield Hypothesis(
         "body frame",
-        Text(f"the body frames differ by {_degrees(body)}; ", *TAKE_OUT_MOUNT),
+        Text(f"the body frames differ by {degrees_text(angle)}; ", *TAKE_OUT_MOUNT),
         geodesic_angle(a, multiply(b, body)),
     )
     try:
@@ -166,10 +167,6 @@ def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
         ),
         geodesic_angle(a, both.apply(b)),
     )
-
-
-def _degrees(q: Float64) -> str:
-    return degrees_text(float(geodesic_angle(IDENTITY, q)))
 
 
 def isolated_samples(error: Float64) -> Iterator[Hypothesis]:

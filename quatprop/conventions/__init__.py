@@ -123,13 +123,14 @@ HAMILTON = Meaning()
 
 
 class Signs:
-    """Chooses between q and -q, which are the same attitude, along a series.
+    """The choice between q and -q, which are the same attitude, along a series.
 
     Parameters
     ----------
     sign
-        ``"keep"`` as they are; ``"positive"``, w >= 0; ``"continuous"``, every quaternion on the
-        side of the one before it (dot product >= 0), the first as it is.
+        ``"keep"`` as they are; ``"positive"``, the first component that is not zero is
+        positive, so w >= 0; ``"continuous"``, every quaternion on the side of the one before it
+        (dot product >= 0), the first as it is.
 
     Raises
     ------
@@ -148,10 +149,23 @@ class Signs:
         if self._sign == "keep" or not len(wxyz):
             return wxyz
         if self._sign == "positive":
-            return np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
+            return _positive(wxyz)
         before = wxyz[:1] if self._last is None else self._last[None]
         dots = np.einsum("ij,ij->i", np.concatenate([before, wxyz[:-1]]), wxyz)
         flips = np.cumprod(np.where(dots < 0, -1.0, 1.0))
         signed: Float64 = wxyz * flips[:, None]
         self._last = signed[-1].copy()
         return signed
+
+
+def _positive(wxyz: Float64) -> Float64:
+    """Return of q and -q the one whose first component that is not zero is positive."""
+    signed: Float64 = np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
+    (half_turns,) = np.nonzero(signed[:, 0] == 0)
+    if len(half_turns):
+        rows = signed[half_turns]
+        first = np.argmax(rows != 0, axis=1)[:, None]
+        negative = np.take_along_axis(rows, first, axis=1) < 0
+        # Adding zero removes the sign of -0.0.
+        signed[half_turns] = np.where(negative, -rows, rows) + 0.0
+    return signed

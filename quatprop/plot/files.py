@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import Group, PlottedFile
+from quatprop.plot.view import FileView
 from quatprop.rendering import count_text, file_names, instant_text, samples_text, source_text
-from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.signals.signal import RateSignal
@@ -38,14 +37,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Loss, MessageLog
+    from quatprop.containers.base import MessageLog
     from quatprop.plot.accumulators import Accumulator
+    from quatprop.plot.view import View
     from quatprop.rendering import Row
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
-    from quatprop.text import Text
     from quatprop.timeline.counts import StampCounts
-    from quatprop.times import Instant
 
     Tick = Callable[[int], None]
     Log = MessageLog | TableLog
@@ -57,74 +55,6 @@ DRAWN_AS = {
     True: "components, of q and -q those nearer to the row before",
 }
 """Whether components are drawn -> what is drawn of an attitude."""
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """What to draw of files.
-
-    Parameters
-    ----------
-    kind
-        A key of :data:`quatprop.formats.READERS`; None: by content and suffix.
-    show
-        None: the rates of a file that has some, else its attitudes.
-    rates, attitudes
-        Which samples.
-    components
-        Draw quaternions as they are instead of as angles.
-    start, end
-        The part to draw, ends included.
-    """
-
-    kind: str | None = None
-    show: Literal["rates", "attitude"] | None = None
-    rates: RateSelection = field(default_factory=RateSelection)
-    attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
-    components: bool = False
-    start: Instant | None = None
-    end: Instant | None = None
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether a file must be read twice, first for its first and last stamp."""
-        return Conditioning(start=self.start, end=self.end).looks_ahead
-
-
-@dataclass(frozen=True, slots=True)
-class FileView:
-    """What is shown of one file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    plotted
-        What is drawn of it.
-    meaning
-        Unit and clock of its numbers, or convention and method.
-    samples
-        How many, over which time.
-    facts
-        Rows of its table.
-    remarks
-        What a reader should know.
-    losses
-        What could not be read.
-    """
-
-    path: str
-    plotted: PlottedFile
-    meaning: str
-    samples: str
-    facts: tuple[Row, ...]
-    remarks: tuple[str | Text, ...]
-    losses: tuple[Loss, ...]
-
-    @property
-    def name(self) -> str:
-        """File, topic and type."""
-        return self.plotted.name
 
 
 def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> FileView:

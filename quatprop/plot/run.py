@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.plot.errors import ComparedFile, error_page
-from quatprop.plot.files import View, view_file
+from quatprop.plot.files import view_file
 from quatprop.plot.page import FactTable, Page
 from quatprop.plot.picture import picture
 from quatprop.plot.target import MADE_BY, PictureFile, notes_of
+from quatprop.plot.view import View
 from quatprop.rendering import file_names, loss_lines
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from quatprop.plot.files import FileView
+    from quatprop.plot.view import FileView
     from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import LoadedAttitudes
 

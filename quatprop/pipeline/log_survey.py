@@ -1,0 +1,119 @@
+"""What a survey of a log gives: its signals, and what is known of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from quatprop.containers.base import Loss
+    from quatprop.text import Text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSurvey:
+    """One signal of a log; None where something is unknown.
+
+    Parameters
+    ----------
+    source, type
+        Topic and message type, or columns and dialect.
+    clock
+        The timestamp source.
+    samples
+        Number of samples.
+    rate_hz, span_s
+        Mean sample rate, Hz, and time from the first sample to the last, s.
+    first_ns, last_ns
+        First and last stamp, ns.
+    median_dt_ns, min_dt_ns, max_dt_ns
+        Intervals, ns.
+    gaps, duplicates, backwards
+        Intervals longer than 10 median ones, repeated and non-monotonic timestamps.
+    missing
+        What is not declared, and the settings that declare it; None where nothing is missing.
+    remarks
+        What a reader should know.
+    """
+
+    source: str | None
+    type: str = ""
+    clock: str | None = None
+    samples: int | None = None
+    rate_hz: float | None = None
+    span_s: float | None = None
+    first_ns: int | None = None
+    last_ns: int | None = None
+    median_dt_ns: int | None = None
+    min_dt_ns: int | None = None
+    max_dt_ns: int | None = None
+    gaps: int | None = None
+    duplicates: int | None = None
+    backwards: int | None = None
+    missing: Text | None = None
+    remarks: tuple[str | Text, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSurvey(SignalSurvey):
+    """One signal of body rates; takes the parameters of :class:`SignalSurvey` too.
+
+    Parameters
+    ----------
+    rate, rate_unit
+        The field or the columns, and their unit.
+    nonfinite
+        Samples that are NaN or infinite.
+    max_rate_rad_s, max_rate_deg_s
+        Largest magnitude of the angular rate.
+    """
+
+    rate: str | None = None
+    rate_unit: str | None = None
+    nonfinite: int | None = None
+    max_rate_rad_s: float | None = None
+    max_rate_deg_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSurvey(SignalSurvey):
+    """One signal of attitudes; takes the parameters of :class:`SignalSurvey` too.
+
+    Parameters
+    ----------
+    attitude
+        The field or the columns.
+    layout, convention, direction
+        What the numbers mean.
+    invalid
+        Rows that are no unit quaternions.
+    """
+
+    attitude: str = ""
+    layout: str | None = None
+    convention: str | None = None
+    direction: str | None = None
+    invalid: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LogSurvey:
+    """What a log holds.
+
+    Parameters
+    ----------
+    path, kind
+        The log.
+    sources
+        Its signals of body rates.
+    attitudes
+        Its signals of attitudes.
+    losses
+        What could not be read.
+    """
+
+    path: str
+    kind: str
+    sources: tuple[RateSurvey, ...]
+    attitudes: tuple[AttitudeSurvey, ...]
+    losses: tuple[Loss, ...]

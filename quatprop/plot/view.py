@@ -1,0 +1,84 @@
+"""What to draw of files, and what is shown of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from quatprop.conditioning import Conditioning
+from quatprop.selection import AttitudeSelection, RateSelection
+
+if TYPE_CHECKING:
+    from quatprop.containers.base import Loss
+    from quatprop.plot.picture import PlottedFile
+    from quatprop.rendering import Row
+    from quatprop.text import Text
+    from quatprop.times import Instant
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What to draw of files.
+
+    Parameters
+    ----------
+    kind
+        A key of :data:`quatprop.formats.READERS`; None: by content and suffix.
+    show
+        None: the rates of a file that has some, else its attitudes.
+    rates, attitudes
+        Which samples.
+    components
+        Draw quaternions as they are instead of as angles.
+    start, end
+        The part to draw, ends included.
+    """
+
+    kind: str | None = None
+    show: Literal["rates", "attitude"] | None = None
+    rates: RateSelection = field(default_factory=RateSelection)
+    attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
+    components: bool = False
+    start: Instant | None = None
+    end: Instant | None = None
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether a file must be read twice, first for its first and last stamp."""
+        return Conditioning(start=self.start, end=self.end).looks_ahead
+
+
+@dataclass(frozen=True, slots=True)
+class FileView:
+    """What is shown of one file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    plotted
+        What is drawn of it.
+    meaning
+        Unit and clock of its numbers, or convention and method.
+    samples
+        How many, over which time.
+    facts
+        Rows of its table.
+    remarks
+        What a reader should know.
+    losses
+        What could not be read.
+    """
+
+    path: str
+    plotted: PlottedFile
+    meaning: str
+    samples: str
+    facts: tuple[Row, ...]
+    remarks: tuple[str | Text, ...]
+    losses: tuple[Loss, ...]
+
+    @property
+    def name(self) -> str:
+        """File, topic and type."""
+        return self.plotted.name
