@@ -2,18 +2,21 @@
 
 import shutil
 import sqlite3
+import time
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
+from into_logs import write_mcap
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quatprop.containers.base import Loss
 from quatprop.containers.rosbag2.log import Rosbag2Log
+from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -407,3 +410,23 @@ def test_copies_are_removed(tmp_path, monkeypatch):
         assert sum(len(block) for block in log.blocks(log.channels()[0])) == 900
     assert list(copies.iterdir()) == []
     assert Path.cwd() != copies
+
+
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_large_metadata_take_no_time(tmp_path, quote):
+    """Of a bag with thousands of parts and profiles, the parts that the metadata name are read."""
+    write_mcap(tmp_path / "bag_1.mcap")
+    write_mcap(tmp_path / "bag_0.mcap")
+    write_mcap(tmp_path / "bag_2.mcap")
+    profiles = "".join(f"        - depth: {k}\n          name: {'x' * 50}\n" for k in range(30_000))
+    (tmp_path / "metadata.yaml").write_text(
+        'rosbag2_bagfile_information:\n  version: 5\n  compression_format: ""\n'
+        f'  compression_mode: ""\n  relative_file_paths:\n    - {quote}bag_1.mcap{quote}\n'
+        f"    - {quote}bag_0.mcap{quote}\n  topics_with_message_count:\n"
+        f"    - topic_metadata:\n        name: /imu\n        profiles:\n{profiles}"
+    )  # fmt: skip
+    begin = time.process_time()
+    found = folder(tmp_path)
+    assert time.process_time() - begin < 1
+    assert [part.name for part in found.parts] == ["bag_1.mcap", "bag_0.mcap"]
+    assert [loss.place for loss in found.losses] == ["part 'bag_2.mcap'"]

@@ -112,7 +112,7 @@ def test_what_the_library_of_PX4_reads_is_what_is_read(tmp_path):
     series, losses = read(path, topic="sensor_gyro/1")
     (expected,) = [d for d in pyulog.ULog(str(path)).data_list if d.name == "sensor_gyro"]
     assert expected.multi_id == 1
-    assert losses == []
+    assert [loss.place for loss in losses] == ["60 dropouts, first at byte 1418"]
     assert (series.t_ns == expected.data["timestamp_sample"].astype(np.int64) * 1000).all()
     assert (series.t_ns == stamps * 1000).all()
     for axis, name in enumerate("xyz"):
@@ -300,3 +300,17 @@ def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
     assert 90_000 < count < 110_000
     assert sum(loss.messages for loss in log.losses) == 200_000 - count
     assert {loss.reason for loss in log.losses} == {"the file has become shorter"}
+
+
+def test_dropouts_are_losses(tmp_path, shared_logs):
+    """What the recorder could not write is as lost as what cannot be read."""
+    dropouts = [record(b"O", (20).to_bytes(2, "little")), record(b"O", (300).to_bytes(2, "little"))]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, [5, 10]), *dropouts)
+    with open_log(path) as log:
+        (loss,) = log.losses
+        assert loss.place == f"2 dropouts, first at byte {path.stat().st_size - 10}"
+        assert loss.reason == "the recorder lost all messages for 320 ms"
+    with open_log(shared_logs / "ulog" / "sample.ulg") as log:
+        (loss,) = log.losses
+        assert loss.place == "4 dropouts, first at byte 36590"
+        assert loss.reason == "the recorder lost all messages for 119 ms"

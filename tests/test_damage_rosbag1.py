@@ -148,3 +148,17 @@ def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
     assert numbers == list(range(len(numbers)))
     assert 1500 < len(numbers) < 4000
     assert [loss.place for loss in losses] == [f"chunk at byte {begin}"]
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_a_bag_behind_another_is_counted_as_lost(tmp_path, is_closed):
+    """Its connections have numbers of their own, so it is not read, and that is said."""
+    content = written(tmp_path / "a.bag")
+    first = content if is_closed else content[: index_place(content)]
+    numbers, losses = read(tmp_path / "log.bag", first + content)
+    assert numbers == list(range(MESSAGES))
+    where = "after the index" if is_closed else "there"
+    reason = (
+        f"another bag begins {where}, and {len(content)} bytes are not read; split the file there"
+    )
+    assert losses == [Loss(f"byte {len(first)}", reason)]

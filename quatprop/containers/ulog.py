@@ -47,7 +47,7 @@ SYNC = bytes.fromhex("2f731320250cbb12")
 
 _HEAD = struct.Struct("<HB")
 _FLAGS = struct.Struct("<8s8s3Q")
-_FORMAT, _SUBSCRIPTION, _DATA = b"FAD"
+_FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
 _KINDS = frozenset(b"BFIMPQARDLCSO")
 _WORD = re.compile(r"\w+")
 
@@ -62,6 +62,7 @@ class _Records:
     offsets: array[int] = field(default_factory=lambda: array("q"))
     sizes: array[int] = field(default_factory=lambda: array("H"))
     ids: array[int] = field(default_factory=lambda: array("H"))
+    dropouts: list[tuple[int, int]] = field(default_factory=list)
 
 
 class UlogLog(MessageLog):
@@ -107,6 +108,10 @@ class UlogLog(MessageLog):
         ends = [*self._appended(), self._source.size]
         for start, end in zip([HEADER_SIZE, *ends], ends, strict=False):
             _walk(self._source, start, end, records)
+        if records.dropouts:
+            total_ms = sum(duration for _, duration in records.dropouts)
+            place = f"{len(records.dropouts)} dropouts, first at byte {records.dropouts[0][0]}"
+            self.losses.note(place, f"the recorder lost all messages for {total_ms} ms")
         return records
 
     def _appended(self) -> list[int]:
@@ -250,6 +255,8 @@ def _add_records(data: bytes, base: int, records: _Records) -> int:
             instance, id_ = struct.unpack_from("<BH", data, begin)
             name = data[begin + 3 : after].decode("utf-8", "replace")
             records.subscriptions[id_] = (name, instance)
+        elif kind == _DROPOUT and size > 1:
+            records.dropouts.append((base + position, data[begin] | data[begin + 1] << 8))
         position = after
     return position
 

@@ -34,6 +34,8 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+_MAGIC = b"#ROSBAG V"
+
 _LOOSE_SIZE = 1 << 20
 """Bytes of messages outside chunks that are read together."""
 
@@ -203,7 +205,16 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
         chunk.end = following.start
     if index.chunks:
         index.chunks[-1].end = end
+    if at < file.size:
+        _note_rest(file, index, at, "after the index")
     return index
+
+
+def _note_rest(file: RecordFile, index: BagIndex, at: int, where: str) -> None:
+    """Note that the rest of a file is not read, since connection numbers may differ there."""
+    what = "another bag begins" if file.at(at, len(_MAGIC)).startswith(_MAGIC) else "data follows"
+    reason = f"{what} {where}, and {file.size - at} bytes are not read; split the file there"
+    index.losses.note(f"byte {at}", reason)
 
 
 def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
@@ -242,6 +253,9 @@ def rebuild_index(file: RecordFile, at: int) -> BagIndex:
 
 def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Note that no record can be read at a place; return where to go on."""
+    if file.at(at, len(_MAGIC)).startswith(_MAGIC):
+        _note_rest(file, index, at, "there")
+        return file.size
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
     if last is not None and not last.loose and last.end == at and not last.counts:

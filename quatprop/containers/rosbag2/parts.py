@@ -21,6 +21,14 @@ _PART = re.compile(
 )
 """Names of parts: the bag's name, a number if it was split, storage, compression."""
 
+_SCALAR = re.compile(r"^ {2,4}(compression_(?:mode|format)): *(\S*) *$", re.MULTILINE)
+_PATH_LIST = re.compile(
+    r"^ {2,4}relative_file_paths: *\n(?P<items>(?: *- [^\n{}&*]+\n)+)(?= {0,4}\w|\Z)", re.MULTILINE
+)
+
+_LARGE_METADATA = 1 << 18
+"""Characters of metadata.yaml from which only what is needed is read."""
+
 MAX_METADATA = 1 << 22
 """Bytes that metadata.yaml may have; that of thousands of parts is smaller."""
 
@@ -90,13 +98,32 @@ def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
         return None
     try:
         if path.is_file() and path.stat().st_size <= MAX_METADATA:
-            metadata = _loaded(path.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+            text = path.read_text(encoding="utf-8")
+            large = _skimmed(text) if len(text) > _LARGE_METADATA else {}
+            metadata = large or _loaded(text)["rosbag2_bagfile_information"]
             if isinstance(metadata, dict) and _paths(metadata):
                 return metadata
     except (OSError, KeyError, ValueError):
         pass
     losses.note("metadata.yaml", "it is damaged; the parts are found by their names")
     return None
+
+
+def _skimmed(text: str) -> dict[str, Any]:
+    """Return what is needed of large metadata; empty if it is not as recorders write it.
+
+    A YAML library in Python takes seconds for each megabyte.
+    """
+    metadata: dict[str, Any] = {}
+    for key, value in _SCALAR.findall(text):
+        metadata[key] = value.strip("'\"")
+    paths = _PATH_LIST.search(text)
+    if paths is None:
+        return {}
+    metadata["relative_file_paths"] = [
+        line.strip()[1:].strip().strip("'\"") for line in paths["items"].splitlines()
+    ]
+    return metadata
 
 
 def _loaded(text: str) -> dict[str, Any]:
