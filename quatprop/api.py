@@ -128,7 +128,8 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     Returns
     -------
     AttitudeSeries
-        Hamilton, body to reference, scalar first, whatever the file has.
+        Hamilton, body to reference, scalar first, whatever the file has; with the positions beside
+        them, where there are any.
 
     Raises
     ------
@@ -145,7 +146,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     from quatprop.signals.attitude_input import attitude_input, load_attitudes
 
     path = _path(log)
-    loaded = load_attitudes(attitude_input(path, options))
+    loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
     _warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
     return loaded.series
 

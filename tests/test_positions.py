@@ -5,7 +5,9 @@ import pytest
 from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
 
+import quatprop
 from quatprop.cli import cli
+from quatprop.errors import SeriesError
 
 LOST = "the positions beside the attitudes are not kept: the output has no place for them"
 
@@ -99,3 +101,15 @@ def test_a_ground_truth_keeps_its_positions(tmp_path):
     assert [row[:4] for row in trajectory(out)] == [
         ["1.000000000", "1.5", "2.5", "-3.25"], ["3.000000000", "4", "5", "6"]
     ]  # fmt: skip
+
+
+def test_the_library_reads_and_writes_positions(vicon, tmp_path):
+    """Attitudes in memory have them too."""
+    expected, path = vicon
+    series = quatprop.read_attitudes(path)
+    assert (series.position == expected).all()
+    quatprop.write(series, tmp_path / "again.tum")
+    assert (tmp_path / "again.tum").read_bytes() == path.read_bytes()
+    assert quatprop.AttitudeSeries([0], [[1, 0, 0, 0]]).position is None
+    with pytest.raises(SeriesError, match="position"):
+        quatprop.AttitudeSeries([0], [[1, 0, 0, 0]], [[1, 2]])

@@ -43,6 +43,8 @@ class AttitudeInput:
         Leave out invalid quaternions instead of refusing the series.
     side
         Which side of a comparison it is, ``"a"`` or ``"b"``, for errors.
+    positions
+        Read positions beside the attitudes too, where there are any.
     """
 
     path: str
@@ -51,6 +53,7 @@ class AttitudeInput:
     normalize: bool = False
     drop: bool = False
     side: str = ""
+    positions: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,12 +165,15 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
                 Setting("topic"),
             )
         check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        parts = list(check.apply(signal.rows()))
+        read = signal.poses if wanted.positions and signal.poses else signal.rows
+        parts = list(check.apply(read()))
         if not parts:
             raise NoSamplesError(wanted.path, signal.name)
+        positions = [part.position for part in parts if part.position is not None]
         series = AttitudeSeries(
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.wxyz for part in parts]),
+            np.concatenate(positions) if positions else None,
         )
         signal = replace(signal, remarks=(*signal.remarks, *log.remarks))
         zeros = int(np.count_nonzero(series.t_ns == 0))
