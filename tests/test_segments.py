@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from quatprop.errors import TimelineError, UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -105,3 +106,77 @@ def test_the_output_of_a_cut_log_is_a_prefix(method, rate, tmp_path):
         outputs.append(out.read_bytes())
     whole = outputs[0]
     assert all(whole.startswith(part) and len(part) < len(whole) for part in outputs[1:])
+
+
+GAPPED = "t_ns,wx,wy,wz\n" + "".join(
+    f"{t}000000000,0,0,{w}\n" for t, w in [(0, 0.1), (1, 0.2), (11, 0.3), (12, 0.1), (13, 0.0)]
+)
+"""Rates about z, rad/s, with a gap from 1 s to 11 s."""
+
+
+def angles(tmp_path, policy, **options):
+    """Return stamps, s, and angles about z, rad, of the log with a gap."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    log.write_text(GAPPED)
+    settings = PropagationSettings(policy=policy, **options)
+    run(Job(str(log), OutputSettings(str(out)), settings))
+    rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
+    return rows[:, 0] / 1e9, 2 * np.arctan2(rows[:, 4], rows[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("on_gap", "expected"),
+    [
+        ("hold", [0, 0.1, 0.5, 0.9, 1.3, 1.7, 2.25, 2.5]),
+        ("zero", [0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.25, 0.5]),
+    ],
+)
+def test_attitudes_inside_a_gap_are_those_that_its_policy_assumes(on_gap, expected, tmp_path):
+    """Where no rotation is assumed the attitude stays; no wanted time is left out."""
+    times = tmp_path / "times.csv"
+    wanted = [0, 1, 3, 5, 7, 9, 11.5, 13]
+    times.write_text("t_ns,qw,qx,qy,qz\n" + "".join(f"{int(t * 1e9)},1,0,0,0\n" for t in wanted))
+    policy = Policy(on_gap=on_gap, max_gap_ns=5_000_000_000)
+    stamps, angle = angles(tmp_path, policy, at=str(times))
+    assert stamps.tolist() == wanted
+    np.testing.assert_allclose(angle, expected, atol=1e-14)
+
+
+def test_a_split_log_has_no_attitudes_inside_gaps(tmp_path):
+    """There nothing is assumed; the next segment begins with q0."""
+    policy = Policy(on_gap="split", max_gap_ns=5_000_000_000)
+    stamps, angle = angles(tmp_path, policy, rate=Fraction(2))
+    assert stamps.tolist() == [0, 0.5, 1, 11, 11.5, 12, 12.5, 13]
+    np.testing.assert_allclose(angle, [0, 0.05, 0.1, 0, 0.15, 0.3, 0.35, 0.4], atol=1e-14)
+
+
+def test_times_outside_the_log_are_refused(tmp_path):
+    """An empty output with exit code 0 would look like success."""
+    times = tmp_path / "times.csv"
+    times.write_text("t_ns,qw,qx,qy,qz\n14000000000,1,0,0,0\n")
+    with pytest.raises(
+        TimelineError,
+        match=r"none of the times asked for with at is between its first sample at 0 ns and its "
+        r"last at 13000000000 ns; are both on the same clock\?$",
+    ):
+        angles(tmp_path, Policy(), at=str(times))
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_wrong_timestamp_does_not_fill_the_disk(tmp_path):
+    """One stamp of another clock would ask for 1.7e11 rows: the two samples are named."""
+    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    stamps = [0, 10_000_000, 20_000_000, 1_700_000_000_000_000_000]
+    log.write_text("t_ns,wx,wy,wz\n" + "".join(f"{t},0,0,1\n" for t in stamps))
+    settings = PropagationSettings(rate=Fraction(100))
+    with pytest.raises(
+        UsageError,
+        match=r"^between the samples at 20000000 and 1700000000000000000 ns there would be "
+        r"169,999,999,998 attitudes at 100 Hz; is a timestamp wrong\? Choose on_gap='split', a "
+        r"lower rate, or leave a part out with start or end$",
+    ):
+        run(Job(str(log), OutputSettings(str(out)), settings))
+    assert not out.exists()
+    split = PropagationSettings(rate=Fraction(100), policy=Policy(on_gap="split"))
+    run(Job(str(log), OutputSettings(str(out)), split))
+    assert len(out.read_text().splitlines()) == 1 + 4

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from quatprop.errors import UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 
 if TYPE_CHECKING:
@@ -45,6 +47,10 @@ def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSerie
         count += len(batch)
         if len(t_ns := batch.t_ns[chosen]):
             yield AttitudeSeries(t_ns, batch.wxyz[chosen])
+
+
+MAX_ROWS = 10_000_000
+"""More times than this between two samples come from a wrong timestamp."""
 
 
 class Times(Protocol):
@@ -87,6 +93,32 @@ class Steady:
             stop_piece = min(start + PIECE, stop)
             yield self._origin + regular_stamps(start, stop_piece, self._rate)
 
+    def refuse_excess(self, t_ns: Int64) -> None:
+        """Refuse samples between which too many times lie: one of their stamps must be wrong.
+
+        Raises
+        ------
+        UsageError
+            An interval holds more than :data:`MAX_ROWS` times.
+        """
+        if len(t_ns) < 2:  # noqa: PLR2004  # ends of an interval
+            return
+        longest = int(np.argmax(np.diff(t_ns)))
+        before, after = t_ns[longest : longest + 2].tolist()
+        rows = (after - before) * self._rate / NS_PER_S
+        if rows > MAX_ROWS:
+            raise UsageError(
+                f"between the samples at {before} and {after} ns there would be {int(rows):,} "
+                f"attitudes at {float(self._rate):.6g} Hz; is a timestamp wrong? Choose ",
+                *(
+                    Setting("on_gap", "split"),
+                    ", a lower ",
+                    Setting("rate"),
+                    ", or leave a part out",
+                ),
+                *(" with ", Setting("start"), " or ", Setting("end")),
+            )
+
 
 class Listed:
     """Times that are given.
@@ -116,6 +148,7 @@ def at_times(
     *,
     method: str,
     rates: str,
+    gap_limit_ns: int | None = None,
 ) -> Iterator[AttitudeSeries]:
     """Yield attitudes at the wanted times of one segment.
 
@@ -127,6 +160,8 @@ def at_times(
         When attitudes are wanted.
     method, rates
         How they were propagated.
+    gap_limit_ns
+        In intervals longer than this no rotation is assumed; None: in none.
 
     Yields
     ------
@@ -143,8 +178,15 @@ def at_times(
             gyro = GyroSeries.joined([last[0], block])
             wxyz = np.concatenate([last[1].wxyz, wxyz])
         last = gyro[-1:], AttitudeSeries(gyro.t_ns[-1:], wxyz[-1:])
+        if isinstance(times, Steady):
+            times.refuse_excess(gyro.t_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            yield AttitudeSeries(wanted, _between(gyro, wxyz, wanted, method, rates))
+            between = _between(gyro, wxyz, wanted, method, rates)
+            if gap_limit_ns is not None:
+                at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
+                inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
+                between = np.where(inside[:, None], wxyz[at], between)
+            yield AttitudeSeries(wanted, between)
 
 
 def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates: str) -> Float64:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.conditioning import clipping_remarks, condition
 from quatprop.containers.remote import without_secret
-from quatprop.errors import NoSamplesError
+from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
@@ -16,6 +16,7 @@ from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, 
 from quatprop.pipeline.segments import Segments
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
+from quatprop.text import Setting
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -111,6 +112,15 @@ class AttitudeStream:
         for series in every(attitudes, self._settings.every or 1):
             self._rows += len(series)
             yield series
+        if not self._rows:
+            counts = self._timeline.counts
+            raise TimelineError(
+                self._path,
+                "none of the times asked for with ",
+                Setting("at"),
+                f" is between its first sample at {counts.first_ns} ns and its last at "
+                f"{counts.last_ns} ns; are both on the same clock?",
+            )
 
     def _begin(self, first: GyroSeries) -> Segments:
         """Return the propagation from the first samples used, at their attitude."""

@@ -72,13 +72,28 @@ class Segments:
             Whether to find out how much the final attitude depends on the method.
         """
         self._other_final = self._q0 if sensitivity else None
-        return chain.from_iterable(map(self._wanted, self._timeline.segments(samples)))
-
-    def _wanted(self, segment: Iterator[GyroSeries]) -> Iterator[AttitudeSeries]:
-        propagated = self._propagated(segment)
+        segments = map(self._propagated, self._timeline.segments(samples))
         if self._times is None:
-            return (series for _, series in propagated)
-        return at_times(propagated, self._times, method=self._method, rates=self._rates)
+            return (series for _, series in chain.from_iterable(segments))
+        if self._timeline.policy.on_gap == "split":
+            return chain.from_iterable(
+                self._resampled(segment, self._times) for segment in segments
+            )
+        return self._resampled(chain.from_iterable(segments), self._times)
+
+    def _resampled(
+        self, propagated: Iterator[tuple[GyroSeries, AttitudeSeries]], times: Times
+    ) -> Iterator[AttitudeSeries]:
+        """Yield the attitudes at the wanted times; inside gaps too, where they are known."""
+        first = next(propagated)
+        zero = self._timeline.policy.on_gap == "zero"
+        yield from at_times(
+            chain([first], propagated),
+            times,
+            method=self._method,
+            rates=self._rates,
+            gap_limit_ns=self._timeline.counts.gap_limit_ns if zero else None,
+        )
 
     def _propagated(
         self, segment: Iterable[GyroSeries]
