@@ -77,9 +77,12 @@ READERS: dict[str, Reader] = {
     "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
     "jsonl": Reader("quatprop.tables.jsonl:JsonLinesLog", (b"{",), (".jsonl", ".ndjson")),
+    "tum": Reader("quatprop.tables.csv.tum:TumLog", (), (".tum",)),
     "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }
 """Every kind of log, in the order in which errors and help list them."""
+
+_TEXT_KINDS = ("csv", "tum")
 
 
 @contextmanager
@@ -112,9 +115,9 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
         if str(path) == "-":
-            if kind not in (None, "csv"):
+            if kind not in (None, *_TEXT_KINDS):
                 raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
-            yield _enter("csv", sys.stdin.buffer, stack)
+            yield _enter(kind or "csv", sys.stdin.buffer, stack)
         elif is_address(path):
             copied = stack.enter_context(local_copy(str(path)))
             with _renamed_errors(without_secret(path)):
@@ -144,10 +147,11 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | T
     head = _head(source)
     inside = path.with_suffix("") if path.suffix else path
     is_compressed = file_compression(head) != ""
-    if is_compressed and kind is None and inside.suffix.lower() in READERS["csv"].suffixes:
-        kind = "csv"
+    if is_compressed and kind is None:
+        text_kinds = (k for k in _TEXT_KINDS if inside.suffix.lower() in READERS[k].suffixes)
+        kind = next(text_kinds, None)
     # A text table decompresses itself as it is read, and its name may tell what it holds.
-    if kind == "csv" or not is_compressed:
+    if kind in _TEXT_KINDS or not is_compressed:
         return _open_source(source, kind or _kind(path, head), stack)
     source.close()
     try:

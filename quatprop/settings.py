@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "jsonl", "csv"),
+    *("parquet", "feather", "npy", "npz", "jsonl", "tum", "csv"),
 )
 """The keys of :data:`quatprop.formats.READERS`."""
 

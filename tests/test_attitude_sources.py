@@ -1,6 +1,7 @@
 """Attitudes out of tables and messages: real recordings, and logs that rosbags wrote."""
 
 import csv
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from quatprop.errors import (
     NotRotationsError,
     TimelineError,
     UndeclaredError,
+    UnsupportedLogError,
     UsageError,
 )
 from quatprop.formats import open_log
@@ -251,6 +253,34 @@ def test_tum_trajectories_are_scalar_last_in_exact_seconds(tmp_path):
         1305031100000000000,
     ]
     assert wxyz.tolist() == [[0.8, 0.6, 0, 0], [0.8, 0, 0.6, 0], [0.8, 0, 0, 0.6]]
+
+
+TRAJECTORY = "10.5 1 2 3 0.6 0 0 0.8\n11.5 1 2 3 0 0.6 0 0.8\n"
+
+
+@pytest.mark.parametrize(
+    "text", [TRAJECTORY, "# ours\n" + TRAJECTORY, TRAJECTORY.replace(" ", ",")]
+)
+def test_a_tum_trajectory_needs_no_header(tmp_path, text):
+    """Its suffix says what its eight columns are; compressed files keep it before their own."""
+    plain, packed = table(tmp_path, text, "log.tum"), tmp_path / "log.tum.gz"
+    packed.write_bytes(gzip.compress(text.encode()))
+    for path in (plain, packed):
+        t_ns, wxyz, source, _ = read(path)
+        assert (t_ns.tolist(), source.type_name) == ([10_500_000_000, 11_500_000_000], "TUM")
+        assert wxyz.tolist() == [[0.8, 0.6, 0, 0], [0.8, 0, 0.6, 0]]
+
+
+def test_a_tum_trajectory_of_another_name_is_read_as_one_where_the_user_says_so(tmp_path):
+    """Eight numbers a row may be anything otherwise; of another width it is no trajectory."""
+    path = table(tmp_path, TRAJECTORY, "log.txt")
+    with pytest.raises(NoAttitudesError):
+        read(path)
+    with open_log(path, "tum") as log:
+        assert choose_attitudes(log, AttitudeSelection()).type_name == "TUM"
+    path = table(tmp_path, "1 2 3 4\n5 6 7 8\n")
+    with pytest.raises(UnsupportedLogError, match="it has 4 columns, and a TUM trajectory has 8"):
+        open_log(path, "tum").__enter__()
 
 
 def test_numbered_columns_need_columns_and_a_layout(tmp_path):
