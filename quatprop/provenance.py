@@ -10,14 +10,17 @@ import hashlib
 import json
 import threading
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
     from typing import Self
+
+JsonObject: TypeAlias = dict[str, Any]
+"""An object of JSON, as it is read or about to be written."""
 
 _BLOCK_BYTES = 1 << 20
 
@@ -43,6 +46,8 @@ def as_json(value: object) -> Any:
     """
     if value is None or isinstance(value, bool | int | float | str):
         return value
+    if isinstance(value, Digest):
+        return value.as_json()
     if is_dataclass(value):
         return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
@@ -54,7 +59,7 @@ def as_json(value: object) -> Any:
     return str(value) if convert is None else convert()
 
 
-def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str, Any]:
+def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> JsonObject:
     """Return the provenance in the metadata of a file; empty where there is none.
 
     Parameters
@@ -74,11 +79,11 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str
     >>> provenance_in({b"quatprop": b'{"quatprop": "1.0"}'}, "attitude.parquet")
     {'quatprop': '1.0'}
     """
-    words = metadata.get(METADATA_KEY)
-    if words is None:
+    text = metadata.get(METADATA_KEY)
+    if text is None:
         return {}
     try:
-        provenance = json.loads(words)
+        provenance = json.loads(text)
     except ValueError:
         provenance = None
     if not isinstance(provenance, dict):
@@ -88,13 +93,13 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> dict[str
     return provenance
 
 
-def provenance_of(said: Mapping[str, str], topic: str, path: Path | str) -> dict[str, Any]:
+def provenance_of(metadata: Mapping[str, str], topic: str, path: Path | str) -> JsonObject:
     """Return the provenance of one topic; empty where there is none.
 
     Parameters
     ----------
-    said
-        What a log of messages says of each topic, as JSON; under ``""`` of all others.
+    metadata
+        The provenance of each topic of a log, as JSON; under ``""`` that of all others.
     topic
         The topic.
     path
@@ -110,119 +115,125 @@ def provenance_of(said: Mapping[str, str], topic: str, path: Path | str) -> dict
     >>> provenance_of({"": "{}", "/attitude": '{"quatprop": "1.0"}'}, "/attitude", "a.mcap")
     {'quatprop': '1.0'}
     """
-    words = said.get(topic, said.get(""))
-    return {} if words is None else provenance_in({METADATA_KEY: words.encode()}, path)
+    text = metadata.get(topic, metadata.get(""))
+    return {} if text is None else provenance_in({METADATA_KEY: text.encode()}, path)
 
 
 def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
-    """Return what the metadata of a whole log say, for :func:`provenance_of`.
+    """Return the provenance of each topic, for :func:`provenance_of`.
 
     Parameters
     ----------
     custom
-        All of them, by their names.
+        The metadata of a whole log, by name: the key alone, or followed by a topic.
     """
-    # What was added to a bag stands under its topic.
-    parted = {name.partition(" ")[::2]: words for name, words in custom.items()}
-    return {topic: words for (key, topic), words in parted.items() if key == METADATA_KEY.decode()}
+    named = {name.partition(" ")[::2]: text for name, text in custom.items()}
+    return {topic: text for (key, topic), text in named.items() if key == METADATA_KEY.decode()}
 
 
-def fingerprint(path: Path | str) -> dict[str, Any]:
-    """Return by what a source can be told again: its bytes and their SHA-256.
+@dataclass(frozen=True, slots=True)
+class Digest:
+    """By what a source is recognised.
+
+    Parameters
+    ----------
+    bytes
+        Its size; None where there is nothing that could be read again.
+    sha256
+        Of its content; of a folder, of what ``sha256sum *`` prints for its files. None where it was
+        not computed.
+    files
+        The files of a folder, by name; None for a file.
+    """
+
+    bytes: int | None = None
+    sha256: str | None = None
+    files: Mapping[str, Digest] | None = None
+
+    def as_json(self) -> JsonObject:
+        """Return the digest as it stands in reports."""
+        digest: JsonObject = {"bytes": self.bytes, "sha256": self.sha256}
+        if self.files is not None:
+            digest["files"] = {name: file.as_json() for name, file in self.files.items()}
+        return digest
+
+
+def digest_of(path: Path | str) -> Digest:
+    """Return the digest of a file or a folder; pipes and ``"-"`` cannot be read again."""
+    with DigestThread(path) as thread:
+        return thread.result()
+
+
+class DigestThread:
+    """Computes the digest of a source while others read it.
 
     Parameters
     ----------
     path
-        A file, or a folder; pipes and ``"-"`` cannot be read again.
-
-    Returns
-    -------
-    dict
-        ``bytes`` and ``sha256``, None where there is nothing to read. Of a folder also ``files``,
-        the same of each file in it by name; its ``sha256`` is that of what ``sha256sum *`` prints
-        for them.
-    """
-    with Fingerprint(path) as found:
-        return found.result()
-
-
-class Fingerprint:
-    """Takes the fingerprint of a source, of a large one in a thread, while others read it.
-
-    Parameters
-    ----------
-    path
-        As for :func:`fingerprint`.
-    wanted
-        Whether it is wanted at all: reading everything once more is not for free. Otherwise
-        ``sha256`` is None.
+        As for :func:`digest_of`.
+    hashed
+        Whether to compute the SHA-256, which reads everything once more; otherwise only the size.
     """
 
-    def __init__(self, path: Path | str, *, wanted: bool = True) -> None:
-        self._place = Path(path)
-        self._wanted = wanted
+    def __init__(self, path: Path | str, *, hashed: bool = True) -> None:
+        self._path = Path(path)
+        self._hashed = hashed
         self._stopped = threading.Event()
-        self._found: dict[str, Any] = {"bytes": None, "sha256": None}
+        self._digest = Digest()
         self._error: OSError | None = None
-        self._thread: threading.Thread | None = None
-        if self._place.is_file() and self._place.stat().st_size <= _BLOCK_BYTES:
-            self._run()
-        else:
-            self._thread = threading.Thread(target=self._run, daemon=True)
-            self._thread.start()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
 
-    def result(self) -> dict[str, Any]:
-        """Wait for the fingerprint and return it; see :func:`fingerprint`.
+    def result(self) -> Digest:
+        """Wait for the digest and return it.
 
         Raises
         ------
         UnreadableLogError
             The source cannot be read to its end.
         """
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
         if self._error is not None:
             raise UnreadableLogError(
-                self._place, f"it cannot be read: {self._error.strerror}"
+                self._path, f"it cannot be read: {self._error.strerror}"
             ) from self._error
-        return self._found
+        return self._digest
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
         self._stopped.set()
-        if self._thread is not None:
-            self._thread.join()
+        self._thread.join()
 
     def _run(self) -> None:
         try:
-            if self._place.is_dir():
-                files = sorted(file for file in self._place.iterdir() if file.is_file())
+            if self._path.is_dir():
+                files = sorted(file for file in self._path.iterdir() if file.is_file())
                 if files:
-                    self._found = _of_folder({file.name: self._of_file(file) for file in files})
-            elif self._place.is_file():
-                self._found = self._of_file(self._place)
+                    self._digest = _of_folder({file.name: self._of_file(file) for file in files})
+            elif self._path.is_file():
+                self._digest = self._of_file(self._path)
         except OSError as error:
             self._error = error
 
-    def _of_file(self, file: Path) -> dict[str, Any]:
-        digest = hashlib.sha256()
+    def _of_file(self, file: Path) -> Digest:
+        sha256 = hashlib.sha256()
         size = 0
-        block = memoryview(bytearray(min(file.stat().st_size + 1, _BLOCK_BYTES)))
+        block = memoryview(bytearray(_BLOCK_BYTES))
         with file.open("rb", buffering=0) as stream:
-            if not self._wanted:
-                return {"bytes": stream.seek(0, 2), "sha256": None}
+            if not self._hashed:
+                return Digest(stream.seek(0, 2))
             while not self._stopped.is_set() and (count := stream.readinto(block)):
-                digest.update(block[:count])
+                sha256.update(block[:count])
                 size += count
-        return {"bytes": size, "sha256": digest.hexdigest()}
+        return Digest(size, sha256.hexdigest())
 
 
-def _of_folder(files: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    size = sum(facts["bytes"] for facts in files.values())
-    if any(facts["sha256"] is None for facts in files.values()):
-        return {"bytes": size, "sha256": None}
-    lines = "".join(f"{facts['sha256']}  {name}\n" for name, facts in files.items())
-    digest = hashlib.sha256(lines.encode(errors="surrogateescape"))
-    return {"bytes": size, "sha256": digest.hexdigest(), "files": files}
+def _of_folder(files: Mapping[str, Digest]) -> Digest:
+    size = sum(file.bytes or 0 for file in files.values())
+    if any(file.sha256 is None for file in files.values()):
+        return Digest(size)
+    lines = "".join(f"{file.sha256}  {name}\n" for name, file in files.items())
+    sha256 = hashlib.sha256(lines.encode(errors="surrogateescape"))
+    return Digest(size, sha256.hexdigest(), files)

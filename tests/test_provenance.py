@@ -15,7 +15,7 @@ from mcap.writer import Writer as McapWriter
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
-from quatprop.provenance import Fingerprint, as_json, fingerprint
+from quatprop.provenance import Digest, DigestThread, as_json, digest_of
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
@@ -91,7 +91,7 @@ def test_conversions_are_added_one_after_the_other(tmp_path, rates, kind):
     steps = end["conversions"]
     assert [step["source"]["path"] for step in steps] == [str(first), str(second)]
     assert [step["source"]["sha256"] for step in steps] == [
-        fingerprint(first)["sha256"], fingerprint(second)["sha256"],
+        digest_of(first).sha256, digest_of(second).sha256,
     ]  # fmt: skip
     assert [step["to"]["sign"] for step in steps] == ["positive", "keep"]
 
@@ -196,19 +196,19 @@ def test_a_propagation_tells_its_source(tmp_path, rates):
 def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
     """A CSV keeps no provenance, so none is found out: unless a comment or a report asks for it."""
     began = []
-    original = Fingerprint.__init__
+    original = DigestThread.__init__
 
-    def begin(self, path, *, wanted=True):
-        began.append(wanted)
-        original(self, path, wanted=wanted)
+    def begin(self, path, *, hashed=True):
+        began.append(hashed)
+        original(self, path, hashed=hashed)
 
-    monkeypatch.setattr(Fingerprint, "__init__", begin)
+    monkeypatch.setattr(DigestThread, "__init__", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
         run("propagate", rates, "-o", out, *options)
         run("convert", out, tmp_path / "converted.csv", *options)
     assert began == [False, False, True, True, True, True]
-    assert Fingerprint(rates, wanted=False).result() == {"bytes": len(RATES), "sha256": None}
+    assert DigestThread(rates, hashed=False).result() == Digest(len(RATES))
     assert not keeps_provenance("a.csv")
     assert keeps_provenance("a.csv", comment=True)
     assert keeps_provenance("a.npz")
@@ -234,7 +234,7 @@ def test_every_part_of_a_folder_is_told(tmp_path):
         "b_0.db3": hashlib.sha256(b"one").hexdigest(),
     }
     lines = "".join(f"{sums[name]}  {name}\n" for name in sorted(sums))
-    assert fingerprint(tmp_path) == {
+    assert digest_of(tmp_path).as_json() == {
         "bytes": 6,
         "sha256": hashlib.sha256(lines.encode()).hexdigest(),
         "files": {name: {"bytes": 3, "sha256": found} for name, found in sums.items()},
@@ -245,16 +245,16 @@ def test_every_part_of_a_folder_is_told(tmp_path):
 def test_a_pipe_is_not_waited_for(tmp_path):
     """Neither by itself nor in a folder; nothing is not there either."""
     os.mkfifo(tmp_path / "pipe")
-    nothing = {"bytes": None, "sha256": None}
-    assert fingerprint(tmp_path / "pipe") == nothing
-    assert fingerprint(tmp_path) == nothing
-    assert fingerprint(tmp_path / "none") == nothing
+    nothing = Digest()
+    assert digest_of(tmp_path / "pipe") == nothing
+    assert digest_of(tmp_path) == nothing
+    assert digest_of(tmp_path / "none") == nothing
 
 
 def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):
     """A large source is not read to its end for a result that there will not be."""
     threads = threading.active_count()
-    with Fingerprint(rates):
+    with DigestThread(rates):
         pass
     assert threading.active_count() == threads
     (tmp_path / "bad.csv").write_text("t_ns,wx,wy,wz\n5,0,0,1\n1,0,0,1\n")

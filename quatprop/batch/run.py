@@ -17,7 +17,7 @@ from quatprop.containers.remote import is_address, without_secret
 from quatprop.errors import NoRatesError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.parallel import KILLED, map_processes
 from quatprop.pipeline.job import Job, run
-from quatprop.provenance import fingerprint
+from quatprop.provenance import digest_of
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
 from quatprop.writers.targets import refuse_overlap
@@ -164,10 +164,10 @@ def propagate_log(task: BatchTask) -> BatchResult:
 
 
 def _entry_of(task: BatchTask, report: RunReport) -> ManifestEntry:
-    log, result = report.source.fingerprint, report.result
-    if log["sha256"] is None and not is_address(task.job.log):
-        log = fingerprint(task.job.log)
-    output = fingerprint(task.job.output.path)
+    log, result = report.source.digest, report.result
+    if log.sha256 is None and not is_address(task.job.log):
+        log = digest_of(task.job.log)
+    output = digest_of(task.job.output.path)
     return ManifestEntry(
         state="data lost" if report.data_lost else "done",
         log=log_name(task.job.log),
@@ -180,10 +180,10 @@ def _entry_of(task: BatchTask, report: RunReport) -> ManifestEntry:
         final_wxyz=tuple(map(float, result.final_wxyz)),
         remarks=tuple(map(str, report.remarks)),
         losses=tuple(f"{loss.place}: {loss.reason}" for loss in report.losses),
-        log_bytes=log["bytes"],
-        log_sha256=log["sha256"],
-        output_bytes=output["bytes"],
-        output_sha256=output["sha256"],
+        log_bytes=log.bytes,
+        log_sha256=log.sha256,
+        output_bytes=output.bytes,
+        output_sha256=output.sha256,
     )
 
 

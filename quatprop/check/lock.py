@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.errors import LogError, SuiteError, UnreadableLogError
-from quatprop.provenance import as_json, fingerprint
+from quatprop.provenance import JsonObject, as_json, digest_of
 from quatprop.text import Setting, Text
 from quatprop.writers.atomic import open_atomic
 
@@ -118,7 +118,7 @@ def _defect(text: str) -> Text:
     return Text("it is not the lock that ", Setting("update"), " writes", reason)
 
 
-def _pin(entry: dict[str, Any]) -> Pin:
+def _pin(entry: JsonObject) -> Pin:
     if entry.keys() != VALID.keys() or not all(VALID[key](entry[key]) for key in VALID):
         raise ValueError(entry)
     return Pin(**{**entry, "final_wxyz": tuple(entry["final_wxyz"])})
@@ -143,7 +143,7 @@ def sha256_of(path: str) -> str:
         It is missing, unreadable, or a Git LFS pointer.
     """
     refuse_lfs_pointer(path)
-    digest = fingerprint(path)["sha256"]
+    digest = digest_of(path).sha256
     if digest is None:
         raise UnreadableLogError(path, "no such file or folder; check the path")
     return str(digest)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from quatprop.check.case import Case
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
-from quatprop.provenance import fingerprint
+from quatprop.provenance import digest_of
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
@@ -152,5 +152,5 @@ def orphaned_references(cases: Iterable[Case | CaseNotRun], deleted: Iterable[Pi
         path
         for folder in sorted({path.parent for path in used})
         for path in sorted(folder.glob("*.parquet"))
-        if path not in used and fingerprint(path)["sha256"] in digests
+        if path not in used and digest_of(path).sha256 in digests
     ]

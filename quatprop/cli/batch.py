@@ -18,7 +18,7 @@ from quatprop.cli.options import quiet_option
 from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable
+    from collections.abc import Generator, Iterable, Mapping
 
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.manifest import Manifest
@@ -147,7 +147,7 @@ def command(names: tuple[str, ...], **options: Any) -> None:
 command.params += SHARED
 
 
-def _search(names: Iterable[str], batch: dict[str, Any]) -> LogSearch:
+def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
     from quatprop.batch.logs import LogSearch, shard
 
@@ -168,7 +168,7 @@ def _search(names: Iterable[str], batch: dict[str, Any]) -> LogSearch:
 
 
 def _results(
-    tasks: list[BatchTask], batch: dict[str, Any], manifest: Manifest
+    tasks: list[BatchTask], batch: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
     from quatprop.batch.run import on_a_cluster, on_this_machine
 

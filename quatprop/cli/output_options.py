@@ -11,6 +11,8 @@ from quatprop.writers import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from quatprop.pipeline.settings import OutputSettings
 
 
@@ -60,35 +62,7 @@ OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OP
 """How an attitude series is written."""
 
 
-def message(chosen: dict[str, Any]) -> Message | None:
-    """Take the message options out of a command's options; None where none was given."""
-    kind, topic, frames = (chosen.pop(key) for key in ("message", "out_topic", "frames"))
-    if kind is None and topic is None and frames is None:
-        return None
-    reference, comma, body = (frames or "reference,body").partition(",")
-    if not comma:
-        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
-    return Message(kind or Message().type, topic, reference, body)
-
-
-def destination(chosen: dict[str, Any], own: str = "-o OUT") -> dict[str, Any]:
-    """Take the destination out of a command's options: a file of attitudes, or a copy of the log.
-
-    Parameters
-    ----------
-    chosen
-        The options.
-    own
-        How the file of attitudes is named, for errors.
-    """
-    output, into = chosen.pop("output"), chosen.pop("into")
-    if (output is None) == (into is None):
-        both = "" if output is None else ", not both"
-        raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
-    return {"output": into or output, "into": into is not None}
-
-
-def output_settings(chosen: dict[str, Any], own: str = "-o OUT") -> OutputSettings:
+def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSettings:
     """Return where attitudes go and as what, from a command's options.
 
     Parameters
@@ -101,14 +75,26 @@ def output_settings(chosen: dict[str, Any], own: str = "-o OUT") -> OutputSettin
     from quatprop.conventions.layout import layout_named
     from quatprop.pipeline.settings import OutputSettings
 
-    where = destination(chosen, own)
-    layout = chosen["layout"]
+    output, into, layout = chosen["output"], chosen["into"], chosen["layout"]
+    if (output is None) == (into is None):
+        both = "" if output is None else ", not both"
+        raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
     return OutputSettings(
-        path=where["output"],
-        into=where["into"],
+        path=into or output,
+        into=into is not None,
         to=chosen["to"],
         layout=layout and layout_named(layout).name,
-        message=message(chosen),
+        message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),
         comment=chosen["comment"],
         report=chosen["report"],
     )
+
+
+def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
+    """Return what the attitudes are written as; None where no option says it."""
+    if kind is None and topic is None and frames is None:
+        return None
+    reference, comma, body = (frames or "reference,body").partition(",")
+    if not comma:
+        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
+    return Message(kind or Message().type, topic, reference, body)

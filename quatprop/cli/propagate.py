@@ -18,6 +18,7 @@ from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_sett
 from quatprop.settings import PROPAGATE
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from contextlib import AbstractContextManager
 
     from quatprop.pipeline.job import Job
@@ -78,7 +79,7 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
     return PropagationPicture(plot, inputs, outputs, resampled=resampled, spell=spelled)
 
 
-def job_of(chosen: dict[str, Any]) -> Job:
+def job_of(chosen: Mapping[str, Any]) -> Job:
     """Return what the options ask for, with typed values."""
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.provenance import provenance_of
+from quatprop.provenance import JsonObject, provenance_of
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Mapping, Sequence
@@ -221,7 +221,7 @@ class MessageLog(Log):
             One of :meth:`channels`.
         """
 
-    def provenance(self, topic: str) -> dict[str, Any]:
+    def provenance(self, topic: str) -> JsonObject:
         """Return how the messages of a topic were made, if this package made them; else empty.
 
         Raises

@@ -13,7 +13,7 @@ from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import copy_kind
 from quatprop.pipeline.report import ReportFile
-from quatprop.provenance import Fingerprint
+from quatprop.provenance import DigestThread
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
@@ -102,12 +102,12 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
         source = choose_attitudes(log, job.selection)
         check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(job.applied_sign)
-        # The fingerprint takes another pass over the source: only where something keeps it.
+        # The digest takes another pass over the source: only where something keeps it.
         kept = keeps_provenance(output.path, output.to, comment=output.comment)
         with (
             ReportFile(output.report) as report_file,
             open_destination(job, log) as (target, write),
-            Fingerprint(job.log, wanted=kept or output.report is not None) as fingerprint,
+            DigestThread(job.log, hashed=kept or output.report is not None) as digest,
         ):
             singular = 0
             # A reference that is turned into the body is no place for a position.
@@ -130,7 +130,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
                 log,
                 source,
                 counts=check.counts,
-                fingerprint=fingerprint.result(),
+                digest=digest.result(),
                 remarks=remarks,
             )
             provenance = report.provenance()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop import __version__
 from quatprop.containers.remote import without_secret
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
-from quatprop.provenance import as_json
+from quatprop.provenance import Digest, as_json
 from quatprop.writers import kind_of, layout_of
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ class ConversionSource:
     ----------
     path, kind
         The file.
-    fingerprint
+    digest
         Its size and SHA-256.
     name, type
         Topic and message type, or columns and dialect.
@@ -40,7 +40,7 @@ class ConversionSource:
 
     path: str
     kind: str
-    fingerprint: Mapping[str, Any]
+    digest: Digest
     name: str
     type: str
     clock: str
@@ -50,7 +50,7 @@ class ConversionSource:
         return {
             "path": self.path,
             "kind": self.kind,
-            **self.fingerprint,
+            **self.digest.as_json(),
             "name": self.name,
             "type": self.type,
             "clock": self.clock,
@@ -168,7 +168,7 @@ def conversion_report(  # noqa: PLR0913  # the parts of a conversion
     source: AttitudeSignal,
     *,
     counts: QuaternionCounts,
-    fingerprint: Mapping[str, Any],
+    digest: Digest,
     remarks: tuple[str | Text, ...],
 ) -> ConversionReport:
     """Return the report of a conversion."""
@@ -181,7 +181,7 @@ def conversion_report(  # noqa: PLR0913  # the parts of a conversion
     path = without_secret(job.log)
     return ConversionReport(
         source=ConversionSource(
-            path, log.kind, fingerprint, source.name, source.type_name, source.clock
+            path, log.kind, digest, source.name, source.type_name, source.clock
         ),
         stored=AttitudeFormat(
             source.representation, source.layout, source.meaning, (source.field,)

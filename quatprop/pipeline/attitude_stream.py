@@ -14,6 +14,7 @@ from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
+from quatprop.provenance import Digest
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.text import Setting
@@ -21,8 +22,8 @@ from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from typing import Any, Protocol
+    from collections.abc import Iterable, Iterator
+    from typing import Protocol
 
     from quatprop.containers.base import MessageLog
     from quatprop.kinematics.resample import Times
@@ -141,16 +142,14 @@ class AttitudeStream:
             times=self._times,
         )
 
-    def report(
-        self, *, layout: str | None = None, fingerprint: Mapping[str, Any] | None = None
-    ) -> RunReport:
+    def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
         """Return the report, when all attitudes have passed.
 
         Parameters
         ----------
         layout
             Order of the columns written.
-        fingerprint
+        digest
             Size and SHA-256 of the log.
         """
         settings, source, log = self._settings, self._source, self._log
@@ -169,7 +168,7 @@ class AttitudeStream:
             source=SourceReport(
                 path=without_secret(self._path),
                 kind="series" if log is None else log.kind,
-                fingerprint=fingerprint or {},
+                digest=digest or Digest(),
                 name=source.name,
                 type=source.type_name,
                 rate=source.field,

@@ -13,7 +13,7 @@ from quatprop.kinematics.propagate import unit_q0
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.provenance import Fingerprint
+from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
 from quatprop.writers import keeps_provenance, kind_of, layout_of, open_writer
@@ -111,12 +111,12 @@ def run(
         with (
             ReportFile(output.report) as report_file,
             _open_output(output, settings, log) as writer,
-            Fingerprint(job.log, wanted=kept) as fingerprint,
+            DigestThread(job.log, hashed=kept) as digest,
         ):
             for series in stream:
                 writer.write(series)
                 tick(stream.samples)
-            report = stream.report(layout=output.layout, fingerprint=fingerprint.result())
+            report = stream.report(layout=output.layout, digest=digest.result())
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.provenance import as_json
+from quatprop.provenance import Digest, JsonObject, as_json
 from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ class SourceReport:
     ----------
     path, kind
         The log.
-    fingerprint
-        Its size and SHA-256; see :func:`quatprop.provenance.fingerprint`.
+    digest
+        Its size and SHA-256.
     name, type
         Topic and message type, or rate columns and dialect.
     rate, rate_unit
@@ -53,7 +53,7 @@ class SourceReport:
 
     path: str
     kind: str
-    fingerprint: Mapping[str, Any]
+    digest: Digest
     name: str
     type: str
     rate: str
@@ -170,13 +170,13 @@ class RunReport:
         """Return the same report with the duration of the run."""
         return replace(self, seconds=seconds)
 
-    def as_json(self) -> dict[str, Any]:
+    def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""
         source = as_json(self.source)
-        fingerprint = source.pop("fingerprint")
+        digest = source.pop("digest")
         report = {
             "quatprop": __version__,
-            "source": {**source, **fingerprint},
+            "source": {**source, **digest},
             "convention": {**as_json(self.convention), "side": self.convention.side},
             "policy": as_json(self.policy),
             "counts": as_json(self.counts),
@@ -189,7 +189,7 @@ class RunReport:
         return report if self.seconds is None else {**report, "timings": {"seconds": self.seconds}}
 
 
-def convention_of(layout: str) -> dict[str, Any]:
+def convention_of(layout: str) -> JsonObject:
     """Return the metadata of attitudes of which nothing is known but what their numbers mean."""
     stated = ("product", "attitude")
     convention = {name: CONVENTION[name] for name in stated} | {"layout": layout}

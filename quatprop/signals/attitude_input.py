@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.containers.base import Loss
+    from quatprop.provenance import JsonObject
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
 
@@ -88,7 +89,7 @@ class LoadedAttitudes:
         """Whether something was left out."""
         return bool(self.losses or self.counts.invalid)
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> JsonObject:
         """Return where it is from and what it spans, JSON-ready."""
         t_ns = self.series.t_ns
         return {

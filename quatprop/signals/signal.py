@@ -8,7 +8,7 @@ candidates; :func:`choose` takes the only one. Nothing is guessed silently: what
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
+    from quatprop.provenance import JsonObject
     from quatprop.selection import SignalSelection
     from quatprop.series import GyroSeries
     from quatprop.tables.base import TableLog
@@ -138,7 +139,7 @@ class AttitudeSignal(Signal):
     rows: Callable[[], Rows]
     layout: str
     meaning: Meaning
-    provenance: dict[str, Any]
+    provenance: JsonObject
     representation: str = "quaternion"
     poses: Callable[[], Poses] | None = None
     placeholder: bool = False

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
-from quatprop.provenance import provenance_in
+from quatprop.provenance import JsonObject, provenance_in
 from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, Leaf, RowGroup, TypedTable
 from quatprop.text import plain
 
@@ -38,7 +38,7 @@ class _ArrowLog(TypedTable):
                 f"its end or its schema is damaged ({plain(error)}); was it written to the end?",
             ) from error
 
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> JsonObject:
         """Return how the content came about, as the metadata of the file say it."""
         return provenance_in(self._metadata(), self.path)
 

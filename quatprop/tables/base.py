@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 from quatprop.containers.base import Log
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
+    from quatprop.provenance import JsonObject
 
     Batches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
 
@@ -97,7 +98,7 @@ class TableLog(Log):
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
 
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> JsonObject:
         """Return how the content came about, as written beside it; empty where it is not.
 
         Raises

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import zipfile
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.provenance import METADATA_KEY, provenance_in
+from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.cut_archive import CutArchive
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
@@ -63,7 +63,7 @@ class NpzLog(NumpyTable):
             self._archive.close()
             raise
 
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> JsonObject:
         """Return how the content came about, as the string ``quatprop`` says it."""
         key = METADATA_KEY.decode()
         member = key + _SUFFIX

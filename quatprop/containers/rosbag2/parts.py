@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
@@ -15,6 +15,8 @@ from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from quatprop.provenance import JsonObject
 
 _PART = re.compile(
     r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
@@ -92,7 +94,7 @@ def folder(path: Path) -> Folder:
     return found
 
 
-def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
+def _metadata(path: Path, losses: Losses) -> JsonObject | None:
     """Return the content of metadata.yaml; None if it is missing or not usable."""
     if not path.exists():
         return None
@@ -109,12 +111,12 @@ def _metadata(path: Path, losses: Losses) -> dict[str, Any] | None:
     return None
 
 
-def _skimmed(text: str) -> dict[str, Any]:
+def _skimmed(text: str) -> JsonObject:
     """Return what is needed of large metadata; empty if it is not as recorders write it.
 
     A YAML library in Python takes seconds for each megabyte.
     """
-    metadata: dict[str, Any] = {}
+    metadata: JsonObject = {}
     for key, value in _SCALAR.findall(text):
         metadata[key] = value.strip("'\"")
     paths = _PATH_LIST.search(text)
@@ -126,7 +128,7 @@ def _skimmed(text: str) -> dict[str, Any]:
     return metadata
 
 
-def _loaded(text: str) -> dict[str, Any]:
+def _loaded(text: str) -> JsonObject:
     """Return the content of a text in YAML; empty if it is damaged."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
@@ -150,7 +152,7 @@ def custom_data(text: str) -> dict[str, str]:
     return _custom(_loaded(text)) if len(text) <= MAX_METADATA else {}
 
 
-def _custom(metadata: dict[str, Any]) -> dict[str, str]:
+def _custom(metadata: JsonObject) -> dict[str, str]:
     custom = metadata.get("custom_data")
     if not isinstance(custom, dict):
         return {}
@@ -181,7 +183,7 @@ def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
     return [parts[key] for key in sorted(parts)]
 
 
-def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) -> None:
+def _compare(metadata: JsonObject, there: dict[str, Path], found: Folder) -> None:
     """Look for every part that the metadata lists."""
     sizes = {
         PurePosixPath(_text(entry.get("path"))).name: entry.get("message_count")
@@ -211,7 +213,7 @@ def _compare(metadata: dict[str, Any], there: dict[str, Path], found: Folder) ->
             found.counts[_text(topic.get("name")), type_name] = count
 
 
-def _paths(metadata: dict[str, Any]) -> list[str]:
+def _paths(metadata: JsonObject) -> list[str]:
     paths = metadata["relative_file_paths"]
     return [_text(path) for path in paths] if isinstance(paths, list) else []
 
@@ -228,7 +230,7 @@ def _spellings(name: str) -> Iterator[str]:
     yield name + ".zstd"
 
 
-def _dicts(value: object) -> list[dict[str, Any]]:
+def _dicts(value: object) -> list[JsonObject]:
     return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 

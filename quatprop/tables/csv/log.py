@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.provenance import COMMENT, METADATA_KEY, provenance_in
+from quatprop.provenance import COMMENT, METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
@@ -64,7 +64,7 @@ class CsvLog(TableLog):
         """What the lines before the header declare."""
         return self._layout.notes
 
-    def provenance(self) -> dict[str, Any]:
+    def provenance(self) -> JsonObject:
         """Return how the content came about; see :class:`quatprop.tables.base.TableLog`."""
         first, _, _ = self._head.partition(b"\n")
         if not first.startswith(COMMENT):
