@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quatprop.plot.lines import Continuous, Line, folded, gaps_in, line, lone_points
+from quatprop.plot.lines import Line, Unwrap, folded, gaps_in, line, lone_points
 from quatprop.plot.reduction import Reduction
 
 
@@ -30,7 +30,7 @@ def test_angles_are_continued_as_numpy_does_it(steps, cuts):
     """Whole turns are added as numpy.unwrap adds them, however the series was cut."""
     angle = wrapped(np.cumsum(steps))
     want = np.unwrap(angle, period=360)
-    continuous = Continuous(1)
+    continuous = Unwrap(1)
     parts = np.split(angle, sorted(min(cut, len(angle)) for cut in cuts))
     got = np.concatenate([continuous.applied(part[None])[0] for part in parts])
     np.testing.assert_allclose(got, want, atol=1e-9)
@@ -38,7 +38,7 @@ def test_angles_are_continued_as_numpy_does_it(steps, cuts):
 
 def test_missing_angles_are_passed_over():
     """An angle after missing ones is continued from the last that is known, in batches too."""
-    continuous = Continuous(1)
+    continuous = Unwrap(1)
     first = continuous.applied(np.array([[np.nan, 170.0, np.nan]]))
     second = continuous.applied(np.array([[np.nan, -170.0]]))
     assert np.concatenate([first, second], axis=1)[0].tolist()[1::3] == [170.0, 190.0]
@@ -47,7 +47,7 @@ def test_missing_angles_are_passed_over():
 def test_a_long_spin_is_counted_without_rounding():
     """After a million turns an angle is what it was, to the last bit."""
     angle = np.tile([0.1, 120.1, -119.9], 1_000_000)
-    continued = Continuous(1).applied(angle[None])[0]
+    continued = Unwrap(1).applied(angle[None])[0]
     assert continued[-1] == 360.0 * 1_000_000 - 119.9
 
 
@@ -110,7 +110,7 @@ def test_a_wrap_is_cut_at_the_edges_of_its_range():
 def test_wraps_draw_no_bars(samples):
     """An angle that goes around ten times is ten slopes, however many samples are in a bin."""
     turning = np.linspace(0, 3600, samples)
-    continued = Continuous(1).applied(wrapped(turning)[None])
+    continued = Unwrap(1).applied(wrapped(turning)[None])
     drawn = folded(line(reduced(np.arange(samples) * 1_000_000, *continued), 0, 0))
     assert bars(drawn) < 3600 / min(samples, 500) * 1.5
     assert np.nanmin(drawn.values) == -180
@@ -136,7 +136,7 @@ def test_what_is_drawn_of_an_angle_is_the_angle(steps, bins):
 def test_a_fast_spin_is_a_full_band():
     """Where an angle goes around within a bin, the bin is drawn over its whole range."""
     turning = np.arange(1_000_000) * 100.0
-    continued = Continuous(1).applied(wrapped(turning)[None])
+    continued = Unwrap(1).applied(wrapped(turning)[None])
     kept = reduced(np.arange(1_000_000) * 1_000_000, *continued)
     drawn = folded(line(kept, 0, 0))
     heights = np.abs(np.diff(drawn.values))

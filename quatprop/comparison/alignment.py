@@ -174,7 +174,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     mount : ndarray
         m, wxyz, shape ``(4,)``: A's body -> B's body.
     fit : MountingFit
-        How well it is known.
+        How well it is determined.
 
     Raises
     ------
@@ -187,25 +187,25 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
     Kabsch's solution by singular values.
     """
-    found: tuple[Float64, MountingFit] | None = None
+    best: tuple[Float64, MountingFit] | None = None
     for stride in _strides(len(a)):
-        mount, mounting = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
-        if found is None or mounting.std_rad < found[1].std_rad:
-            found = mount, mounting
-    if found is None:
+        mount, fit = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
+        if best is None or fit.std_rad < best[1].std_rad:
+            best = mount, fit
+    if best is None:
         raise ComparisonError(
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
             f"attitudes; ",
             WAY_OUT,
         )
-    _refuse_unexcited(found[1])
-    return found
+    _refuse_unexcited(best[1])
+    return best
 
 
 def _strides(samples: int) -> list[int]:
     """Return over how many samples to try rotations: powers of two.
 
-    Short ones drown in noise and long ones in drift; which is best shows in the residual.
+    Short ones suffer from noise and long ones from drift; the residual shows which is best.
     """
     return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
 
@@ -226,7 +226,7 @@ def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, 
 
 
 def _relative(q: Float64, stride: int) -> Float64:
-    """Return q[i]* q[i + stride] with w >= 0, for as many i as there is something to learn from."""
+    """Return q[i]* q[i + stride] with w >= 0, for at most about MAX_MOTIONS i."""
     start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
     step = multiply(conjugate(q[start]), q[start + stride])
     return np.asarray(step * np.where(step[:, :1] < 0, -1.0, 1.0))
@@ -238,10 +238,10 @@ def _rms_angle(q: Float64) -> float:
 
 
 def _kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
-    """Return the rotation m with y = m x m* in the least squares sense, and what excites it.
+    """Return the rotation m with y = m x m* in the least squares sense, and its excitation.
 
-    The latter are the singular values of the mean of y x^T, shape ``(3,)``: of noise in x and y
-    nothing is left in them, as it would be in those of x alone.
+    The excitation is the singular values of the mean of y x^T, shape ``(3,)``. Noise in x and y
+    averages out in it, as it would not in that of x alone.
     """
     left, excited, right = np.linalg.svd(y.T @ x / len(x))
     flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])

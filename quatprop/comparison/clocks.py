@@ -129,7 +129,7 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
 
 
 def _speeds(series: AttitudeSeries, step: int) -> Float64:
-    """Return the angles turned over each step of a series, rad."""
+    """Return the angle of each step of a series, rad."""
     return _angles(series, int(series.t_ns[0]), int(series.t_ns[-1]), step)
 
 

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 QUATERNION = "quaternion"
-"""What is no other representation."""
+"""The representation that is not converted."""
 
 NEAR_VERTICAL_DEG = 0.01
-"""deg: closer to pitch +-90 degrees than this, yaw and roll are hardly told apart."""
+"""deg: closer to pitch +-90 degrees than this, yaw and roll are hardly distinguishable."""
 
 _ROUNDING = 1e-12
 _SKEWED = 0.5
@@ -35,7 +35,7 @@ def euler_zyx(wxyz: Float64) -> Float64:
     """Return yaw, pitch and roll: q = q_z(yaw) q_y(pitch) q_x(roll).
 
     Yaw turns about z, pitch about the new y, roll about the newest x. From half sums and half
-    differences of yaw and roll, which stay exact where the two cannot be told apart (pitch of 90
+    differences of yaw and roll, which stay exact where the two cannot be distinguished (pitch of 90
     degrees); there they are shared equally.
 
     Parameters
@@ -66,8 +66,8 @@ def euler_zyx(wxyz: Float64) -> Float64:
 
 
 def _within_half_turn(angle: Float64) -> Float64:
-    turned: Float64 = angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
-    return turned
+    wrapped: Float64 = angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
+    return wrapped
 
 
 def from_euler_zyx(angles: Float64) -> Float64:
@@ -126,7 +126,7 @@ def from_matrices(rows: Float64) -> Float64:
 
 
 def near_vertical(angles: Float64) -> int:
-    """Return in how many rows yaw and roll cannot be told apart: pitch is +-90 degrees.
+    """Return in how many rows yaw and roll cannot be distinguished: pitch is +-90 degrees.
 
     Parameters
     ----------

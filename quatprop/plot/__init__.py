@@ -1,6 +1,6 @@
 """Pictures of rates, attitudes and errors: PNG, SVG, PDF, or a report as one HTML file.
 
-What passes is reduced while it is read (:mod:`~quatprop.plot.reduction`), so memory stays flat
-however long a log is. What is drawn (:mod:`~quatprop.plot.picture`) knows nothing of how it is
-drawn (:mod:`~quatprop.plot.draw`), nor of the page around it (:mod:`~quatprop.plot.page`).
+Samples are reduced while they are read (:mod:`~quatprop.plot.reduction`), so memory stays constant
+however long a log is. The content of a picture (:mod:`~quatprop.plot.picture`) is independent of
+the drawing (:mod:`~quatprop.plot.draw`) and of the page around it (:mod:`~quatprop.plot.page`).
 """

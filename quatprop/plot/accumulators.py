@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conventions import Signs, euler_zyx
-from quatprop.plot.lines import Continuous
+from quatprop.plot.lines import Unwrap
 from quatprop.plot.reduction import Reduction
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class AttitudeAccumulator(Accumulator):
     def __init__(self, *, components: bool = False) -> None:
         super().__init__(COMPONENTS if components else ANGLES)
         self._signs = Signs("continuous") if components else None
-        self._turning = Continuous(2)
+        self._unwrap = Unwrap(2)
         self.invalid = 0
         self.norm_error = 0.0
 
@@ -161,7 +161,7 @@ class AttitudeAccumulator(Accumulator):
             values[:-1, good] = self._signs.applied(wxyz[good]).T
         else:
             values[:-1, good] = np.degrees(euler_zyx(wxyz[good])).T
-            values[[0, 2]] = self._turning.applied(values[[0, 2]])
+            values[[0, 2]] = self._unwrap.applied(values[[0, 2]])
         self.add(t_ns, values)
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:

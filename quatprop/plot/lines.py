@@ -35,11 +35,11 @@ class Line(NamedTuple):
     values: Float64
 
 
-class Continuous:
-    """Angles without leaps from one end of their range to the other.
+class Unwrap:
+    """Unwrapping of angles: without jumps from one end of their range to the other.
 
     Whole turns are added so that every angle is within half a turn of the one before it. The turns
-    are counted in integers: nothing is rounded up along the way.
+    are counted in integers: no rounding accumulates.
 
     Parameters
     ----------
@@ -52,19 +52,19 @@ class Continuous:
         self._last = np.full((traces, 1), np.nan)
 
     def applied(self, degrees: Float64) -> Float64:
-        """Return the next angles, shape ``(traces, N)``, deg; NaN are passed over."""
+        """Return the next angles, shape ``(traces, N)``, deg; NaN are skipped."""
         if not degrees.shape[1]:
             return degrees
-        known = _held(np.concatenate([self._last, degrees], axis=1))
-        steps = np.nan_to_num(np.diff(known, axis=1))
+        filled = _forward_fill(np.concatenate([self._last, degrees], axis=1))
+        steps = np.nan_to_num(np.diff(filled, axis=1))
         turns = self._turns - np.cumsum(np.rint(steps / TURN).astype(np.int64), axis=1)
-        self._turns, self._last = turns[:, -1:].copy(), known[:, -1:].copy()
+        self._turns, self._last = turns[:, -1:].copy(), filled[:, -1:].copy()
         continued: Float64 = degrees + TURN * turns
         return continued
 
 
-def _held(values: Float64) -> Float64:
-    """Return values ``(traces, N)`` where each NaN is the value before it, if there is one."""
+def _forward_fill(values: Float64) -> Float64:
+    """Return values ``(traces, N)`` with each NaN replaced by the value before it, if any."""
     missing = np.isnan(values)
     if not missing.any():
         return values
@@ -82,7 +82,7 @@ def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
     reduced
         The series.
     limit_ns
-        The longest interval that is no gap, ns; None: there are no gaps.
+        Intervals longer than this are gaps, ns; None: there are no gaps.
     """
     if limit_ns is None:
         return np.empty((0, 2), np.int64)
@@ -103,28 +103,28 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
     start_ns
         The stamp at which the seconds begin, ns.
     limit_ns
-        The longest interval that is no gap, ns.
+        Intervals longer than this are gaps, ns.
     """
     # Differences are formed before they are floats: stamps are too large for those.
     begin, end = (reduced.first_ns - start_ns) * 1e-9, (reduced.last_ns - start_ns) * 1e-9
-    middle, nothing = (begin + end) / 2, np.full(len(reduced), np.nan)
+    middle, breaks = (begin + end) / 2, np.full(len(reduced), np.nan)
     first, last = reduced.first[trace], reduced.last[trace]
     low, high = reduced.low[trace], reduced.high[trace]
     broken = np.zeros(len(reduced), dtype=np.bool_)
     if limit_ns is not None:
         broken[:-1] = reduced.first_ns[1:] - reduced.last_ns[:-1] > limit_ns
-    # Extremes that are the first or the last value would make a stair of a slope.
-    wanted = [
+    # An extreme that is also the first or last value would turn a slope into a step.
+    drawn = [
         np.ones(len(reduced), dtype=np.bool_),
         ~(low >= np.fmin(first, last)) & ~np.isnan(low),
         ~(high <= np.fmax(first, last)) & ~np.isnan(high),
         ~((begin == end) & (first == last)),
         broken,
     ]
-    chosen = np.stack(wanted, axis=1)
+    chosen = np.stack(drawn, axis=1)
     return Line(
-        np.stack([begin, middle, middle, end, nothing], axis=1)[chosen],
-        np.stack([first, low, high, last, nothing], axis=1)[chosen],
+        np.stack([begin, middle, middle, end, breaks], axis=1)[chosen],
+        np.stack([first, low, high, last, breaks], axis=1)[chosen],
     )
 
 
@@ -134,7 +134,7 @@ def folded(continuous: Line) -> Line:
     Parameters
     ----------
     continuous
-        A line of angles of any size, without leaps.
+        A line of angles of any size, without jumps.
 
     Examples
     --------
@@ -150,26 +150,26 @@ def folded(continuous: Line) -> Line:
     if not len(before):
         return Line(seconds, inside)
     up = np.sign(crossed[before])
-    here, there = before, before + 1
-    leaving = TURN * turns[here] + up * TURN / 2
-    coming = TURN * turns[there] - up * TURN / 2
-    slope = (seconds[there] - seconds[here]) / (values[there] - values[here])
-    left = seconds[here] + (leaving - values[here]) * slope
-    back = seconds[here] + (coming - values[here]) * slope
-    edge, nothing = up * TURN / 2, np.full(len(before), np.nan)
-    # More than one turn on the way has been everywhere.
+    after = before + 1
+    leaving = TURN * turns[before] + up * TURN / 2
+    entering = TURN * turns[after] - up * TURN / 2
+    slope = (seconds[after] - seconds[before]) / (values[after] - values[before])
+    left = seconds[before] + (leaving - values[before]) * slope
+    entered = seconds[before] + (entering - values[before]) * slope
+    edge, breaks = up * TURN / 2, np.full(len(before), np.nan)
+    # A line of more than one turn crosses the whole range.
     whole = np.abs(crossed[before]) > 1
-    always = np.ones(len(before), dtype=np.bool_)
-    wanted = np.stack([always, always, whole, whole, whole, always], axis=1)
-    cut_seconds = np.stack([left, nothing, left, back, nothing, back], axis=1)[wanted]
-    cut_values = np.stack([edge, nothing, -edge, edge, nothing, -edge], axis=1)[wanted]
-    places = np.repeat(there, wanted.sum(axis=1))
+    both = np.ones(len(before), dtype=np.bool_)
+    inserted = np.stack([both, both, whole, whole, whole, both], axis=1)
+    cut_seconds = np.stack([left, breaks, left, entered, breaks, entered], axis=1)[inserted]
+    cut_values = np.stack([edge, breaks, -edge, edge, breaks, -edge], axis=1)[inserted]
+    places = np.repeat(after, inserted.sum(axis=1))
     return Line(np.insert(seconds, places, cut_seconds), np.insert(inside, places, cut_values))
 
 
 def lone_points(drawn: Line) -> Line:
-    """Return the points of a line that have no neighbour: a line shows nothing of them."""
-    there = np.isfinite(drawn.values)
-    padded = np.concatenate([[False], there, [False]])
-    lone = there & ~padded[:-2] & ~padded[2:]
+    """Return the points of a line that have no neighbour, which a line does not show."""
+    finite = np.isfinite(drawn.values)
+    padded = np.concatenate([[False], finite, [False]])
+    lone = finite & ~padded[:-2] & ~padded[2:]
     return Line(drawn.seconds[lone], drawn.values[lone])

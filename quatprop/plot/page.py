@@ -102,7 +102,7 @@ def html(page: Page) -> str:
 
 
 def _text(text: str) -> str:
-    """Return text as it may stand in a page: nothing in it is markup or unprintable."""
+    """Return text escaped for a page: no markup, no unprintable characters."""
     return escape(plain(text))
 
 

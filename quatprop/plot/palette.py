@@ -35,7 +35,7 @@ INK = "#222222"
 GRID = "#DDDDDD"
 
 PAPER = "#FEFEFE"
-"""Under words; not white itself, so that it can be told from it."""
+"""Behind text; not quite white, so that the page can replace it by itself."""
 
 SHADE = "#BBBBBB"
 """Gaps."""
@@ -54,7 +54,7 @@ DARK = {
     SHADE: "#5A5A5A",
     PAPER: "#16181B",
 }
-"""What is too dark for a dark page, and what stands for it there."""
+"""Colours that are too dark for a dark page -> those used there."""
 
 
 def colour_of(key: str | int) -> str:

@@ -73,7 +73,7 @@ class Panel:
     level
         A horizontal line and what it is, such as a tolerance.
     marks
-        Points to look at.
+        Marked points.
     """
 
     quantity: Quantity
@@ -92,7 +92,7 @@ class Group(NamedTuple):
     reduced
         Their reduced samples.
     gap_limit_ns
-        The longest interval that is no gap, ns; None: there are none.
+        Intervals longer than this are gaps, ns; None: there are none.
     """
 
     quantities: tuple[Quantity, ...]

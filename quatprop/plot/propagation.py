@@ -150,6 +150,6 @@ def _convention(convention: ConventionReport) -> Iterator[Row]:
 def _processing(report: RunReport) -> Iterator[Row]:
     for name, value in as_json(report.policy).items():
         yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
-    for name, words in CONDITIONING.items():
+    for name, label in CONDITIONING.items():
         if (value := as_json(getattr(report.conditioning, name))) is not None:
-            yield words, str(value)
+            yield label, str(value)
