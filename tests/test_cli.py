@@ -112,7 +112,7 @@ def test_the_layout_moves_columns_and_nothing_else(log, tmp_path, layout, column
 def test_the_output_carries_its_conventions(log, tmp_path):
     """Parquet metadata says convention, layout, method, q0, source, counts and version."""
     out = tmp_path / "out.parquet"
-    run("propagate", log, "-o", out, "--method", "mean", "--layout", "xyzw", "--q0", "0,0,0,2")
+    run("propagate", log, "-o", out, "--method", "mean", "--layout", "xyzw", "--q0", "0,0,0,1")
     told = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"quatprop"])
     convention = told["convention"]
     assert convention["attitude"] == "body to reference: v_ref = q v_body q*"
@@ -396,6 +396,14 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),
         (["--q0", "0,0,0,0"], "to have a direction"),
+        (
+            ["--q0", "1,0,0,0.1"],
+            "--q0 1.0,0.0,0.0,0.1 has the length 1.00499, so it is not an attitude; scale it to 1",
+        ),
+        (
+            ["--mount", "2,0,0,0"],
+            "the mounting '2,0,0,0' has the length 2, so it is not a rotation; scale it to 1",
+        ),
     ],
 )
 def test_wrong_usage_ends_with_code_2(log, tmp_path, arguments, sentence):

@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, longest_rest, windows_of
 from quatprop.errors import UsageError
-from quatprop.kinematics.quaternion import normalize, rotation_matrix
+from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize, rotation_matrix
 from quatprop.text import Setting, Text, quoted
 from quatprop.times import duration_text
 
@@ -72,6 +72,12 @@ def mounting(text: str) -> NDArray[np.float64]:
         raise UsageError(
             f"{quoted(text)} is not a mounting; write three signed axes such as x,-y,-z, "
             "or a quaternion W,X,Y,Z that takes sensor axes to body axes"
+        )
+    length = float(np.linalg.norm(wxyz))
+    if abs(length - 1) > UNIT_TOLERANCE:
+        raise UsageError(
+            f"the mounting {quoted(text)} has the length {length:.6g}, so it is not a rotation; "
+            "scale it to 1"
         )
     matrix: NDArray[np.float64] = rotation_matrix(normalize(wxyz))
     return matrix

@@ -23,6 +23,9 @@ IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
 """The attitude of a body whose axes coincide with those of the reference."""
 IDENTITY.setflags(write=False)
 
+UNIT_TOLERANCE = 1e-3
+"""Allowed difference of a length from 1: rounding to three decimals causes as much."""
+
 TERMS = 5
 """Of the series for cosine and sine: enough for steps of 11 degrees; libm is for longer steps."""
 

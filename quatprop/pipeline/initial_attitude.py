@@ -12,7 +12,7 @@ import numpy as np
 from quatprop.conditioning.static_detection import AT_REST
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
-from quatprop.kinematics.quaternion import conjugate, exp, from_matrix, multiply
+from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
 from quatprop.messages.signal_fields import fields_beside
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
@@ -63,12 +63,27 @@ class InitialAttitude:
         For ``"level"``: rotation about the reference's z axis, rad.
     down
         For ``"level"``: whether the reference's z axis points down, as in north-east-down.
+
+    Raises
+    ------
+    SeriesError, UsageError
+        `wxyz` is not a unit quaternion.
     """
 
     source: str = ""
     wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     heading: float = 0.0
     down: bool = False
+
+    def __post_init__(self) -> None:
+        unit_q0(self.wxyz)
+        length = math.hypot(*self.wxyz)
+        if abs(length - 1) > UNIT_TOLERANCE:
+            raise UsageError(
+                Setting("q0"),
+                f" {','.join(map(repr, self.wxyz))} has the length {length:.6g}, so it is not an "
+                "attitude; scale it to 1",
+            )
 
 
 class Recording(NamedTuple):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import NotRotationsError
-from quatprop.kinematics.quaternion import normalize
+from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text
 
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
-
-UNIT_TOLERANCE = 1e-3
-"""Allowed difference of a length from 1: rounding to three decimals causes as much."""
 
 ZERO = 1e-6
 """Lengths below this count as zero: they have no direction."""
