@@ -102,7 +102,7 @@ class BinaryDecoder:
         Parameters
         ----------
         block
-            MessageBytes of this channel.
+            Messages of this channel.
 
         Returns
         -------
@@ -113,9 +113,9 @@ class BinaryDecoder:
         Raises
         ------
         MessageError
-            MessageBytes end before a wanted field; its `positions` say which of the block.
+            Messages end before a wanted field; its `positions` say which of the block.
         UnsupportedLogError
-            MessageBytes are encapsulated in a way that is not read.
+            Messages are encapsulated in a way that is not read.
         """
         try:
             return self._columns(block.data, block.starts, block.ends - block.starts)

@@ -26,7 +26,7 @@ NATIVE = "<" if np.little_endian else ">"
 
 
 class TooShortError(Exception):
-    """MessageBytes end before what the plan needs.
+    """Messages end before what the plan needs.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class MixedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class MessageBytes:
-    """MessageBytes of one byte order in one buffer.
+    """Encoded messages of one byte order in one buffer.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
     Raises
     ------
     TooShortError
-        MessageBytes end before what is wanted of them.
+        Messages end before a wanted field.
     MixedError
         The messages are not all encapsulated like the first.
     """
@@ -171,12 +171,12 @@ def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns)
         for window in segment.windows:
             taken = messages.window(window, offset)
             for piece in window.pieces:
-                found = messages.numbers(piece, taken)
+                values = messages.numbers(piece, taken)
                 if piece.column == COUNT:
-                    counts = _common(found)
+                    counts = _common(values)
                 elif piece.column != ENCAPSULATION:
-                    columns[piece.column] = found
-                elif np.count_nonzero(found != found[0]):
+                    columns[piece.column] = values
+                elif np.count_nonzero(values != values[0]):
                     raise MixedError
         offset = offset + segment.size
         if isinstance(segment.ending, Skip):
@@ -199,13 +199,13 @@ def _stride(starts: NDArray[np.int64]) -> int:
     return 0 if np.count_nonzero(starts[1:] - starts[:-1] != step) else step
 
 
-def _common(found: int | NDArray[Any]) -> Offsets:
+def _common(values: int | NDArray[Any]) -> Offsets:
     """Return one integer where all messages agree."""
-    if isinstance(found, int):
-        return found
-    first = found[0]
-    if np.count_nonzero(found != first):
-        return found.astype(np.int64, copy=False)
+    if isinstance(values, int):
+        return values
+    first = values[0]
+    if np.count_nonzero(values != first):
+        return values.astype(np.int64, copy=False)
     return int(first)
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from quatprop.messages.schema import Steps, Type
 
 MERGE_GAP = 64
-"""FieldTree bytes this close together are fetched as one: copying them is cheaper than a call."""
+"""Wanted bytes this close together are fetched at once: copying the gap is cheaper than a call."""
 
 MAX_SEGMENTS = 10_000
 """Longer plans are refused: types that share parts can multiply them without limit."""
@@ -148,10 +148,10 @@ class _Compiler:
         self.aligned_to = self.alignment = 1
 
     def _take(self, kind: Type, columns: list[int]) -> None:
-        found = numbers(kind)
-        if found is None or not self.extents.alignment(kind):
+        shape = numbers(kind)
+        if shape is None or not self.extents.alignment(kind):
             raise NotPlannedError("the wanted field is not made of equal numbers")
-        number, count = found
+        number, count = shape
         self._align(number.size)
         length = None if isinstance(kind, Primitive) else count
         self.pieces += [Piece(column, self.size, number, length) for column in columns]

@@ -138,15 +138,15 @@ def steps(field_path: str) -> Steps | None:
     >>> steps("imus[1].angular_velocity.x")
     ('imus', 1, 'angular_velocity', 'x')
     """
-    found: list[str | int] = []
+    names: list[str | int] = []
     end = 0
     for match in _STEP.finditer(field_path):
         if match.start() != end:
             return None
         end = match.end()
         name, index = match.groups()
-        found.append(name if index is None else int(index))
-    return tuple(found) if found and end == len(field_path) else None
+        names.append(name if index is None else int(index))
+    return tuple(names) if names and end == len(field_path) else None
 
 
 def find(root: Struct, field_path: str) -> Type | None:
@@ -240,13 +240,13 @@ def around(root: Struct, field_path: str) -> Iterator[tuple[str, Struct]]:
     """Yield the structs around a field, with their prefixes, innermost first."""
     here: Type | None = root
     prefix = ""
-    found: list[tuple[str, Struct]] = []
+    outer: list[tuple[str, Struct]] = []
     for step in steps(field_path) or ():
         if isinstance(here, Struct):
-            found.append((prefix and prefix + ".", here))
+            outer.append((prefix and prefix + ".", here))
         prefix += f"[{step}]" if isinstance(step, int) else ("." if prefix else "") + step
         here = None if here is None else _below(here, step)
-    yield from reversed(found)
+    yield from reversed(outer)
 
 
 def _below(kind: Type, step: str | int) -> Type | None:

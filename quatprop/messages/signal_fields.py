@@ -82,9 +82,10 @@ def signal_fields(channel: Channel, path: Path | str, kind: Kind) -> list[Signal
 
 def fields_beside(channel: Channel, rate_field: str, path: Path | str) -> SignalFields:
     """Return what else is in the part of a message that a rate is in."""
-    found = signal_fields(channel, path, "rate")
-    beside = (fields for fields in found if fields.rate and fields.rate.name == rate_field)
-    return next(beside, SignalFields())
+    for fields in signal_fields(channel, path, "rate"):
+        if fields.rate and fields.rate.name == rate_field:
+            return fields
+    return SignalFields()
 
 
 def rate_fields(channel: Channel, path: Path | str) -> list[RateField]:
@@ -106,8 +107,8 @@ def orientation_fields(channel: Channel, path: Path | str) -> list[OrientationFi
     SchemaError
         The definition of a recognised type cannot be read.
     """
-    found = signal_fields(channel, path, "orientation")
-    return [fields.orientation for fields in found if fields.orientation]
+    recognised = signal_fields(channel, path, "orientation")
+    return [fields.orientation for fields in recognised if fields.orientation]
 
 
 def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateField | None:
@@ -172,7 +173,7 @@ def orientation_field_at(
     Raises
     ------
     SchemaError
-        The field is there but is no quaternion.
+        The field is there but is not a quaternion.
     """
     root = _root_with(channel, (quat_field,), path)
     if root is None:
@@ -184,7 +185,7 @@ def orientation_field_at(
     if not components:
         raise SchemaError(
             path,
-            f"field {quoted(quat_field)} of {quoted(channel.type_name)} is no quaternion; "
+            f"field {quoted(quat_field)} of {quoted(channel.type_name)} is not a quaternion; "
             "name a field with parts w, x, y, z or an array of four numbers",
         )
     stamps = stamps_around(root, components[0])
@@ -204,14 +205,14 @@ def _root_with(channel: Channel, names: tuple[str, ...], path: Path | str) -> St
 
 def _recognised(root: Struct, kind: Kind) -> Iterator[SignalFields]:
     """Yield the fields of recognised types in a message, but for types inside such types."""
-    found: list[str] = []
+    outer: list[str] = []
     for prefix, struct in structs(root):
         row = fields_of_type(struct.name)
-        if row is None or any(prefix.startswith(outer) for outer in found):
+        if row is None or any(prefix.startswith(other) for other in outer):
             continue
         fields = _placed(row, root, prefix)
         if getattr(fields, kind) is not None:
-            found.append(prefix)
+            outer.append(prefix)
             yield fields
 
 
@@ -272,7 +273,7 @@ def _is_rate(rate: RateField, root: Struct) -> bool:
 
 
 def _quaternion(root: Struct, name: str) -> tuple[tuple[str, ...], Layout | None]:
-    """Return the paths of the numbers of a quaternion and their order; none where it is none."""
+    """Return the paths of the numbers of a quaternion and their order; none for another field."""
     kind = find(root, name)
     shape = None if kind is None else numbers(kind)
     if shape is None or shape[1] != COMPONENTS or shape[0].code[0] != "f":

@@ -1,7 +1,7 @@
 """Message definitions of PX4 ULog files, under the names that the same messages have in ROS 2.
 
 A definition is one line, ``name:type field;type[3] field;``; fields are packed, little endian. The
-messages are those of px4_msgs, so one table tells the rates of both.
+messages are those of px4_msgs, so one table serves both.
 
 References
 ----------
@@ -75,7 +75,7 @@ def px4_name(name: str) -> str:
 
 
 def is_secondary(channel: Channel) -> bool:
-    """Tell whether a topic of a ULog repeats what another one is the main topic of."""
+    """Tell whether a topic of a ULog has the message of another, main topic."""
     return channel.encoding == "ulog" and channel.topic.partition("/")[0] in MESSAGE_OF_TOPIC
 
 

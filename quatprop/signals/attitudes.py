@@ -21,7 +21,7 @@ from quatprop.signals.attitude_convention import meaning_of, message_layout, rec
 from quatprop.signals.attitude_tables import of_table
 from quatprop.signals.message_values import (
     FieldReader,
-    are_zero,
+    are_all,
     choose_clock,
     stamps_logged,
     timed_values,
@@ -67,7 +67,8 @@ def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -
     candidates = attitude_candidates(log, selection)
     if len(candidates) > 1:
         # A placeholder does not compete with an attitude.
-        candidates = [one for one in candidates if not _is_placeholder(one)] or candidates
+        attitudes = [candidate for candidate in candidates if not _is_placeholder(candidate)]
+        candidates = attitudes or candidates
     return choose(log, candidates, ATTITUDES)
 
 
@@ -141,7 +142,9 @@ def _of_field(
         pose_reader = FieldReader(log, channel, clock, *groups, [field.position])
         poses = partial(_message_poses, log, channel, pose_reader, order, meaning)
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
-    placeholder = _is_beside_rate(channel, field, log.path) and _is_identity(rows())
+    placeholder = _is_beside_rate(channel, field, log.path) and are_all(
+        (np.abs(wxyz) for _, wxyz in rows()), IDENTITY, PLACEHOLDER_MESSAGES
+    )
     if placeholder:
         remarks += ("it is the identity in every message: a placeholder, not an attitude",)
     return AttitudeSignal(
@@ -168,18 +171,6 @@ def _is_beside_rate(channel: Channel, field: OrientationField, path: Path | str)
     )
 
 
-def _is_identity(batches: Rows) -> bool:
-    """Tell whether several attitudes are all exactly the identity, as far as is looked."""
-    count = 0
-    for _, wxyz in batches:
-        if (np.abs(wxyz) != IDENTITY).any():
-            return False
-        count += len(wxyz)
-        if count > PLACEHOLDER_MESSAGES:
-            break
-    return count > 1
-
-
 def _of_transforms(
     log: MessageLog, channel: Channel, selection: AttitudeSelection
 ) -> AttitudeSignal:
@@ -196,7 +187,7 @@ def _of_transforms(
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
     reader = TransformReader(log, channel, frames, clock)
     stamps = partial(stamps_logged, log, channel, reader)
-    if clock.name == "header" and are_zero(t_ns for t_ns, _ in stamps()):
+    if clock.name == "header" and are_all((t_ns for t_ns, _ in stamps()), 0):
         raise zero_stamps(log, channel)
     return AttitudeSignal(
         name=channel.topic,

@@ -130,7 +130,7 @@ def first_orientation(
     log
         An open log that can be read again.
     source
-        Its source of rates, as :func:`quatprop.signals.rates.choose` gives it: the orientation is
+        Its rates, as :func:`quatprop.signals.rates.choose_rates` gives them: the orientation is
         that of the same messages or rows, on the same clock.
     t_ns
         The stamp of the first sample that is used; None for the first of the log.
@@ -156,15 +156,15 @@ def first_orientation(
         if source.clock in {"header", "log", "publish"}:
             selection = replace(selection, clock=source.clock)
     with _about("q0"):
-        found = choose_attitudes(log, selection)
-    if found.placeholder:
+        signal = choose_attitudes(log, selection)
+    if signal.placeholder:
         raise LogError(
             log.path,
-            f"the orientation of {quoted(found.name)} is the identity in every message: a "
+            f"the orientation of {quoted(signal.name)} is the identity in every message: a "
             "placeholder, not an attitude; give another ",
             Setting("q0"),
         )
-    batches = QuaternionCheck(log.path, drop=True).apply(found.rows())
+    batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
     try:
         if t_ns is not None:
             return attitude_in(batches, t_ns, log.path)

@@ -135,7 +135,7 @@ def choose_clock(
             )
         stamps = (stamp,)
     for stamp in stamps:
-        if not are_zero(_stamps_alone(log, channel, stamp)):
+        if not are_all(_stamps_alone(log, channel, stamp), 0):
             remark = (
                 f"the stamps in {quoted(stamps[0].place)} are all zero; those in "
                 f"{quoted(stamp.place)} are used"
@@ -156,13 +156,25 @@ def zero_stamps(log: MessageLog, channel: Channel) -> TimelineError:
     )
 
 
-def are_zero(batches: Iterable[Int64]) -> bool:
-    """Tell whether several stamps are all zero; reads only up to the first that is not."""
+def are_all(batches: Iterable[NDArray[Any]], value: object, limit: int | None = None) -> bool:
+    """Tell whether several rows all have one value; reads up to the first other one.
+
+    Parameters
+    ----------
+    batches
+        Rows, shape ``(N, ...)``.
+    value
+        What each is compared with.
+    limit
+        So many rows are enough; None is all.
+    """
     count = 0
-    for t_ns in batches:
-        if t_ns.any():
+    for rows in batches:
+        if (rows != value).any():
             return False
-        count += len(t_ns)
+        count += len(rows)
+        if limit is not None and count >= limit:
+            break
     return count > 1
 
 
