@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import Counter
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -86,36 +87,14 @@ def map_processes(  # noqa: PLR0913  # keywords, each with a default
             record(result)
             yield index, result
         return
-    waiting, deaths = iter(range(len(items))), dict[int, int]()
     workers: list[_Worker[Item, Result]] = []
     try:
-        for index in (next(waiting) for _ in range(worker_count(processes, len(items)))):
+        for index in range(worker_count(processes, len(items))):
             workers.append(_Worker(work))
-            workers[-1].start(index, items[index])
-        while workers:
-            ready = wait([worker.connection for worker in workers])
-            for worker in [worker for worker in workers if worker.connection in ready]:
-                index = worker.index
-                try:
-                    result = worker.result()
-                except (EOFError, OSError):
-                    workers.remove(worker)
-                    worker.end()
-                    worker = _Worker(work)  # noqa: PLW2901  # takes the place of the dead one
-                    workers.append(worker)
-                    deaths[index] = deaths.get(index, 0) + 1
-                    if deaths[index] <= retries:
-                        worker.start(index, items[index])
-                        continue
-                    result = on_killed(items[index])
-                record(result)
-                # The worker goes on before anybody looks at the result.
-                if (following := next(waiting, None)) is None:
-                    workers.remove(worker)
-                    worker.end()
-                else:
-                    worker.start(following, items[following])
-                yield index, result
+            workers[index].start(index, items[index])
+        for index, result in _results(workers, items, on_killed, retries):
+            record(result)
+            yield index, result
     finally:
         for worker in workers:
             worker.interrupt()
@@ -123,6 +102,36 @@ def map_processes(  # noqa: PLR0913  # keywords, each with a default
             with contextlib.suppress(EOFError, OSError, RuntimeError):
                 record(worker.result())
             worker.end()
+
+
+def _results(
+    workers: list[_Worker[Item, Result]],
+    items: Sequence[Item],
+    on_killed: Callable[[Item], Result],
+    retries: int,
+) -> Iterator[tuple[int, Result]]:
+    """Yield results, and give each worker that is done the next item; end those without one."""
+    waiting, deaths = iter(range(len(workers), len(items))), Counter[int]()
+    while workers:
+        ready = wait([worker.connection for worker in workers])
+        for worker in [worker for worker in workers if worker.connection in ready]:
+            index = worker.index
+            try:
+                result = worker.result()
+            except (EOFError, OSError):
+                worker.restart()
+                deaths[index] += 1
+                if deaths[index] <= retries:
+                    worker.start(index, items[index])
+                    continue
+                result = on_killed(items[index])
+            # The worker goes on before anybody looks at the result.
+            if (following := next(waiting, None)) is None:
+                workers.remove(worker)
+                worker.end()
+            else:
+                worker.start(following, items[following])
+            yield index, result
 
 
 def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
@@ -148,13 +157,22 @@ class _Worker(Generic[Item, Result]):
     """
 
     def __init__(self, work: Callable[[Item], Result]) -> None:
+        self._work = work
+        self.index = -1
+        self._running = True
+        self._spawn()
+
+    def _spawn(self) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
-        self._process = _CONTEXT.Process(target=_serve, args=(theirs, work), daemon=True)
+        self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
         with _signals_blocked():
             self._process.start()
         theirs.close()
-        self.index = -1
-        self._running = True
+
+    def restart(self) -> None:
+        """Start a process in place of one that has died."""
+        self.end()
+        self._spawn()
 
     def start(self, index: int, item: Item) -> None:
         """Give the process an item; if it has died, the result will not come."""

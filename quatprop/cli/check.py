@@ -108,7 +108,6 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     from quatprop.check.cases import load_cases
     from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
-    from quatprop.check.runner import run_cases, select_cases
     from quatprop.check.suite import write_suite
 
     if options["init"] != bool(logs):
@@ -116,10 +115,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     if options["init"]:
         write_suite(suite, logs)
     loaded, all_cases = load_cases(suite)
-    patterns = options["patterns"]
-    cases = select_cases(all_cases, patterns)
-    if not cases:
-        raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
+    cases = _select(suite, all_cases, options["patterns"])
     locked = read_lock(loaded.lock)
     pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
     deleted = {name: pin for name, pin in locked.items() if name not in pins}
@@ -128,21 +124,41 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
         return
     _refuse_overlap(loaded, all_cases, options["junit"])
     lock = loaded.lock if options["update"] or options["init"] else None
-    artifacts = options["artifacts"] and Path(options["artifacts"])
-    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=options["processes"])
-    with closing(running):
-        listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
-        as_json = options["as_json"]
-        results = _show(running, cases, listed=listed and not as_json, quiet=as_json)
+    results = _run(cases, pins, lock, options)
     if options["as_json"]:
         click.echo(json.dumps(_report(loaded, results, deleted), indent=2))
     _report_to_ci(loaded, results, options["junit"])
     if deleted:
-        _report_deleted(all_cases, deleted, updating=options["update"])
+        _report_deleted(all_cases, deleted, updating=lock is not None)
     strict = options["strict"]
-    code = exit_code(results, strict=strict) or int(bool(strict and deleted and lock is None))
-    if code:
+    missing = strict and deleted and lock is None
+    if code := exit_code(results, strict=strict) or int(bool(missing)):
         raise click.exceptions.Exit(code)
+
+
+def _select(
+    suite: str, cases: list[Case | CaseNotRun], patterns: Sequence[str]
+) -> list[Case | CaseNotRun]:
+    from quatprop.check.runner import select_cases
+
+    selected = select_cases(cases, patterns)
+    if not selected:
+        raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
+    return selected
+
+
+def _run(
+    cases: list[Case | CaseNotRun], pins: Mapping[str, Pin], lock: Path | None, options: Any
+) -> list[CaseResult]:
+    """Run cases, show their results, and return them."""
+    from quatprop.check.runner import run_cases
+
+    artifacts = options["artifacts"] and Path(options["artifacts"])
+    listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
+    as_json, processes = options["as_json"], options["processes"]
+    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=processes)
+    with closing(running):
+        return _show(running, cases, listed=listed and not as_json, quiet=as_json)
 
 
 def _report_deleted(

@@ -16,7 +16,7 @@ COMMANDS = {
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
     "plot": "Draw rates, attitudes, or the error against a reference.",
-    "check": "Hold recorded logs against references, as a regression test.",
+    "check": "Compare recorded logs with references, as a regression test.",
     "simulate": "Write a log whose true attitude is known.",
 }
 """Every command with its one-line help, so that ``--help`` imports none of them."""
