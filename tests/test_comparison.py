@@ -1,6 +1,7 @@
 """Errors that are put into a series come out as themselves, and so do their causes."""
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -378,3 +379,15 @@ def test_settings_that_make_no_sense_are_refused(name, value, sentence):
     with pytest.raises(UsageError) as error:
         comparison_settings(**{name: value})
     assert str(error.value).startswith(sentence)
+
+
+def test_unit_quaternions_are_compared_where_they_lie():
+    """Two long series of unit length take no memory for copies of them."""
+    rows = 20 * BLOCK
+    t_ns, wxyz = np.arange(rows), np.tile([0.6, 0.8, 0.0, 0.0], (rows, 1))
+    a, b = AttitudeSeries(t_ns, wxyz), AttitudeSeries(t_ns, wxyz.copy())
+    tracemalloc.start()
+    compare(a, b, ComparisonSettings(tol=1.0))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1.5 * wxyz.nbytes

@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 UNIT_LENGTH = 1e-3
 """Difference from unit length that is remarked on; decimals of a text file stay below it."""
 
+ROUNDING = 1e-14
+"""Difference from unit length below which quaternions are compared as they are, without a copy."""
+
 SMALL = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
 
@@ -126,18 +129,26 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSe
     """Return a series of unit quaternions at rising stamps; add remarks on what was changed."""
     if not len(series):
         raise ComparisonError(f"{name} has no attitudes; check what was selected")
-    length = np.sqrt(np.einsum("ij,ij->i", series.wxyz, series.wxyz))
-    (invalid,) = np.nonzero(~(np.isfinite(length) & (length > 0)))
-    if len(invalid):
+    deviation, invalid, first_invalid = 0.0, 0, 0
+    for rows in blocks(len(series)):
+        length = np.sqrt(np.einsum("ij,ij->i", series.wxyz[rows], series.wxyz[rows]))
+        valid = np.isfinite(length) & (length > 0)
+        if not invalid and not valid.all():
+            first_invalid = rows.start + int(np.argmin(valid))
+        invalid += len(valid) - int(np.count_nonzero(valid))
+        deviation = max(deviation, float(np.max(np.abs(length - 1), initial=0.0, where=valid)))
+    if invalid:
         raise ComparisonError(
-            f"{name} has {len(invalid)} of {len(series)} rows that are no attitude (zero or not a "
-            f"number), the first at index {invalid[0]}; leave them out"
+            f"{name} has {invalid} of {len(series)} rows that are no attitude (zero or not a "
+            f"number), the first at index {first_invalid}; leave them out"
         )
-    if (deviation := float(np.abs(length - 1).max())) > UNIT_LENGTH:
+    if deviation > UNIT_LENGTH:
         remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
-    t_ns, wxyz = series.t_ns, np.empty_like(series.wxyz)
-    for rows in blocks(len(wxyz)):
-        wxyz[rows] = normalize(series.wxyz[rows])
+    t_ns, wxyz = series.t_ns, series.wxyz
+    if deviation > ROUNDING:
+        wxyz = np.empty_like(series.wxyz)
+        for rows in blocks(len(wxyz)):
+            wxyz[rows] = normalize(series.wxyz[rows])
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
         return AttitudeSeries(t_ns, wxyz)
