@@ -12,9 +12,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
+from quatprop.containers.base import MessageLog
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource, os_reason
+from quatprop.containers.msg_files import MsgFiles
 from quatprop.containers.remote import is_address, local_copy, without_secret
 from quatprop.errors import (
     DamagedLogError,
@@ -22,14 +24,14 @@ from quatprop.errors import (
     UnknownFormatError,
     UnreadableLogError,
     UnsupportedLogError,
+    UsageError,
 )
-from quatprop.text import Setting
+from quatprop.text import Setting, plain, quoted
 from quatprop.third_party_errors import as_errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import MessageLog
     from quatprop.tables.base import TableLog
 
 HEAD_BYTES = 4096
@@ -86,7 +88,9 @@ _TEXT_KINDS = ("csv", "tum")
 
 
 @contextmanager
-def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog | TableLog]:
+def open_log(
+    path: str | Path, kind: str | None = None, *, msg_path: str | Path | None = None
+) -> Iterator[MessageLog | TableLog]:
     """Open a log of any kind for the length of a ``with`` block.
 
     A log inside a compressed file is decompressed into a temporary copy.
@@ -98,6 +102,9 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
         CSV on stdin.
     kind
         A key of :data:`READERS`; None to recognise it by the content, then by the suffix.
+    msg_path
+        A ``.msg`` file, a package or a folder of packages with the definitions that a bag lacks;
+        None for files that lie beside it.
 
     Yields
     ------
@@ -121,15 +128,36 @@ def open_log(path: str | Path, kind: str | None = None) -> Iterator[MessageLog |
         elif is_address(path):
             copied = stack.enter_context(local_copy(str(path)))
             with _renamed_errors(without_secret(path)):
-                yield stack.enter_context(open_log(copied, kind))
+                yield stack.enter_context(open_log(copied, kind, msg_path=msg_path))
         elif Path(path).is_dir():
             if kind not in (None, "rosbag2"):
                 raise _other_kind(path, "folder", kind)
-            yield _enter("rosbag2", Path(path), stack)
+            log = _enter("rosbag2", Path(path), stack)
+            _complete(log, Path(path), msg_path)
+            yield log
         elif kind == "rosbag2":
             raise _other_kind(path, "file", kind)
         else:
-            yield _open_file(Path(path), kind, stack)
+            log = _open_file(Path(path), kind, stack)
+            _complete(log, Path(path), msg_path)
+            yield log
+
+
+def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | None) -> None:
+    """Look for definitions that the channels of a log lack, and say where they are from."""
+    if not isinstance(log, MessageLog):
+        return
+    if msg_path is not None:
+        if not Path(msg_path).exists():
+            raise UsageError(
+                f"{plain(msg_path)}: no such file or folder; check ", Setting("msg_path")
+            )
+        files = MsgFiles([Path(msg_path)], is_given=True)
+    else:
+        files = MsgFiles([path, path.parent] if path.is_dir() else [path.parent])
+    log.complete(files)
+    remarks = (f"{quoted(name)} is defined by {plain(file)}" for name, file in files.used.items())
+    log.remarks = [*log.remarks, *remarks]
 
 
 def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.msg_files import MsgFiles
+
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
 
@@ -220,6 +222,9 @@ class MessageLog(Log):
         channel
             One of :meth:`channels`.
         """
+
+    def complete(self, files: MsgFiles) -> None:
+        """Add definitions that channels lack; nothing where the format always has them."""
 
     def provenance(self, topic: str) -> JsonObject:
         """Return how the messages of a topic were made, if this package made them; else empty.

@@ -103,7 +103,7 @@ def message_type(channel: Channel, path: Path | str) -> Struct:
             channel.type_name, channel.encoding == "ros1", channel.schema_encoding, channel.schema
         )
     except BadDefinitionError as error:
-        raise SchemaError(path, f"topic {quoted(channel.topic)}: {error}") from None
+        raise SchemaError(path, f"topic {quoted(channel.topic)}: ", *error.args) from None
 
 
 @lru_cache(maxsize=256)
@@ -181,7 +181,7 @@ class _Builder:
             if definition is None:
                 raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
-                    "type; convert the log to MCAP where its definitions are installed"
+                    "type; put its .msg files beside the log"
                 )
             self.types[name] = self._build(name, definition)
         return self.types[name]

@@ -17,6 +17,7 @@ from quatprop.errors import (
     NoSuchTopicError,
     UsageError,
 )
+from quatprop.messages.definitions import message_type
 from quatprop.signals.message_values import channels_of
 from quatprop.text import Setting, Text, listed, plain, quoted
 
@@ -253,6 +254,8 @@ def message_candidates(
         The topic is not there, or carries nothing of this kind.
     UsageError
         No message has the field, or a setting is for tables.
+    SchemaError
+        The only channel has no definition, or one that cannot be used.
     NoRatesError, NoAttitudesError
         The log holds nothing of this kind.
     """
@@ -265,6 +268,8 @@ def message_candidates(
     if found := [one for channel in channels for one in find(log, channel, selection)]:
         return found
     if channels and (name := getattr(selection, kind.field)) is not None:
+        if len(channels) == 1:
+            message_type(channels[0], log.path)  # its definition may be what is missing
         known = [
             f"{candidate.field} ({channel.topic})"
             for channel in channels

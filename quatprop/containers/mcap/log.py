@@ -39,9 +39,11 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.containers.mcap.summary import McapIndex
+    from quatprop.containers.msg_files import MsgFiles
 
     RegionContent = Loaded | tuple[Buffer, LocatedMessages] | RegionError
 
+_CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
 
@@ -156,6 +158,13 @@ class McapLog(MessageLog):
                     yield _block(data, messages, bound)
         self._check_count(channel.topic, ids, count)
 
+    def complete(self, files: MsgFiles) -> None:
+        """Add definitions that channels lack."""
+        ids_by_channel: dict[Channel, list[int]] = {}
+        for channel, ids in self._ids.items():
+            ids_by_channel.setdefault(files.completed(channel), []).extend(ids)
+        self._ids = ids_by_channel
+
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which a metadata record may carry, as JSON."""
         try:
@@ -168,9 +177,11 @@ class McapLog(MessageLog):
         self.source.close()
 
     def _remark_on_clamped(self, messages: LocatedMessages) -> None:
-        if not self.remarks and messages.log_ns.max() == LATEST:
-            remark = "log times after the year 2262 do not fit int64 ns and are read as the last "
-            self.remarks = [f"{remark}that does"]
+        remark = (
+            "log times after the year 2262 do not fit int64 ns and are read as the last that does"
+        )
+        if messages.log_ns.max() == LATEST and remark not in self.remarks:
+            self.remarks = [*self.remarks, remark]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from apsw import SQLiteValue
 
+    from quatprop.containers.msg_files import MsgFiles
     from quatprop.containers.rosbag2.fetches import Fetch
 
 
@@ -290,6 +291,10 @@ class Db3Log(MessageLog):
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         self.losses.note(f"topic {quoted(channel.topic)}", reason, messages)
+
+    def complete(self, files: MsgFiles) -> None:
+        """Add definitions that channels lack."""
+        self._topics = {id_: files.completed(channel) for id_, channel in self._topics.items()}
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which the metadata may carry, as JSON."""

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator
     from pathlib import Path
 
+    from quatprop.containers.msg_files import MsgFiles
+
 
 @dataclass(slots=True)
 class _Part:
@@ -230,6 +232,12 @@ class Rosbag2Log(MessageLog):
         if damaged:
             place = f"topic {quoted(own.topic)}"
             self._note(part, [Loss(place, "their zstd data is damaged", damaged)])
+
+    def complete(self, files: MsgFiles) -> None:
+        """Add definitions that channels lack."""
+        for part in self._parts:
+            part.channels = {own: files.completed(whole) for own, whole in part.channels.items()}
+        self._channels = [files.completed(channel) for channel in self._channels]
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""

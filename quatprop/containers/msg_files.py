@@ -1,0 +1,96 @@
+"""Message definitions in ``.msg`` files, for bags that carry none, as those before ROS 2 Iron."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from quatprop.containers.base import Channel
+
+_LARGEST = 1 << 16
+"""Bytes of a file that is read as a definition; real ones have a few thousand."""
+_FIELD = re.compile(r"^[ \t]*((?:\w+/)*[A-Z]\w*)(?:\[[^\]\n]*\])?[ \t]+\w+", re.MULTILINE)
+_RULE = "=" * 80
+
+
+class MsgFiles:
+    """Finds definitions of message types by the names of files.
+
+    Parameters
+    ----------
+    places
+        Folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
+        ``msg/Name.msg`` or ``Name.msg``, or such files themselves.
+    is_given
+        Whether the user named the places, so that folders inside them are searched, too.
+
+    Attributes
+    ----------
+    used
+        The files that definitions were taken from.
+    """
+
+    def __init__(self, places: Iterable[Path], *, is_given: bool = False) -> None:
+        self._places = tuple(places)
+        self._is_given = is_given
+        self.used: dict[str, Path] = {}
+
+    def completed(self, channel: Channel) -> Channel:
+        """Return a channel with the definition that it lacks, where there are files for it."""
+        if channel.schema or channel.encoding != "cdr":
+            return channel
+        schema = self.definition(channel.type_name)
+        return replace(channel, schema_encoding="ros2msg", schema=schema) if schema else channel
+
+    def definition(self, type_name: str) -> bytes:
+        """Return the definition of a type and of all types in it that have files; else empty."""
+        text = self._text(type_name)
+        if text is None:
+            return b""
+        parts = {type_name: text}
+        waiting = [type_name]
+        while waiting:
+            name = waiting.pop()
+            for field in _FIELD.findall(parts[name]):
+                package = field.split("/")[0] if "/" in field else name.split("/")[0]
+                inner = f"{package}/msg/{field.split('/')[-1]}"
+                found = None if inner in parts else self._text(inner)
+                if found is not None:
+                    parts[inner] = found
+                    waiting.append(inner)
+        own = parts.pop(type_name)
+        others = (f"{_RULE}\nMSG: {name}\n{text}" for name, text in parts.items())
+        return "\n".join([own, *others]).encode()
+
+    def _text(self, type_name: str) -> str | None:
+        """Return the content of the file of a type."""
+        package, _, name = type_name.partition("/msg/")
+        for place in self._places:
+            for file in self._candidates(place, package, name):
+                try:
+                    if file.is_file() and file.stat().st_size <= _LARGEST:
+                        text = file.read_text(encoding="utf-8", errors="replace")
+                        self.used[type_name] = file
+                        return text
+                except OSError:
+                    continue
+        return None
+
+    def _candidates(self, place: Path, package: str, name: str) -> Iterable[Path]:
+        if not package.isidentifier() or not name.isidentifier():
+            return
+        if place.suffix == ".msg":
+            if place.stem == name:
+                yield place
+            return
+        yield place / package / "msg" / f"{name}.msg"
+        if not self._is_given or place.name in {package, "msg"}:
+            yield place / "msg" / f"{name}.msg"
+        yield place / f"{name}.msg"
+        if self._is_given:
+            yield from sorted(place.glob(f"**/{package}/msg/{name}.msg"))
