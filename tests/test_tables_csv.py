@@ -134,7 +134,7 @@ def test_a_time_that_overflows_is_told_with_its_unit():
     with pytest.raises(
         UnsupportedLogError,
         match=r"-: 3 of its first 3 rows do not fit \(line 2: 1403715523912140000 s in column "
-        r"'t' does not fit in int64 ns\); check .* units",
+        r"'t' does not fit in int64 ns, but would in ns\); check .* units, such as time_unit, or",
     ):
         read(text, **UNITS)
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from quatprop.errors import UsageError
 from quatprop.text import Setting
-from quatprop.times import regular_stamps
+from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -32,6 +32,7 @@ SPARE_PLACES = 9
 """Further places for stamps finer than a nanosecond, such as floats printed in full."""
 
 _DIGITS = 38
+_FROM_2000_NS, _UNTIL_2100_NS = 946_684_800 * NS_PER_S, 4_102_444_800 * NS_PER_S
 _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 
@@ -153,6 +154,24 @@ def from_text(text: str, unit: str) -> int:
     if not _LIMITS.min <= whole <= _LIMITS.max:
         raise TimestampRangeError(text)
     return int(whole)
+
+
+def likely_unit(text: str) -> str:
+    """Return the unit in which a number is a time of this century; ``""`` where it is none.
+
+    Examples
+    --------
+    >>> likely_unit("1700000000123456")
+    'us'
+    """
+    for unit in PLACES:
+        try:
+            t_ns = from_text(text, unit)
+        except ValueError:
+            continue
+        if _FROM_2000_NS <= t_ns < _UNTIL_2100_NS:
+            return unit
+    return ""
 
 
 def from_integers(values: Int64, unit: str) -> Int64:

@@ -11,6 +11,7 @@ from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser
 from quatprop.tables.text_stream import note_lines, record_pieces
 from quatprop.tables.timestamps import row_stamps
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,7 +80,9 @@ class BlockReader:
             raise UnsupportedLogError(
                 path,
                 f"{self._rejected} of its first {self._count} rows do not fit (line {line}: "
-                f"{reason}); check the columns and units, or whether it is one table",
+                f"{reason}); check the columns and units, such as ",
+                Setting("time_unit"),
+                ", or whether it is one table",
             )
 
     def _parse(

@@ -196,8 +196,10 @@ class RowParser(ColumnParser):
                 return int(pa.scalar(cell.strip()).cast(date_type).value)
             return timestamps.from_text(self._pointed(cell), unit)
         except timestamps.TimestampRangeError:
+            other = timestamps.likely_unit(self._pointed(cell))
+            hint = f", but would in {other}" if other else ""
             raise ValueError(
-                f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns"
+                f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns{hint}"
             ) from None
         except ValueError:
             raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a time") from None
