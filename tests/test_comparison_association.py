@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from quatprop.comparison.association import associate, shifted, slerp
+from quatprop.comparison.association import associate, interpolate, shifted
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import AttitudeSeries
@@ -33,17 +33,17 @@ def test_slerp_agrees_with_scipy(place, seed):
     series = random_series([0, 300, 1000], seed)
     rotations = Rotation.from_quat(series.wxyz, scalar_first=True)
     expected = Slerp(series.t_ns, rotations)(place).as_quat(scalar_first=True)
-    found = slerp(series, np.array([place]))[0]
+    found = interpolate(series, np.array([place]))[0]
     assert geodesic_angle(found, expected) < 1e-7 or geodesic_angle(*series.wxyz[:2]) > 3.1415
-    assert np.array_equal(slerp(series, series.t_ns), series.wxyz) or np.allclose(
-        slerp(series, series.t_ns), series.wxyz, atol=4e-16
+    assert np.array_equal(interpolate(series, series.t_ns), series.wxyz) or np.allclose(
+        interpolate(series, series.t_ns), series.wxyz, atol=4e-16
     )
 
 
 def test_slerp_keeps_nanoseconds():
     """At an epoch of 1.7e18 ns one nanosecond of a spin is one nanoradian."""
     series = spin([EPOCH_NS, EPOCH_NS + 1000])
-    between = slerp(series, np.array([EPOCH_NS + 1]))
+    between = interpolate(series, np.array([EPOCH_NS + 1]))
     assert float(2 * between[0, 3]) == pytest.approx(1e-9, rel=1e-6)
 
 

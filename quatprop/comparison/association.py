@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.comparison.settings import MATCHES
 from quatprop.errors import ComparisonError, UsageError
-from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize
+from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.times import duration_text
 
@@ -138,7 +138,7 @@ def interval_ns(series: AttitudeSeries) -> int:
     return int(np.median(np.diff(series.t_ns)))
 
 
-def slerp(series: AttitudeSeries, t_ns: Int64) -> Float64:
+def interpolate(series: AttitudeSeries, t_ns: Int64) -> Float64:
     """Return the attitudes of a series at times within it: a constant rate between samples.
 
     Parameters
@@ -157,12 +157,10 @@ def slerp(series: AttitudeSeries, t_ns: Int64) -> Float64:
     start, stop = series.t_ns[before], series.t_ns[before + 1]
     fraction = (t_ns - start) / (stop - start)
     first = series.wxyz[before]
-    step = multiply(conjugate(first), series.wxyz[before + 1])
-    # q and -q are the same attitude: the step is the shorter way round.
-    step *= np.where(step[:, :1] < 0, -1.0, 1.0)
-    between = multiply(first, exp(fraction[:, None] * log(step)))
-    between[t_ns == stop] = series.wxyz[before + 1][t_ns == stop]
-    return normalize(between)
+    second = series.wxyz[before + 1]
+    between = slerp(first, second, fraction)
+    between[t_ns == stop] = normalize(second[t_ns == stop])
+    return between
 
 
 def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
@@ -203,7 +201,7 @@ def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[I
     behind, ahead = t_ns - dense.t_ns[before], dense.t_ns[after] - t_ns
     inside = (behind >= 0) & (ahead >= 0)
     (index,) = np.nonzero(inside & (behind <= max_dt_ns) & (ahead <= max_dt_ns))
-    return index, slerp(dense, t_ns[index])
+    return index, interpolate(dense, t_ns[index])
 
 
 def _default_max_dt_ns(dense: AttitudeSeries, match: str) -> int:

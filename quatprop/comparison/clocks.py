@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.association import interval_ns, slerp
+from quatprop.comparison.association import interpolate, interval_ns
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting, Text
@@ -134,7 +134,7 @@ def _speeds(series: AttitudeSeries, step: int) -> Float64:
 
 
 def _angles(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
-    regular = slerp(series, np.arange(start, stop + 1, step, dtype=np.int64))
+    regular = interpolate(series, np.arange(start, stop + 1, step, dtype=np.int64))
     return geodesic_angle(regular[:-1], regular[1:])
 
 
