@@ -443,6 +443,39 @@ def test_the_static_bias_is_that_of_the_rest(tmp_path):
     assert told["rest"]["scatter_rad_s"] == pytest.approx(np.sqrt(3) * 1e-4, rel=0.05)
 
 
+def static_bias(tmp_path, *periods):
+    """Run with --bias static on periods of (seconds, rate), rad/s, at 100 Hz with noise."""
+    rate = np.concatenate([np.tile(rate, (seconds * 100, 1)) for seconds, rate in periods])
+    rate = rate + np.random.default_rng(1).normal(0, 1e-3, rate.shape)
+    path, out = tmp_path / "log.csv", tmp_path / "o.csv"
+    rows = [f"{k * 10_000_000},{x},{y},{z}\n" for k, (x, y, z) in enumerate(rate.tolist())]
+    path.write_text(EUROC + "".join(rows))
+    return run("propagate", path, "-o", out, "-q", "--bias", "static", "--report", "-")
+
+
+@pytest.mark.parametrize("turn", [5.0, 30.0])
+@pytest.mark.parametrize("rest_first", [True, False])
+def test_a_steady_turn_is_not_rest(turn, rest_first, tmp_path):
+    """Three seconds of rest beside ten of a steady turn: the bias is that of the rest."""
+    bias = np.array([0.01, -0.02, 0.005])
+    periods = [(3, bias), (10, bias + np.array([0, 0, np.radians(turn)]))]
+    result = static_bias(tmp_path, *(periods if rest_first else periods[::-1]))
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)["conditioning"]
+    assert told["bias_rad_s"] == pytest.approx(bias.tolist(), abs=3e-4)
+    assert told["rest"]["samples"] == 300
+
+
+def test_a_log_that_turns_all_along_has_no_rest(tmp_path):
+    """A car that circles at 14 deg/s is steady, but that is no bias."""
+    result = static_bias(tmp_path, (20, np.array([0.0, 0.0, 0.246])))
+    assert result.exit_code == 2
+    assert (
+        "the steadiest period of the log has a mean rate of 0.246 rad/s, more than the bias of a "
+        "gyroscope: the body turns; give --bias X,Y,Z"
+    ) in result.stderr
+
+
 def test_part_of_a_log(log, tmp_path):
     """--start and --end take stamps, offsets from the first and from the last sample."""
     for options, stamps in {

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.static_detection import AT_REST, REST_WINDOW_NS, longest_rest, windows_of
+from quatprop.conditioning.static_detection import (
+    AT_REST,
+    LARGEST_BIAS,
+    REST_WINDOW_NS,
+    longest_rest,
+    windows_of,
+)
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize, rotation_matrix
 from quatprop.text import Setting, Text, quoted
@@ -198,7 +204,14 @@ def condition(
 def _bias_rest(rest: Rest | None) -> Rest:
     """Return a rest from which a bias can be taken, or refuse it."""
     if rest is not None and rest.scatter_rad_s <= AT_REST:
-        return rest
+        size = float(np.linalg.norm(rest.mean_rad_s))
+        if size <= LARGEST_BIAS:
+            return rest
+        raise UsageError(
+            f"the steadiest period of the log has a mean rate of {size:.3g} rad/s, more than the "
+            "bias of a gyroscope: the body turns; give ",
+            Setting("bias", "X,Y,Z"),
+        )
     quietest = ""
     if rest is not None:
         quietest = f" (the quietest scatters by {rest.scatter_rad_s:.3g} rad/s)"

@@ -23,6 +23,12 @@ AT_REST = 0.05
 REST_FACTOR = 2.0
 """A window is at rest if its rates scatter at most this much more than the quietest window's."""
 
+AGREEMENT = 0.01
+"""rad/s: mean rates that differ by more on an axis are not the same bias."""
+
+LARGEST_BIAS = 0.2
+"""rad/s: a steady rate above this is a rotation, not the bias of a gyroscope."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rest:
@@ -50,8 +56,9 @@ class Rest:
 def longest_rest(windows: NDArray[np.void]) -> Rest | None:
     """Return the longest quiet period, or None where no window holds two finite samples.
 
-    The quietest window is the one whose rates scatter least about their mean; the rest is the
-    longest run of neighbouring windows that scatter at most :data:`REST_FACTOR` times as much.
+    A window is quiet if its rates scatter at most :data:`REST_FACTOR` times as much as those of the
+    quietest one. A body that turns steadily is quiet too: neighbouring windows are one period only
+    where their means agree, and of periods that do not agree the slowest shows the bias.
 
     Parameters
     ----------
@@ -61,16 +68,22 @@ def longest_rest(windows: NDArray[np.void]) -> Rest | None:
     windows = windows[windows["count"] > 1]
     if not len(windows):
         return None
-    quiet = _scatter(windows) <= REST_FACTOR * _scatter(windows).min()
-    start, stop = _longest_run(quiet, np.diff(windows["index"]) == 1)
-    rest = windows[start:stop]
-    whole = _merged(rest, np.zeros(1, dtype=np.intp))
+    quiet = np.flatnonzero(_scatter(windows) <= REST_FACTOR * _scatter(windows).min())
+    mean = _mean(windows)[quiet]
+    apart = np.diff(windows["index"][quiet]) != 1
+    apart |= np.abs(np.diff(mean, axis=0)).max(axis=1) > AGREEMENT
+    periods = _merged(windows[quiet], np.append(0, np.flatnonzero(apart) + 1))
+    mean = _mean(periods)
+    slowest = mean[np.argmin((mean**2).sum(axis=1))]
+    agrees = np.abs(mean - slowest).max(axis=1) <= AGREEMENT
+    longest = int(np.argmax(np.where(agrees, periods["last_ns"] - periods["first_ns"], -1)))
+    rest = periods[longest : longest + 1]
     return Rest(
         first_ns=int(rest["first_ns"][0]),
-        last_ns=int(rest["last_ns"][-1]),
-        samples=int(whole["count"][0]),
-        mean_rad_s=whole["total"][0] / whole["count"][0],
-        scatter_rad_s=float(_scatter(whole)[0]),
+        last_ns=int(rest["last_ns"][0]),
+        samples=int(rest["count"][0]),
+        mean_rad_s=mean[longest],
+        scatter_rad_s=float(_scatter(rest)[0]),
     )
 
 
@@ -124,18 +137,14 @@ def _merged(rows: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void
     return merged
 
 
+def _mean(windows: NDArray[np.void]) -> NDArray[np.float64]:
+    """Return the mean rate of each window, ``(N, 3)``, rad/s."""
+    mean: NDArray[np.float64] = windows["total"] / windows["count"][:, None]
+    return mean
+
+
 def _scatter(windows: NDArray[np.void]) -> NDArray[np.float64]:
     """Return the RMS deviation from the mean in each window, rad/s."""
-    mean = windows["total"] / windows["count"][:, None]
-    variance = windows["squares"] / windows["count"] - (mean**2).sum(axis=1)
+    variance = windows["squares"] / windows["count"] - (_mean(windows) ** 2).sum(axis=1)
     scatter: NDArray[np.float64] = np.sqrt(np.maximum(variance, 0.0))
     return scatter
-
-
-def _longest_run(quiet: NDArray[np.bool_], adjacent: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return the longest run of quiet windows without a hole between them."""
-    joined = quiet[1:] & quiet[:-1] & adjacent
-    starts = np.flatnonzero(quiet & ~np.append(False, joined))
-    stops = np.flatnonzero(quiet & ~np.append(joined, False)) + 1
-    longest = int(np.argmax(stops - starts))
-    return int(starts[longest]), int(stops[longest])
