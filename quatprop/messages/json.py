@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from decimal import Decimal
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.schema import Steps, Type
+    from quatprop.provenance import JsonObject
+
+    Tree: TypeAlias = "dict[str, pa.DataType | Tree]"
 
 FLOAT = Primitive("f8")
 INTEGER = Primitive("i8")
@@ -75,7 +78,7 @@ def message_type(channel: Channel) -> Struct:
     return Struct(channel.type_name, _fields(sample))
 
 
-def _fields(sample: dict[str, Any]) -> tuple[tuple[str, Type], ...]:
+def _fields(sample: JsonObject) -> tuple[tuple[str, Type], ...]:
     for seconds in SECONDS:
         for nanoseconds in NANOSECONDS:
             if set(sample) == {seconds, nanoseconds}:
@@ -228,7 +231,7 @@ def _schema(columns: Sequence[WantedColumn], *, exact: bool = True) -> pa.Schema
     exact
         Whether single numbers are decimals.
     """
-    tree: dict[str, Any] = {}
+    tree: Tree = {}
     for wanted in columns:
         for way in wanted.ways:
             is_list = isinstance(way[-1], int)
@@ -257,7 +260,7 @@ def _leaf(wanted: WantedColumn, *, is_list: bool, exact: bool) -> pa.DataType:
     return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
 
 
-def _arrow_fields(tree: dict[str, Any]) -> list[tuple[str, pa.DataType]]:
+def _arrow_fields(tree: Tree) -> list[tuple[str, pa.DataType]]:
     return [
         (name, pa.struct(_arrow_fields(kind)) if isinstance(kind, dict) else kind)
         for name, kind in tree.items()

@@ -91,7 +91,7 @@ def _message_class(type_name: str, schema: bytes) -> Any:
         ) from None
 
 
-def _add(pool: Any, files: dict[str, Any]) -> None:
+def _add(pool: Any, files: Mapping[str, Any]) -> None:
     """Add files to a pool, those that others import first, in whatever order the log has them."""
     added: set[str] = set()
 
