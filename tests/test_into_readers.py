@@ -9,6 +9,7 @@ import lz4.frame
 import pytest
 from click.testing import CliRunner
 from into_logs import write_bag, write_mcap, write_rosbag2
+from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import IndexType
 from rosbags.rosbag1 import Reader as Rosbag1Reader
@@ -79,6 +80,36 @@ def test_every_reader_sees_all_messages_of_an_mcap_copy(tmp_path, layout):
     assert statistics.message_count == len(before) + 300
     times = [message[1] for message in before]
     assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
+
+
+def with_early_data_end(data):
+    """Return an MCAP file without an index whose data end record stands amid its chunks."""
+    head = struct.Struct("<BQ")
+    at, records, end = 8, [], b""
+    while at < len(data) - 8:
+        opcode, length = head.unpack_from(data, at)
+        record = data[at : at + head.size + length]
+        at += len(record)
+        if opcode == Opcode.DATA_END:
+            end = record
+            break
+        records.append((opcode, record))
+    chunks = [k for k, (opcode, _) in enumerate(records) if opcode == Opcode.CHUNK]
+    footer = head.pack(Opcode.FOOTER, 20) + bytes(20)
+    body = [record for _, record in records]
+    return b"".join([data[:8], *body[: chunks[-3]], end, *body[chunks[-3] :], footer, data[:8]])
+
+
+def test_chunks_after_the_data_end_are_copied(tmp_path):
+    """A reader that goes on finds them, and so does one of the copy."""
+    log = write_mcap(tmp_path / "log.mcap")
+    before = from_front(log)
+    log.write_bytes(with_early_data_end(log.read_bytes()))
+    assert from_front(log) == before
+    out = copy(log, tmp_path / "out.mcap")
+    for read in (by_index, from_front):
+        assert others(read(out)) == others(before)
+        assert len(read(out)) == len(before) + 300
 
 
 # ROS 1
