@@ -341,9 +341,10 @@ def test_columns_of_one_name_are_refused(tmp_path, kind):
     else:
         with pa.ipc.new_file(str(log), table.schema) as file:
             file.write_table(table)
-    result = CliRunner().invoke(cli, ["info", str(log)])
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", "-"])
     assert result.exit_code == 2
-    assert "several columns are named 'wx'; rename all but one of them" in result.output
+    assert "several columns have the same name; by numbers from 0: 1-2-3, 4-2-3" in result.output
+    assert "--rate-cols X,Y,Z" in result.output
 
 
 def test_definitions_of_megabytes_are_not_parsed():
