@@ -87,7 +87,7 @@ def test_a_constant_rotation_is_its_angle_everywhere(turned, cause):
     assert statistics.final == pytest.approx(TURN_RAD, abs=EXACT)
     assert found.drift_deg_h == pytest.approx(0.0, abs=1e-6)
     assert found.likely_cause.name == cause
-    assert f"{np.degrees(TURN_RAD):.6g} deg" in str(found.likely_cause.sentence)
+    assert f"{np.degrees(TURN_RAD):.6g} deg" in found.likely_cause.sentence
 
 
 @pytest.mark.parametrize("align", ["first", "mean"])
@@ -117,7 +117,7 @@ def test_a_ramp_is_its_drift(left, frame):
     assert found.error_rad.final == pytest.approx(np.radians(100) / 3600 * SECONDS[-1], abs=EXACT)
     assert found.worst.index == SAMPLES - 1
     assert found.likely_cause.name == "drift"
-    assert str(found.likely_cause.sentence) == (
+    assert found.likely_cause.sentence == (
         f"B drifts away at a steady 100 deg/h about an axis fixed in the {frame} frame"
     )
 
@@ -167,7 +167,7 @@ def test_one_bad_sample_is_found():
     assert found.worst.error_rad == pytest.approx(0.02, abs=EXACT)
     assert found.error_rad.median < EXACT
     assert found.likely_cause.name == "isolated samples"
-    assert str(found.likely_cause.sentence).startswith("1 of 2000 samples carry the error")
+    assert found.likely_cause.sentence.startswith("1 of 2000 samples carry the error")
 
 
 def test_a_known_time_shift_is_taken_out_exactly():
@@ -192,7 +192,8 @@ def test_an_unknown_time_shift_is_named():
     """A series that is late is said to be, with how much."""
     found = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz))
     assert found.likely_cause.name == "time offset"
-    assert str(found.likely_cause.sentence) == "B is 50 ms late; time_offset='auto' takes it out"
+    assert found.likely_cause.sentence == "B is 50 ms late"
+    assert str(found.likely_cause.advice) == "B is 50 ms late; time_offset='auto' takes it out"
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():
@@ -228,7 +229,7 @@ def test_wrong_propagation_is_recognised(wrong, cause, words):
     """The wrong side, a missing factor, degrees for radians, and a gyroscope's bias are named."""
     found = compare(A, series(wrong))
     assert found.likely_cause.name == cause
-    assert words in str(found.likely_cause.sentence)
+    assert words in found.likely_cause.sentence
     assert found.likely_cause.rms_after < EXACT
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from quatprop.check.spelling import sentence, spelled
+from quatprop.check.spelling import sentence
 from quatprop.comparison.compare import compare
 from quatprop.comparison.summary import criterion_text
 from quatprop.errors import ComparisonError
@@ -136,7 +136,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure="; ".join(failures),
-        cause=f"{spelled(cause.sentence)} ({cause.name})" if cause else "",
+        cause=f"{cause.sentence} ({cause.name})" if cause else "",
         report=result.report(),
     )
 

@@ -25,6 +25,7 @@ from quatprop.comparison.hypotheses import (
 from quatprop.comparison.statistics import rms
 from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
+from quatprop.text import Text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.comparison.association import Pairs
-    from quatprop.text import Text
+    from quatprop.text import Setting
 
     Float64 = NDArray[np.float64]
 
@@ -64,12 +65,22 @@ class Cause:
         What it means.
     rms_before, rms_after
         RMS error without and with the explanation, rad.
+    remedy
+        The setting that takes the error out of the comparison, where one does.
     """
 
     name: str
-    sentence: Text
+    sentence: str
     rms_before: float
     rms_after: float
+    remedy: Setting | None = None
+
+    @property
+    def advice(self) -> Text:
+        """The sentence with the remedy; not for a regression, which the remedy would hide."""
+        if self.remedy is None:
+            return Text(self.sentence)
+        return Text(self.sentence, "; ", self.remedy, " takes it out")
 
 
 def likely_cause(
@@ -121,7 +132,8 @@ def likely_cause(
         return None
     limit = min(max(AS_GOOD * best, EXACT), before / FACTOR)
     chosen = next(place for place, remaining in enumerate(after) if remaining <= limit)
-    return Cause(hypotheses[chosen].name, hypotheses[chosen].sentence, before, after[chosen])
+    cause = hypotheses[chosen]
+    return Cause(cause.name, cause.sentence, before, after[chosen], cause.remedy)
 
 
 def _from_common_start(

@@ -14,7 +14,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -38,10 +38,6 @@ MAX_RAMP = 2.0
 
 ISOLATED = 0.01
 """Share of the samples that may be isolated errors."""
-
-
-TAKE_OUT_MOUNT = (Setting("align", "mount"), " takes it out")
-"""The way out where body frames differ."""
 
 
 class Misreading(NamedTuple):
@@ -103,11 +99,14 @@ class Hypothesis(NamedTuple):
         What it means.
     remaining
         The errors that remain, rad, shape ``(N,)``.
+    remedy
+        The setting that takes the error out, where one does.
     """
 
     name: str
-    sentence: Text
+    sentence: str
     remaining: Float64
+    remedy: Setting | None = None
 
 
 def remaining_errors(pairs: Pairs, alignment: str, b: Float64) -> Float64 | None:
@@ -123,15 +122,18 @@ def misreadings(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     for name, misreading in MISREADINGS.items():
         error = remaining_errors(pairs, alignment, misreading.undo(pairs.b))
         if error is not None:
-            yield Hypothesis(name, Text(misreading.meaning), error)
+            yield Hypothesis(name, misreading.meaning, error)
 
 
 def with_reference_aligned(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     """Try mistakes together with a rotated reference frame, where it was not aligned before."""
     if alignment in ("none", "first"):
-        also = Text("; also, the reference frames differ (", Setting("align", "mean"), ")")
-        for name, sentence, error in (*misreadings(pairs, "mean"), *propagations(pairs, "mean")):
-            yield Hypothesis(f"{name} and reference frame", Text(sentence, also), error)
+        for mistake in (*misreadings(pairs, "mean"), *propagations(pairs, "mean")):
+            yield Hypothesis(
+                f"{mistake.name} and reference frame",
+                f"{mistake.sentence}; also, the reference frames differ",
+                mistake.remaining,
+            )
 
 
 def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
@@ -139,11 +141,11 @@ def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     a, b = pairs.a, pairs.b
     if alignment in ("none", "first"):
         mean = align("mean", a, b)
-        sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}; "
         yield Hypothesis(
             "reference frame",
-            Text(sentence, Setting("align", "mean"), " takes it out"),
+            f"the reference frames differ by {degrees_text(mean.reference_rad)}",
             geodesic_angle(a, mean.apply(b)),
+            Setting("align", "mean"),
         )
     if alignment == "mount":
         return
@@ -151,8 +153,9 @@ def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     angle = float(geodesic_angle(IDENTITY, body))
     yield Hypothesis(
         "body frame",
-        Text(f"the body frames differ by {degrees_text(angle)}; ", *TAKE_OUT_MOUNT),
+        f"the body frames differ by {degrees_text(angle)}",
         geodesic_angle(a, multiply(b, body)),
+        Setting("align", "mount"),
     )
     try:
         both = align("mount", a, b)
@@ -160,12 +163,10 @@ def frame_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
         return
     yield Hypothesis(
         "both frames",
-        Text(
-            f"the body frames differ by {degrees_text(both.mount_rad)} and the reference frames "
-            f"by {degrees_text(both.reference_rad)}; ",
-            *TAKE_OUT_MOUNT,
-        ),
+        f"the body frames differ by {degrees_text(both.mount_rad)} and the reference frames by "
+        f"{degrees_text(both.reference_rad)}",
         geodesic_angle(a, both.apply(b)),
+        Setting("align", "mount"),
     )
 
 
@@ -176,7 +177,7 @@ def isolated_samples(error: Float64) -> Iterator[Hypothesis]:
     count = int((error > CLEAR * max(rms(rest), EXACT)).sum())
     if 0 < count <= few:
         sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
-        yield Hypothesis("isolated samples", Text(sentence), rest)
+        yield Hypothesis("isolated samples", sentence, rest)
 
 
 def propagations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
@@ -198,7 +199,7 @@ def propagations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     ):
         error = remaining_errors(pairs, alignment, _propagated(steps, b[0], frame))
         if error is not None:
-            yield Hypothesis(name, Text(sentence), error)
+            yield Hypothesis(name, sentence, error)
 
 
 class _Steps(NamedTuple):
@@ -265,9 +266,8 @@ def time_offsets(
     error = remaining_errors(pairs, alignment, pairs.b)
     if error is not None:
         late = "late" if offset.ns < 0 else "early"
-        sentence = f"B is {duration_text(abs(offset.ns))} {late}; "
-        way_out = (Setting("time_offset", "auto"), " takes it out")
-        yield Hypothesis("time offset", Text(sentence, *way_out), error)
+        sentence = f"B is {duration_text(abs(offset.ns))} {late}"
+        yield Hypothesis("time offset", sentence, error, Setting("time_offset", "auto"))
 
 
 def steady_drifts(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
@@ -295,4 +295,4 @@ def steady_drifts(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
             f"{begins}B drifts away at a steady {slope * S_PER_H:.6g} deg/h about an axis fixed in "
             f"the {frame} frame"
         )
-        yield Hypothesis("drift", Text(sentence), remaining)
+        yield Hypothesis("drift", sentence, remaining)

@@ -49,7 +49,7 @@ def comparison_rows(
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
-        yield "cause", f"likely ({cause.name}): {spell(cause.sentence)}"
+        yield "cause", f"likely ({cause.name}): {spell(cause.advice)}"
         rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
         yield "", f"without it the RMS error goes from {rms}"
     yield from _remarks("A", a, spell)
