@@ -14,8 +14,9 @@ from quatprop.errors import NoAttitudesError, UsageError
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.message_values import ABSENT
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.tables.matching.choose import match_quaternion, match_rotation
+from quatprop.tables.matching.choose import match_quaternion
 from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Choosing columns: three calls of one matcher, for rates, quaternions and other rotations."""
+"""The columns of rates and of quaternions; other rotations are in ``rotations.py``."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
-from quatprop.tables.matching.column_names import ANGLE_UNITS, RATE_UNITS
+from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
     GENERIC,
     ORIENTATION_ABSENT,
     QUATERNION_PARTS,
     RATE_PARTS,
-    ROTATIONS,
 )
 from quatprop.tables.matching.matcher import ColumnMatcher
-from quatprop.text import Setting, Text, listed, plain
+from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -238,72 +237,3 @@ def _absence(matcher: ColumnMatcher, wxyz: tuple[int, ...]) -> list[int]:
     """Return the column that marks a ROS orientation as absent, if there is one."""
     prefix, name, _ = matcher.columns[wxyz[0]].key.rpartition("orientation.w")
     return matcher.matching(re.escape(prefix) + ORIENTATION_ABSENT)[:1] if name else []
-
-
-def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch | None:
-    """Return which columns hold the time and a rotation that is no quaternion.
-
-    Parameters
-    ----------
-    log
-        The table.
-    selection
-        What the user chose.
-
-    Returns
-    -------
-    ColumnMatch or None
-        None where no columns look like one.
-
-    Raises
-    ------
-    UndeclaredError
-        The unit, the time or its unit is not declared, or there are several rotations.
-    UsageError
-        The user contradicts the names.
-    """
-    matches = []
-    for representation, pattern, parts in ROTATIONS:
-        matcher = ColumnMatcher(log, selection, "quat_cols", parts)
-        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
-    if not matches:
-        return None
-    if len(matches) > 1:
-        names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
-        raise UndeclaredError(
-            log.path,
-            f"which rotation to use (their first columns are {names})",
-            "a table that holds one of them",
-        )
-    representation, matcher, columns = matches[0]
-    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
-    timed = matcher.timed(columns, GENERIC)
-    name, clock = matcher.describe(sorted(columns), timed)
-    return ColumnMatch(timed, name, clock, unit, representation=representation)
-
-
-def _angle_unit(
-    matcher: ColumnMatcher, representation: str, columns: tuple[int, ...], chosen: str | None
-) -> str:
-    names = matcher.names(columns)
-    if representation == "matrix":
-        if chosen is not None:
-            raise UsageError(
-                f"{plain(matcher.path)}: ",
-                Setting("from_angle_unit"),
-                f" is about angles, and {names} are a matrix; leave it out",
-            )
-        return ""
-    declared = matcher.declared(columns)
-    matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
-    if chosen is not None and declared not in {"", chosen}:
-        raise UsageError(
-            f"{plain(matcher.path)}: ",
-            Setting("from_angle_unit"),
-            f" says {chosen}, but by their names {names} are in {declared}; leave the option out",
-        )
-    if not (chosen or declared):
-        matcher.undeclared(
-            f"the unit of the angles {names}", Setting("from_angle_unit", "|".join(ANGLE_UNITS))
-        )
-    return chosen or declared

@@ -1,4 +1,4 @@
-"""Matching the columns of a table: sets of them, the time, units, and what the user named.
+"""Matching the columns of a table: sets of them, the time, and what the user named.
 
 Nothing is guessed: what neither header, convention nor user declares is refused, with the setting
 that settles it.
@@ -11,14 +11,15 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.errors import UndeclaredError, UsageError
 from quatprop.tables.base import TimedColumns
-from quatprop.tables.matching.column_names import TIME_UNITS, parse_name
+from quatprop.tables.matching.column_names import TIME_UNITS
+from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES
-from quatprop.text import Setting, Text, listed, plain, quoted
+from quatprop.text import Setting, Text, listed, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
     from fractions import Fraction
 
     from quatprop.selection import SignalSelection
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     Positions = tuple[int, ...]
 
 
-class ColumnMatcher:
+class ColumnMatcher(TableColumns):
     """Finds the columns of one quantity in a table.
 
     Parameters
@@ -46,10 +47,7 @@ class ColumnMatcher:
     def __init__(
         self, log: TableLog, selection: SignalSelection, setting: str, parts: Sequence[str]
     ) -> None:
-        self.path = log.path
-        self.notes = log.notes
-        self.columns = [parse_name(name) for name in log.columns()]
-        self.selection = selection
+        super().__init__(log, selection)
         self.setting = setting
         self._count = len(parts)
         self._components = {
@@ -57,7 +55,6 @@ class ColumnMatcher:
             for component, spellings in enumerate(parts)
             for spelling in spellings.split("|")
         }
-        self._undeclared: list[tuple[str, Setting]] = []
         for name in ("topic", "rate_field", "time_field", "quat_field", "frame"):
             if getattr(selection, name, None) is not None:
                 raise UsageError(
@@ -70,10 +67,6 @@ class ColumnMatcher:
                 )
 
     # Sets of columns.
-
-    def matching(self, pattern: str) -> list[int]:
-        """Return the columns whose keys match a pattern."""
-        return [k for k, column in enumerate(self.columns) if re.fullmatch(pattern, column.key)]
 
     def sets(self, pattern: str) -> list[Positions]:
         """Return each complete set of columns whose names differ in the component alone.
@@ -138,39 +131,12 @@ class ColumnMatcher:
 
     def named(self, names: Sequence[str]) -> Positions:
         """Return the columns that the user names."""
-        positions = tuple(self._position(name, self.setting) for name in names)
+        positions = tuple(self.position(name, self.setting) for name in names)
         if len(set(positions)) != len(positions):
             raise UsageError(
                 f"{plain(self.path)}: ", Setting(self.setting), " names a column twice"
             )
         return positions
-
-    def _position(self, name: str, setting: str) -> int:
-        """Return the column of a name: as spelled, by key, or by number from 0."""
-        name, key = name.strip(), parse_name(name).key
-        positions = [k for k, column in enumerate(self.columns) if column.text.strip() == name]
-        positions = positions or [k for k, column in enumerate(self.columns) if column.key == key]
-        if len(positions) > 1:
-            raise UsageError(
-                f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
-                "say which with its number from 0, ",
-                Setting(setting),
-                f" taking {positions[0]}, {positions[1]}...",
-            )
-        if not positions and name.isdecimal() and int(name) < len(self.columns):
-            return int(name)
-        if not positions:
-            raise UsageError(
-                f"{plain(self.path)}: ",
-                Setting(setting),
-                f" asks for column {quoted(name)}; "
-                f"the columns are {listed(column.text for column in self.columns)}",
-            )
-        return positions[0]
-
-    def names(self, positions: Collection[int]) -> str:
-        """Return the names of columns, quoted."""
-        return listed(self.columns[k].text.strip() for k in positions)
 
     def describe(self, positions: Sequence[int], timed: TimedColumns) -> tuple[str, str]:
         """Return the names of columns and of their time, or the sample rate."""
@@ -206,9 +172,9 @@ class ColumnMatcher:
             unit = self.unit("time", time, TIME_UNITS, convention)
         elif time:
             unit = "s"
-        if self._undeclared:
-            unknown = " and ".join(what for what, _ in self._undeclared)
-            first, *others = (setting for _, setting in self._undeclared)
+        if self.unknown:
+            unknown = " and ".join(what for what, _ in self.unknown)
+            first, *others = (setting for _, setting in self.unknown)
             way_out = Text(first, *(part for other in others for part in (" and ", other)))
             raise UndeclaredError(self.path, unknown, way_out)
         return TimedColumns(numbers, time, unit, sample_rate)
@@ -234,7 +200,7 @@ class ColumnMatcher:
                 " contradict each other; give one",
             )  # fmt: skip
         if name is not None:
-            return self._with_nanoseconds(self._position(name, "time_col")), None
+            return self._with_nanoseconds(self.position(name, "time_col")), None
         if sample_rate is not None:
             if not (math.isfinite(sample_rate) and sample_rate > 0):
                 raise UsageError(Setting("sample_rate"), f" {sample_rate} is not a rate above 0 Hz")
@@ -284,66 +250,3 @@ class ColumnMatcher:
             return (first,)
         others = self.matching(re.escape(match[1] or "") + r"(?:nanosec|nsec)s?")
         return (first, *others[:1])
-
-    # Units.
-
-    def unit(
-        self, quantity: str, positions: Positions, units: Collection[str], convention: str = ""
-    ) -> str:
-        """Return the unit of columns from user, header or convention.
-
-        Parameters
-        ----------
-        quantity
-            ``"rate"`` or ``"time"``.
-        positions
-            The columns.
-        units
-            The units that there are.
-        convention
-            The unit by convention, ``""`` where there is none.
-
-        Returns
-        -------
-        str
-            ``""`` where nothing declares it, which :meth:`timed` then refuses.
-        """
-        columns = "rate_cols" if quantity == "rate" else "time_col"
-        chosen: str | None = getattr(self.selection, f"{quantity}_unit")
-        declared = self.declared(positions) or convention
-        if chosen is not None:
-            # Who names the columns and the unit knows better than the header.
-            is_named = getattr(self.selection, columns) is not None
-            if declared in units and declared != chosen and not is_named:
-                raise UsageError(
-                    f"{plain(self.path)}: ",
-                    Setting(f"{quantity}_unit"),
-                    f" says {chosen}, but by header or convention {self.names(positions)} are in "
-                    f"{declared}; leave the option out or, if it is right, name the columns too, "
-                    "with ",
-                    Setting(columns),
-                )
-            return chosen
-        self.refuse_unknown(positions, declared, units)
-        if not declared:
-            what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
-            self.undeclared(f"the unit of the {what}", Setting(f"{quantity}_unit", "|".join(units)))
-        return declared
-
-    def declared(self, positions: Positions) -> str:
-        """Return the unit that the header declares of columns; ``""`` where it does not."""
-        units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
-        return units.pop() if len(units) == 1 else ""
-
-    def refuse_unknown(self, positions: Positions, unit: str, units: Collection[str]) -> None:
-        """Refuse a declared unit that is not one of those that are read."""
-        if unit and unit not in units:
-            raise UnsupportedLogError(
-                self.path,
-                f"{self.names(positions)} are declared in {quoted(unit)}; "
-                f"convert them to {' or '.join(units)}",
-            )
-
-    def undeclared(self, what: str, setting: Setting) -> None:
-        """Note what is not declared; all of it is refused together, in :meth:`timed`."""
-        self._undeclared.append((what, setting))

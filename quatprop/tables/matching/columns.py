@@ -1,0 +1,129 @@
+"""The columns of a table by name, by number and by pattern, and the units that are declared."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from quatprop.errors import UnsupportedLogError, UsageError
+from quatprop.tables.matching.column_names import parse_name
+from quatprop.text import Setting, listed, plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from quatprop.selection import SignalSelection
+    from quatprop.tables.base import TableLog
+
+    Positions = tuple[int, ...]
+
+
+class TableColumns:
+    """The columns of a table, and what is declared about them.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+    """
+
+    def __init__(self, log: TableLog, selection: SignalSelection) -> None:
+        self.path = log.path
+        self.notes = log.notes
+        self.columns = [parse_name(name) for name in log.columns()]
+        self.selection = selection
+        self.unknown: list[tuple[str, Setting]] = []
+
+    def matching(self, pattern: str) -> list[int]:
+        """Return the columns whose keys match a pattern."""
+        return [k for k, column in enumerate(self.columns) if re.fullmatch(pattern, column.key)]
+
+    def position(self, name: str, setting: str) -> int:
+        """Return the column of a name: as spelled, by key, or by number from 0."""
+        name, key = name.strip(), parse_name(name).key
+        positions = [k for k, column in enumerate(self.columns) if column.text.strip() == name]
+        positions = positions or [k for k, column in enumerate(self.columns) if column.key == key]
+        if len(positions) > 1:
+            raise UsageError(
+                f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
+                "say which with its number from 0, ",
+                Setting(setting),
+                f" taking {positions[0]}, {positions[1]}...",
+            )
+        if not positions and name.isdecimal() and int(name) < len(self.columns):
+            return int(name)
+        if not positions:
+            raise UsageError(
+                f"{plain(self.path)}: ",
+                Setting(setting),
+                f" asks for column {quoted(name)}; "
+                f"the columns are {listed(column.text for column in self.columns)}",
+            )
+        return positions[0]
+
+    def names(self, positions: Collection[int]) -> str:
+        """Return the names of columns, quoted."""
+        return listed(self.columns[k].text.strip() for k in positions)
+
+    def unit(
+        self, quantity: str, positions: Positions, units: Collection[str], convention: str = ""
+    ) -> str:
+        """Return the unit of columns from user, header or convention.
+
+        Parameters
+        ----------
+        quantity
+            ``"rate"`` or ``"time"``.
+        positions
+            The columns.
+        units
+            The units that there are.
+        convention
+            The unit by convention, ``""`` where there is none.
+
+        Returns
+        -------
+        str
+            ``""`` where nothing declares it, which :meth:`timed` then refuses.
+        """
+        columns = "rate_cols" if quantity == "rate" else "time_col"
+        chosen: str | None = getattr(self.selection, f"{quantity}_unit")
+        declared = self.declared(positions) or convention
+        if chosen is not None:
+            # Who names the columns and the unit knows better than the header.
+            is_named = getattr(self.selection, columns) is not None
+            if declared in units and declared != chosen and not is_named:
+                raise UsageError(
+                    f"{plain(self.path)}: ",
+                    Setting(f"{quantity}_unit"),
+                    f" says {chosen}, but by header or convention {self.names(positions)} are in "
+                    f"{declared}; leave the option out or, if it is right, name the columns too, "
+                    "with ",
+                    Setting(columns),
+                )
+            return chosen
+        self.refuse_unknown(positions, declared, units)
+        if not declared:
+            what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
+            self.undeclared(f"the unit of the {what}", Setting(f"{quantity}_unit", "|".join(units)))
+        return declared
+
+    def declared(self, positions: Positions) -> str:
+        """Return the unit that the header declares of columns; ``""`` where it does not."""
+        units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
+        return units.pop() if len(units) == 1 else ""
+
+    def refuse_unknown(self, positions: Positions, unit: str, units: Collection[str]) -> None:
+        """Refuse a declared unit that is not one of those that are read."""
+        if unit and unit not in units:
+            raise UnsupportedLogError(
+                self.path,
+                f"{self.names(positions)} are declared in {quoted(unit)}; "
+                f"convert them to {' or '.join(units)}",
+            )
+
+    def undeclared(self, what: str, setting: Setting) -> None:
+        """Note what is not declared; all of it is refused together, in :meth:`timed`."""
+        self.unknown.append((what, setting))

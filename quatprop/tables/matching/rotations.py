@@ -1,0 +1,85 @@
+"""The columns of attitudes that are not quaternions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.errors import UndeclaredError, UsageError
+from quatprop.tables.matching.choose import ColumnMatch
+from quatprop.tables.matching.column_names import ANGLE_UNITS
+from quatprop.tables.matching.dialects import GENERIC, ROTATIONS
+from quatprop.tables.matching.matcher import ColumnMatcher
+from quatprop.text import Setting, listed, plain
+
+if TYPE_CHECKING:
+    from quatprop.selection import AttitudeSelection
+    from quatprop.tables.base import TableLog
+
+
+def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch | None:
+    """Return which columns hold the time and a rotation that is no quaternion.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+
+    Returns
+    -------
+    ColumnMatch or None
+        None where no columns look like one.
+
+    Raises
+    ------
+    UndeclaredError
+        The unit, the time or its unit is not declared, or there are several rotations.
+    UsageError
+        The user contradicts the names.
+    """
+    matches = []
+    for representation, pattern, parts in ROTATIONS:
+        matcher = ColumnMatcher(log, selection, "quat_cols", parts)
+        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
+    if not matches:
+        return None
+    if len(matches) > 1:
+        names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
+        raise UndeclaredError(
+            log.path,
+            f"which rotation to use (their first columns are {names})",
+            "a table that holds one of them",
+        )
+    representation, matcher, columns = matches[0]
+    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
+    timed = matcher.timed(columns, GENERIC)
+    name, clock = matcher.describe(sorted(columns), timed)
+    return ColumnMatch(timed, name, clock, unit, representation=representation)
+
+
+def _angle_unit(
+    matcher: ColumnMatcher, representation: str, columns: tuple[int, ...], chosen: str | None
+) -> str:
+    names = matcher.names(columns)
+    if representation == "matrix":
+        if chosen is not None:
+            raise UsageError(
+                f"{plain(matcher.path)}: ",
+                Setting("from_angle_unit"),
+                f" is about angles, and {names} are a matrix; leave it out",
+            )
+        return ""
+    declared = matcher.declared(columns)
+    matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
+    if chosen is not None and declared not in {"", chosen}:
+        raise UsageError(
+            f"{plain(matcher.path)}: ",
+            Setting("from_angle_unit"),
+            f" says {chosen}, but by their names {names} are in {declared}; leave the option out",
+        )
+    if not (chosen or declared):
+        matcher.undeclared(
+            f"the unit of the angles {names}", Setting("from_angle_unit", "|".join(ANGLE_UNITS))
+        )
+    return chosen or declared
