@@ -89,9 +89,9 @@ def as_errors_of(path: Path | str) -> Iterator[None]:
     except MemoryError as error:
         raise UnreadableLogError(path, str(_reason(error, ANYWHERE))) from error
     except Exception as error:
-        if (known := _reason(error, READING)) is None:
+        if (read_error := _reason(error, READING)) is None:
             raise
-        raise DamagedLogError(path, f"{known}; check that it was copied whole") from error
+        raise DamagedLogError(path, f"{read_error}; check that it was copied whole") from error
 
 
 def as_user_error(error: Exception) -> QuatpropError | None:

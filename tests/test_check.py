@@ -1,4 +1,4 @@
-"""`quatprop check`: what is judged, what is pinned, and what is said when something changed."""
+"""`quatprop check`: what is judged and pinned, and the messages when something changed."""
 
 import json
 import shutil
@@ -49,7 +49,7 @@ def _not_in_ci(monkeypatch):
 
 
 def check(suite, *options):
-    """Run the command; errors come back as exit code and words."""
+    """Run the command; errors come back as exit code and text."""
     return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
 
 
@@ -160,7 +160,7 @@ def test_references_are_small_and_say_how_they_came_about(suite):
 
 
 def test_references_do_not_depend_on_where_they_are_made(made, tmp_path):
-    """The same suite elsewhere gives the same bytes, references and lock."""
+    """The same suite in another folder gives the same bytes, references and lock."""
     folder = tmp_path / "elsewhere"
     shutil.copytree(SAMPLE_LOGS, folder / "logs")
     (folder / "suite.toml").write_text(SUITE)
@@ -169,7 +169,7 @@ def test_references_do_not_depend_on_where_they_are_made(made, tmp_path):
         assert (folder / name).read_bytes() == (made / name).read_bytes()
 
 
-def test_processes_change_nothing_that_is_said(suite):
+def test_the_output_is_the_same_for_any_number_of_processes(suite):
     """With two processes the text is that of one, whatever finishes first."""
     edit(suite, 'method = "coning"', 'method = "end"')
     one, two = check(suite), check(suite, "-j", "2")
@@ -226,8 +226,8 @@ def test_a_changed_log_is_an_error(suite, name, log):
     assert reason.startswith(str(suite.parent / "logs"))
 
 
-def test_a_changed_series_from_elsewhere_is_an_error(suite):
-    """What a case is held against is pinned, too."""
+def test_a_changed_independent_series_is_an_error(suite):
+    """What a case is compared with is pinned, too."""
     truth = suite.parent / "logs" / "tumbling.truth.csv"
     truth.write_text(truth.read_text() + "\n")
     assert verdicts(suite) == (2, only("tumbling", "error"))
@@ -243,7 +243,7 @@ def test_a_missing_log_is_an_error(suite):
     assert reason == f"{log}: no such file or folder; check the path"
 
 
-def test_a_log_that_git_lfs_has_not_brought_is_told(suite):
+def test_a_pointer_of_git_lfs_in_place_of_a_log_is_named(suite):
     """The pointer in its place is recognised, with the way out."""
     log = suite.parent / "logs" / "spin.csv"
     log.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
@@ -275,7 +275,7 @@ def test_a_changed_option_is_an_error(suite, name, old, new, words):
 
 
 def test_an_option_written_in_another_way_is_the_same(suite):
-    """What is the default may be said, and numbers may be a list."""
+    """The default may be written, and numbers may be a list."""
     edit(suite, 'log = "logs/spin.csv"', 'log = "logs/spin.csv"\nrates = "body"\nmax-gap = "1s"')
     edit(suite, 'max-gap = "1s"', 'q0-layout = "scalar-first"\nq0 = [1, 0, 0, 0]')
     code, cases = outcomes(suite, "-k", "spin")
@@ -317,7 +317,7 @@ def test_a_tolerance_decides(suite):
     assert "takes it out" not in reason, "what would hide a regression is not advised"
 
 
-def test_a_series_from_elsewhere_fails_above_its_tolerance(suite):
+def test_an_independent_series_fails_above_its_tolerance(suite):
     """The truth is 0.01 deg from what coning gives: 0.001 deg is not kept."""
     edit(suite, 'tol = "0.1deg"', 'tol = "0.001deg"')
     assert verdicts(suite) == (1, only("tumbling", "fail"))
@@ -351,7 +351,7 @@ def test_a_reference_of_another_convention_says_so(suite, tmp_path):
 
 
 def test_a_torn_reference_is_an_error(suite):
-    """Half a file cannot be read, which is said."""
+    """Half a file cannot be read, and the error names it."""
     reference = suite.parent / "refs" / "spin.parquet"
     reference.write_bytes(reference.read_bytes()[:5000])
     assert verdicts(suite) == (2, only("spin", "error"))
@@ -405,7 +405,7 @@ def test_another_count_of_samples_fails(suite):
 
 
 def test_another_end_fails(suite):
-    """The last attitude is held, though a thinned reference lacks it."""
+    """The last attitude is compared, though the reference lacks it."""
     _pretend(suite, "rest", final_wxyz=[0.0, 1.0, 0.0, 0.0])
     assert verdicts(suite) == (1, only("rest", "fail"))
     assert (

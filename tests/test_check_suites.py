@@ -1,4 +1,4 @@
-"""Suites: what is refused and how it is said, what an update does, and what CI is told."""
+"""Suites: what is refused, what an update does, and the reports for CI."""
 
 import json
 import os
@@ -47,7 +47,7 @@ def write(folder, text):
 
 
 def check(suite, *options):
-    """Run the command; errors come back as exit code and words."""
+    """Run the command; errors come back as exit code and text."""
     return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
 
 
@@ -168,7 +168,7 @@ def test_a_broken_suite_is_refused_at_once(folder, text, words):
     assert result.stderr.startswith(f"Error: {suite}{words}")
 
 
-def test_a_suite_that_is_not_there_is_told(folder):
+def test_a_missing_suite_is_named(folder):
     """It is named."""
     result = check(folder / "none.toml")
     assert (result.exit_code, result.stderr) == (
@@ -176,7 +176,7 @@ def test_a_suite_that_is_not_there_is_told(folder):
     )  # fmt: skip
 
 
-def test_a_suite_that_is_no_text_is_told(folder):
+def test_a_suite_that_is_no_text_is_refused(folder):
     """Bytes that are not UTF-8 are no TOML."""
     suite = folder / "suite.toml"
     suite.write_bytes(b"[case.\xff]")
@@ -193,14 +193,14 @@ def test_a_suite_that_is_no_text_is_told(folder):
         ('[case.a]\nlog = "a.csv"\nreference = "a.csv"\n', "'reference': a stored reference is "),
     ],
 )  # fmt: skip
-def test_what_a_case_lacks_is_told(folder, text, words):
+def test_what_a_case_lacks_is_named(folder, text, words):
     """So is what to say."""
     result = check(write(folder, text))
     assert result.exit_code == 2
     assert words in result.stdout
 
 
-def test_what_settles_a_series_from_elsewhere_is_named_as_a_key(folder):
+def test_errors_about_the_reference_name_its_keys(folder):
     """Where compare has options of its B, a suite has keys that begin with reference."""
     (folder / "logs" / "plain.csv").write_text("1,1,0,0,0\n2,1,0,0,0\n")
     text = '[case.c]\nlog = "logs/spin.csv"\nreference-log = "logs/plain.csv"\ntol = "1deg"\n'
@@ -243,7 +243,7 @@ def test_paths_are_relative_to_the_suite(folder, monkeypatch):
 
 
 def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
-    """A log that holds both rates and attitudes is held against itself, and pinned once."""
+    """A log with both rates and attitudes is compared with itself, and pinned once."""
     log = tmp_path / "log.mcap"
     made = CliRunner().invoke(cli, ["propagate", str(SAMPLE_LOGS / "coning.mcap"), "-o", str(log)])
     assert made.exit_code == 0, made.output
@@ -276,8 +276,8 @@ def test_a_log_that_is_made_anew_need_not_be_pinned(folder):
     assert check(suite).exit_code == 2
 
 
-def test_a_damaged_log_is_held_to_what_can_be_saved(folder):
-    """A log that is cut off passes as it did, and that something is lost is said."""
+def test_of_a_damaged_log_what_can_be_saved_is_compared(folder):
+    """A log that is cut off passes as it did, with a note that data are lost."""
     log = folder / "logs" / "coning.mcap"
     log.write_bytes(log.read_bytes()[:-3000])
     suite = write(folder, stored("cut", "coning.mcap"))
@@ -337,7 +337,7 @@ def test_an_update_of_some_cases_leaves_the_others_pinned(folder):
     assert list(json.loads((folder / "suite.lock.json").read_text())["cases"]) == ["coning"]
 
 
-def test_an_update_does_not_hide_a_failure_against_a_series_from_elsewhere(folder):
+def test_an_update_does_not_hide_a_failure_against_an_independent_series(folder):
     """The truth stays the truth: the case fails in an update, too, which pins what it saw."""
     suite = write(folder, TRUTH)
     assert check(suite, "--update").exit_code == 0
@@ -425,7 +425,7 @@ def test_a_damaged_lock_is_refused(folder, content, reason):
     ],
 )
 def test_a_lock_with_a_value_of_another_kind_is_refused(folder, key, value):
-    """What was edited by hand so that it means nothing is told before anything is judged."""
+    """An entry that was edited by hand and is invalid is reported before anything is judged."""
     suite = write(folder, stored())
     assert check(suite, "--update").exit_code == 0
     lock = folder / "suite.lock.json"
@@ -657,7 +657,7 @@ def test_the_evidence_of_a_failure_is_kept(folder):
     assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
 
 
-# What CI is told.
+# Reports for CI.
 
 
 @pytest.fixture
@@ -685,7 +685,7 @@ def test_junit_has_each_case(mixed, folder):
     assert error.get("message").endswith("rest.parquet: no such file or folder; check the path")
 
 
-def test_a_place_for_junit_that_is_not_there_is_said_before_anything_runs(mixed, folder):
+def test_a_missing_folder_for_junit_is_reported_before_anything_runs(mixed, folder):
     """Not after an hour of cases."""
     result = check(mixed, "--junit", folder / "none" / "junit.xml")
     assert result.exit_code == 2
@@ -746,7 +746,7 @@ def test_names_cannot_command_what_shows_them(folder, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_killed_process_is_an_error_of_its_case(folder):
-    """Where memory runs out, the system kills a process; that is said, and is no pass."""
+    """Where memory runs out, the system kills a process; this is an error of its case."""
     hook = """
 import multiprocessing, os, sys
 def kill(event, arguments):
@@ -846,7 +846,7 @@ def test_pytest_runs_one_case_by_its_name(mixed):
     assert "3 tests collected" in pytest_run(place, "--collect-only", "--rootdir=..").stdout
 
 
-def test_pytest_tells_of_a_broken_suite(folder):
+def test_pytest_reports_a_broken_suite(folder):
     """It is an error of the collection, in one sentence."""
     write(folder, "[case.a\n")
     result = pytest_run(folder, "--quatprop-suite=suite.toml")

@@ -114,7 +114,7 @@ def test_errors_of_files_that_are_not_of_the_system_name_the_log(tmp_path):
 
 
 def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
-    """A log that does not fit into memory is told with exit code 2."""
+    """A log that does not fit into memory is an error with exit code 2."""
     found = raised_while_open(MemoryError("Unable to allocate 8 EiB"), tmp_path)
     assert isinstance(found, UnreadableLogError)
     assert "there is not enough memory (Unable to allocate 8 EiB); choose fewer" in str(found)
@@ -144,7 +144,7 @@ def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
     ],
 )
 def test_errors_of_the_system_are_one_sentence(error, sentence):
-    """What comes through as the system raises it is told with the file it names."""
+    """A system error becomes a sentence with the file that it names."""
     assert str(as_user_error(error)).startswith(sentence)
 
 
