@@ -7,6 +7,7 @@ the log is refused, and the user names the kind.
 from __future__ import annotations
 
 import sys
+from collections import defaultdict
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -26,7 +27,7 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.text import Setting, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted
 from quatprop.third_party_errors import as_errors_of
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ def open_log(
 
 
 def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | None) -> None:
-    """Look for definitions that the channels of a log lack, and say where they are from."""
+    """Look for definitions that channels lack; remark on their origin and on types of a topic."""
     if not isinstance(log, MessageLog):
         return
     if msg_path is not None:
@@ -156,8 +157,17 @@ def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | Non
     else:
         files = MsgFiles([path, path.parent] if path.is_dir() else [path.parent])
     log.complete(files)
+    types: defaultdict[str, set[str]] = defaultdict(set)
+    for channel in log.channels():
+        types[channel.topic].add(channel.type_name)
+    several = (
+        f"topic {quoted(topic)} was recorded with several types, which are read separately: "
+        f"{listed(sorted(names))}"
+        for topic, names in types.items()
+        if len(names) > 1
+    )
     remarks = (f"{quoted(name)} is defined by {plain(file)}" for name, file in files.used.items())
-    log.remarks = [*log.remarks, *remarks]
+    log.remarks = [*log.remarks, *remarks, *several]
 
 
 def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:

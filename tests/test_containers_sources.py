@@ -1,13 +1,17 @@
 """Files that logs are read from: opened once, read from several threads, recognised as files."""
 
+import json
 import os
 import sys
 import threading
 from collections import Counter
+from io import BytesIO
 
 import pytest
 from click.testing import CliRunner
 from into_logs import write_bag, write_mcap
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 from test_containers_ulog import added, gyro, write
 
 from quatprop.cli import cli
@@ -103,3 +107,45 @@ def test_a_pipe_is_refused_with_the_way_out(tmp_path):
             open_log(pipe).__enter__()
     finally:
         os.close(end)
+
+
+def test_a_topic_of_two_types_is_remarked_on(tmp_path):
+    """Its messages of the other type are not silently left out."""
+    log = write_mcap(tmp_path / "log.mcap", count=40)
+    with (tmp_path / "other.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        writer.add_message(writer.register_channel("/imu", "cdr", schema), 0, bytes(8), 0)
+        writer.finish()
+    log.write_bytes(log.read_bytes() + (tmp_path / "other.mcap").read_bytes())
+    with open_log(log) as opened:
+        (remark,) = opened.remarks
+    assert remark == (
+        "topic '/imu' was recorded with several types, which are read separately: "
+        "'sensor_msgs/msg/Imu', 'std_msgs/msg/String'"
+    )
+
+
+def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
+    """Of a chunk with a camera only the wanted messages are read, and that is said."""
+    log, report = tmp_path / "log.mcap", tmp_path / "report.json"
+    write_mcap(log, count=40)
+    small = log.read_bytes()
+    with log.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 21, compression=CompressionType.NONE)
+        writer.start("ros2", "")
+        channels = {}
+        for schema, channel, message in make_reader(BytesIO(small)).iter_messages("/imu"):
+            if channel.id not in channels:
+                new = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", new)
+            number = channels[channel.id]
+            writer.add_message(number, message.log_time, message.data, message.publish_time)
+        image = writer.register_channel("/image", "x", 0)
+        writer.add_message(image, 10**18, bytes(1 << 20), 0)
+        writer.finish()
+    arguments = ["propagate", str(log), "-t", "/imu", "-o", str(tmp_path / "o.csv")]
+    result = CliRunner().invoke(cli, [*arguments, "--report", str(report)])
+    assert result.exit_code == 0, result.output
+    assert json.loads(report.read_text())["unchecked_chunks"] == 1

@@ -175,10 +175,14 @@ class Log(ABC):
     remarks
         What may be wrong with the log, though it cannot be told for certain; grows while the log
         is read.
+    unchecked_chunks
+        Chunks of which only selected messages were read, so that the checksum of the whole chunk
+        was not compared; grows while the log is read.
     """
 
     kind: str
     remarks: Sequence[str] = ()
+    unchecked_chunks: int = 0
 
     def __init__(self, path: Path) -> None:
         self.path = path

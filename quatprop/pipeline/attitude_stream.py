@@ -185,6 +185,7 @@ class AttitudeStream:
             policy=settings.policy,
             counts=counts,
             losses=() if log is None else tuple(log.losses),
+            unchecked_chunks=0 if log is None else log.unchecked_chunks,
             remarks=(*findings, *(() if log is None else log.remarks)),
             conditioning=self._conditioned,
             result=ResultReport(

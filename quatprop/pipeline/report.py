@@ -147,6 +147,9 @@ class RunReport:
         What of the log could not be read.
     remarks
         What the user should know of.
+    unchecked_chunks
+        Chunks of which only selected messages were read, so that their checksums were not compared;
+        not part of an output's metadata.
     seconds
         How long the run took, s; not part of an output's metadata.
     """
@@ -159,6 +162,7 @@ class RunReport:
     remarks: tuple[str | Text, ...]
     conditioning: ConditioningReport
     result: ResultReport
+    unchecked_chunks: int = 0
     seconds: float | None = None
 
     @property
@@ -186,7 +190,10 @@ class RunReport:
             "conditioning": as_json(self.conditioning),
             "result": as_json(self.result),
         }
-        return report if self.seconds is None else {**report, "timings": {"seconds": self.seconds}}
+        if self.seconds is None:
+            return report
+        timings = {"timings": {"seconds": self.seconds}}
+        return {**report, "unchecked_chunks": self.unchecked_chunks, **timings}
 
 
 def convention_of(layout: str) -> JsonObject:

@@ -89,6 +89,7 @@ class McapLog(MessageLog):
                 raise self._unreadable(error) from error
             raise
         self._regions = index.regions
+        self._unchecked: set[int] = set()
         self._ids = _ids_by_channel(index)
         self._stated = index.counts
         self.losses = index.losses
@@ -152,6 +153,8 @@ class McapLog(MessageLog):
                     data, messages = content.data, self._messages(content, region, region.own(ids))
                 else:
                     data, messages = content
+                    self._unchecked.add(region.start)
+                    self.unchecked_chunks = len(self._unchecked)
                 if messages:
                     count += len(messages)
                     self._remark_on_clamped(messages)
