@@ -12,6 +12,7 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import OBSERVE, Policy, StampChecks, Timeline
 from quatprop.timeline.counts import remarks
+from quatprop.timeline.stamps import LONGEST_NS
 
 MS = 1_000_000
 
@@ -154,8 +155,8 @@ def test_there_must_be_a_rate_to_hold():
     rate[0, 1] = np.nan
     with pytest.raises(
         TimelineError,
-        match=r"the rate of sample 0 \(t = 0 ns\) is not finite and there is none before it to "
-        r"hold; choose on_nonfinite='drop', or begin later with start$",
+        match=r"^log\.csv: the rate of sample 0 \(t = 0 ns\) is not finite and there is none "
+        r"before it to hold; choose on_nonfinite='drop', or begin later with start$",
     ):
         applied(Policy(on_nonfinite="hold"), gyro([0, 10, 20], rate))
 
@@ -314,7 +315,69 @@ def test_stamps_too_far_apart_for_64_bits_are_refused():
     ends = np.array([-(2**63) + 2, 2**63 - 1])
     with pytest.raises(
         TimelineError,
-        match=r"its timestamps span more than 292 years, up to 9223372036854775807 ns; check "
-        r"time_unit, the time column or clock$",
+        match=r"^log\.csv: its timestamps span more than 292 years, up to 9223372036854775807 ns; "
+        r"check time_unit, the time column or clock$",
     ):
         applied(Policy(), GyroSeries(ends, np.ones((2, 3))))
+
+
+def test_defaults_refuse_what_is_irregular_and_hold_across_gaps():
+    """A policy that nobody chose changes no sample."""
+    assert Policy() == Policy("error", "error", "hold", None)
+    assert Policy("keep", "keep", "hold", None) == OBSERVE
+
+
+def test_the_median_is_that_of_the_first_intervals(monkeypatch):
+    """Later samples do not wait for it, and are not part of it; all of them come out."""
+    monkeypatch.setattr("quatprop.timeline.stamps.MEDIAN_WINDOW", 4)
+    intervals = np.array([10, 10, 30, 30, 1, 1, 1, 1, 1])
+    t_ns = np.concatenate([[0], np.cumsum(intervals)])
+    read = []
+
+    def batches():
+        for k in range(0, len(t_ns), 2):
+            read.append(k)
+            yield t_ns[k : k + 2]
+
+    checks = StampChecks("log.csv")
+    stream = checks.observe(batches())
+    first = next(stream)
+    assert read == [0, 2, 4]
+    assert np.concatenate([first, *stream]).tolist() == t_ns.tolist()
+    assert (checks.counts.median_dt_ns, checks.counts.gap_limit_ns) == (20, 200)
+
+
+def test_the_list_of_gaps_is_bounded_over_batches():
+    """A second batch fills what is left of it, and no more."""
+    halves = gyro(range(0, 6000, 10)), gyro(range(6000, 30_000, 10))
+    checks = StampChecks("log.csv", Policy(max_gap_ns=5 * MS))
+    for _ in checks.observe(half.t_ns for half in halves):
+        pass
+    assert (checks.counts.gaps.count, len(checks.counts.gap_list)) == (2999, 1000)
+
+
+@pytest.mark.parametrize(("on_backwards", "count"), [("keep", 1), ("drop", 2), ("sort", 2)])
+def test_what_counts_as_backwards_depends_on_what_is_done(on_backwards, count):
+    """In inspection a step back is one event; dropped are all until the clock has caught up."""
+    _, _, counts = applied(Policy(on_backwards=on_backwards), gyro([0, 10, 5, 7, 20]))
+    assert counts.backwards.count == count
+
+
+@pytest.mark.parametrize(
+    ("on_gap", "sizes", "angle"), [("zero", [2, 1], 0.150), ("hold", [3], 0.303)]
+)
+def test_an_interval_of_the_limit_is_no_gap(on_gap, sizes, angle):
+    """Only a longer one ends a segment, and its rotation counts where it is propagated across."""
+    timeline = Timeline(Policy(on_gap=on_gap, max_gap_ns=50 * MS), "log.csv")
+    segments = timeline.segments(timeline.apply([gyro([0, 50, 101])]))
+    assert [sum(map(len, segment)) for segment in segments] == sizes
+    assert timeline.counts.path_angle_rad == pytest.approx(angle, rel=1e-12)
+
+
+def test_the_longest_span_is_that_of_64_bits():
+    """One nanosecond more is refused."""
+    checks = StampChecks("log.csv")
+    assert len(list(checks.observe([np.array([-5, LONGEST_NS - 5])]))) == 1
+    assert checks.counts.max_dt_ns == LONGEST_NS
+    with pytest.raises(TimelineError, match=r"^log\.csv: its timestamps span more than 292 years"):
+        list(StampChecks("log.csv").observe([np.array([-6, LONGEST_NS - 5])]))
