@@ -35,7 +35,8 @@ class _ArrowLog(TypedTable):
             self._file.close()
             raise DamagedLogError(
                 path,
-                f"its end or its schema is damaged ({plain(error)}); was it written to the end?",
+                f"its end or its schema is damaged ({plain(error)}), so its rows cannot be "
+                "found; was it written to the end?",
             ) from error
 
     def provenance(self) -> JsonObject:
