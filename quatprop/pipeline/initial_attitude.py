@@ -14,8 +14,9 @@ from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
 from quatprop.messages.signal_fields import fields_beside
+from quatprop.signals.clock import choose_clock
 from quatprop.signals.interpolation import attitude_at, first_orientation
-from quatprop.signals.message_values import FieldReader, channels_of, choose_clock, timed_values
+from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.tables.base import is_table
 from quatprop.tables.matching.choose import match_rates
 from quatprop.tables.matching.column_names import parse_name

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
-    from quatprop.signals.message_values import Clock, MessageReader
+    from quatprop.signals.clock import Clock
+    from quatprop.signals.message_values import MessageReader
 
 MAX_SPACING_NS = NS_PER_UNIT["s"]
 """Samples of a burst are not further apart than this, unless the message is damaged."""

@@ -10,7 +10,8 @@ import numpy as np
 from quatprop.errors import UndeclaredError
 from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
-from quatprop.signals.message_values import choose_clock, stamps_logged, timed_values
+from quatprop.signals.clock import choose_clock
+from quatprop.signals.message_values import stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RATES, Candidate, RateSignal, choose, message_candidates
 from quatprop.tables.base import is_table

@@ -13,7 +13,7 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.transforms import Frames
-    from quatprop.signals.message_values import Clock
+    from quatprop.signals.clock import Clock
 
 
 class TransformReader:
