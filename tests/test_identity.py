@@ -17,7 +17,7 @@ from test_containers_ulog import added, gyro, write
 from quatprop.conditioning import Conditioning
 from quatprop.containers import coalesce, prefetch, ulog
 from quatprop.containers.mcap import index as mcap_index
-from quatprop.containers.rosbag1 import index as rosbag1_index
+from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
 from quatprop.formats import open_log as opened
 from quatprop.pipeline.job import Job, run
@@ -85,7 +85,7 @@ CUTS = {
         (ulog, "BLOCK"): 501,
         (ulog, "_WINDOW"): 70_001,
         (mcap_index, "_LOOSE_SIZE"): 5000,
-        (rosbag1_index, "_LOOSE_SIZE"): 5000,
+        (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
     },
     "large": {
         (csv, "record_blocks"): partial(text_stream.record_blocks, size=1 << 26),

@@ -23,9 +23,9 @@ from quatprop.containers.rosbag1.index import (
     ChunkRecords,
     read_chunk,
     read_index,
-    rebuild_index,
 )
 from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages
+from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import (
     OP_BAG_HEADER,
     OP_MESSAGE,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.fetches import BLOCK_BYTES, ROWS, combined, fetch_of, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database, read_wal
-from quatprop.containers.rosbag2.sqlite_pages import TablePages
+from quatprop.containers.rosbag2.sqlite_pages import open_pages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
@@ -63,7 +63,7 @@ class Db3Log(MessageLog):
         super().__init__(path)
         self._is_zstd = message_compression is not None
         self._damage: str | None = None
-        self._is_checked = False
+        self._invalid: dict[SQLiteValue, int] | None = None
         try:
             self._database = self._connect()
             try:
@@ -178,16 +178,15 @@ class Db3Log(MessageLog):
                 self._damage = str(error)
         if self._damage is not None:
             yield from self._recovered(channel, ids, count)
-        lost = sum(self._invalid.get(id_, 0) for id_ in ids)
+        lost = sum((self._invalid or {}).get(id_, 0) for id_ in ids)
         if lost:
             self._lose(channel, _OTHER_TYPES, lost)
 
     def _check(self) -> None:
         """Count rows that are no messages, and find out whether the index lists all rows."""
-        if self._is_checked:
+        if self._invalid is not None:
             return
-        self._is_checked = True
-        self._invalid: dict[SQLiteValue, int] = {}
+        self._invalid = {}
         marks = ", ".join("?" * len(self._topics))
         # Columns of SQLite hold values of any type.
         query = (
@@ -215,9 +214,8 @@ class Db3Log(MessageLog):
             self._damage = str(error)
 
     def _count(self, how: str) -> int:
-        query = f"SELECT count(*) FROM messages {how}"  # noqa: S608  # names from the schema
-        (count,) = next(self._database.execute(query))
-        return int(str(count))
+        rows = self._database.execute(f"SELECT count(*) FROM messages {how}")  # noqa: S608
+        return int(str(next(rows)[0]))
 
     def _queried(self, ids: list[SQLiteValue]) -> Iterator[Fetch]:
         """Fetch messages with a query.
@@ -254,24 +252,16 @@ class Db3Log(MessageLog):
             raise damage
 
     def _has_rowid(self) -> bool:
-        try:
+        with suppress(apsw.SQLError):  # WITHOUT ROWID
             self._database.execute("SELECT rowid FROM messages LIMIT 0").fetchall()
-        except apsw.SQLError:
-            return False  # WITHOUT ROWID
-        return True
+            return True
+        return False
 
     def _recovered(self, channel: Channel, ids: list[SQLiteValue], done: int) -> Iterator[Fetch]:
         """Fetch messages after the first `done` from the pages of the file, in time order."""
-        wal_name = f"{self.path.name}-wal"
-        with ExitStack() as stack:
-            source = stack.enter_context(FileSource(self.path))
-            wal, overlay = None, {}
-            if wal_name in files_beside(self.path):
-                wal = stack.enter_context(FileSource(self.path.with_name(wal_name)))
-                overlay = read_wal(wal).offsets
-            names = list(self._columns("messages"))
-            topic, time, data = (names.index(n) for n in ("topic_id", "timestamp", "data"))
-            pages = TablePages(source, (topic, time, data), overlay, wal)
+        names = list(self._columns("messages"))
+        topic, time, data = (names.index(name) for name in ("topic_id", "timestamp", "data"))
+        with open_pages(self.path, (topic, time, data)) as pages:
             cells = sorted({cell[:3]: cell for cell in pages.cells(self._topics)}.values())
             lost = 0
             if cells:

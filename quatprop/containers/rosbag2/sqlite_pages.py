@@ -10,12 +10,15 @@ SQLite, "Database File Format", sections 1.5 to 2.1.
 from __future__ import annotations
 
 import struct
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.containers.file_source import FileSource
+from quatprop.containers.rosbag2.sqlite_files import files_beside, read_wal
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
-
-    from quatprop.containers.file_source import FileSource
+    from pathlib import Path
 
 _LEAF = 0x0D
 _FILE_HEAD = 100
@@ -56,6 +59,27 @@ class Cell(NamedTuple):
     size: int
     begin: int
     end: int
+
+
+@contextmanager
+def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages]:
+    """Open the pages of a database and of the write-ahead log beside it.
+
+    Parameters
+    ----------
+    path
+        The database.
+    columns
+        As for :class:`TablePages`.
+    """
+    wal_name = f"{path.name}-wal"
+    with ExitStack() as stack:
+        source = stack.enter_context(FileSource(path))
+        if wal_name not in files_beside(path):
+            yield TablePages(source, columns)
+            return
+        wal = stack.enter_context(FileSource(path.with_name(wal_name)))
+        yield TablePages(source, columns, read_wal(wal).offsets, wal)
 
 
 class TablePages:

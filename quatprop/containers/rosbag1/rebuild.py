@@ -1,0 +1,139 @@
+"""Build the index of a ROS 1 bag that has none, by walking its records beyond any damage."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from quatprop.containers.compression import CompressionError
+from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, note_rest, read_chunk
+from quatprop.containers.rosbag1.records import (
+    OP_CHUNK,
+    OP_CONNECTION,
+    OP_INDEX_DATA,
+    OP_MESSAGE,
+    MalformedRecordError,
+    Record,
+    RecordFile,
+    index_offsets,
+    surviving_records,
+)
+from quatprop.containers.rosbag1.resync import CHUNKS, RECORDS, is_chunk, next_record
+from quatprop.times import NS_PER_S
+
+_LOOSE_SIZE = 1 << 20
+"""Bytes of messages outside chunks that are read together."""
+
+
+def rebuild_index(file: RecordFile, at: int) -> BagIndex:
+    """Build an index by walking the records from `at` to the end, beyond any damage."""
+    index = BagIndex()
+    while at < file.size:
+        try:
+            record = file.record(at)
+            _add(file, index, record)
+        except MalformedRecordError as error:
+            at = _resumed(file, index, at, str(error))
+        else:
+            at = record.end
+    chunks = index.chunks
+    for chunk in chunks:
+        # The index data of the last chunk may be incomplete, and that of others damaged.
+        if (
+            chunk is chunks[-1]
+            or chunk.loose
+            or not chunk.counts
+            or not chunk.counts.keys() <= index.connections.keys()
+        ):
+            _read_inside(file, index, chunk)
+    return index
+
+
+def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
+    """Note that no record can be read at a place; return where to go on."""
+    if file.at(at, len(MAGIC)).startswith(MAGIC):
+        note_rest(file, index, at, "there")
+        return file.size
+    last = index.chunks[-1] if index.chunks else None
+    resumed_at = None
+    if last is not None and not last.loose and last.end == at and not last.counts:
+        # The length of the chunk before may be wrong.
+        resumed_at = next_record(file, last.start + 1, at, CHUNKS)
+    if resumed_at is None:
+        resumed_at = next_record(file, at + 1, file.size, RECORDS)
+    if resumed_at is None:
+        index.losses.note(f"byte {at}", f"{reason}; what follows is not read")
+        return file.size
+    size = max(0, resumed_at - at)
+    index.losses.note(f"byte {at}", f"{reason}; {size} bytes are skipped")
+    return resumed_at
+
+
+def _is_damaged_chunk(file: RecordFile, record: Record) -> bool:
+    """Tell whether a chunk cannot be followed to its end: its fields or what follows contradict."""
+    if not is_chunk(record):
+        return True
+    beyond = record.end > file.size
+    return beyond and next_record(file, record.start + 1, file.size, CHUNKS) is not None
+
+
+def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
+    """Add one record to the index."""
+    if record.op == OP_CHUNK:
+        if _is_damaged_chunk(file, record):
+            raise MalformedRecordError("its chunk is damaged")
+        index.chunks.append(BagChunk(record.start, min(record.end, file.size)))
+    elif record.op == OP_MESSAGE:
+        last = index.chunks[-1] if index.chunks else None
+        if (
+            last
+            and last.loose
+            and last.end == record.start
+            and record.start - last.start < _LOOSE_SIZE
+        ):
+            last.end = min(record.end, file.size)
+        else:
+            index.chunks.append(BagChunk(record.start, min(record.end, file.size), loose=True))
+    elif record.end > file.size:
+        raise MalformedRecordError("its record is cut off")
+    elif record.op == OP_CONNECTION:
+        index.add_connection(record, file.at(record.data, record.end - record.data))
+    elif record.op == OP_INDEX_DATA and index.chunks:
+        _add_times(index.chunks[-1], file.at(record.start, record.end - record.start))
+        index.chunks[-1].end = record.end
+
+
+def _add_times(chunk: BagChunk, record: bytes) -> None:
+    """Add counts and the earliest time from the index data of one connection."""
+    for conn, entries in index_offsets(record).items():
+        if len(entries):
+            sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
+            earliest = int((sec * NS_PER_S + nsec).min())
+            chunk.start_ns = min(chunk.start_ns, earliest) if chunk.counts else earliest
+            chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
+
+
+def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
+    """Walk the records of a chunk for its connections, counts and earliest time."""
+    try:
+        loaded = read_chunk(file, chunk)
+    except (MalformedRecordError, CompressionError) as error:
+        index.losses.note(chunk.place, str(error))
+        return
+    times: list[int] = []
+    counts: Counter[int] = Counter()
+    records, damage = surviving_records(loaded.data, loaded.indexed_offsets)
+    try:
+        for record in records:
+            if record.op == OP_CONNECTION:
+                index.add_connection(record, loaded.data[record.data : record.end].tobytes())
+            elif record.op == OP_MESSAGE:
+                counts[record.number(b"conn")] += 1
+                times.append(record.time(b"time"))
+    except MalformedRecordError as error:
+        damage = damage or str(error)
+    if loaded.damage or damage:
+        index.losses.note(chunk.place, loaded.damage or damage)
+    if times:
+        chunk.counts, chunk.start_ns = counts, min(times)
