@@ -11,7 +11,8 @@ from streams import propagated
 
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.increments import METHODS
-from quatprop.kinematics.propagate import PADDING, TILE, FinalAttitude, Propagation, attitudes
+from quatprop.kinematics.product import PADDING
+from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.series import BLOCK, GyroSeries, reblock
 

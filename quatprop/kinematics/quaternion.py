@@ -9,10 +9,11 @@ angular velocity" of PhysicsLibrary (object 1105, version 3).
 
 from __future__ import annotations
 
-from math import factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from quatprop.kinematics.half_angle import half_angle
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,14 +26,6 @@ IDENTITY.setflags(write=False)
 
 UNIT_TOLERANCE = 1e-3
 """Allowed difference of a length from 1: rounding to three decimals causes as much."""
-
-TERMS = 5
-"""Of the series for cosine and sine: enough for steps of 11 degrees; libm is for longer steps."""
-
-_COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
-_RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
-_REACH = 4 * (2.0**-55 * factorial(2 * TERMS)) ** (1 / TERMS)
-"""Square of the largest angle for which the series leave out less than a quarter ulp."""
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
@@ -100,33 +93,6 @@ def normalize(q: ArrayLike) -> Float64:
     scaled: Float64 = q / np.abs(q).max(axis=-1, keepdims=True)
     scaled /= np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
     return scaled
-
-
-def half_angle(square: Float64) -> tuple[Float64, Float64]:
-    """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
-
-    Both are power series in a squared, smooth through zero; beyond their reach libm takes over.
-    Each result depends on its own angle only, to the bit.
-
-    Parameters
-    ----------
-    square
-        Squares of angles, rad^2, any shape.
-
-    Returns
-    -------
-    cosine, ratio : ndarray
-        cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad.
-    """
-    square = np.asarray(square)
-    with np.errstate(over="ignore", invalid="ignore"):
-        cosine, ratio = _series(_COSINE, square), _series(_RATIO, square)
-    beyond = square > _REACH
-    if beyond.any():
-        angle = np.sqrt(square[beyond])
-        cosine[beyond] = np.cos(angle / 2)
-        ratio[beyond] = np.sin(angle / 2) / angle
-    return cosine, ratio
 
 
 def exp(rotvec: ArrayLike) -> Float64:
@@ -343,13 +309,3 @@ def _components(q: ArrayLike) -> Float64:
 def _length(vector: Float64) -> Float64:
     """Return the lengths of ``(..., 3)``; hypot, since squares of tiny components vanish."""
     return np.asarray(np.hypot(np.hypot(vector[..., 0], vector[..., 1]), vector[..., 2]))
-
-
-def _series(coefficients: list[float], x: Float64) -> Float64:
-    """Return the polynomial with these coefficients, lowest first, by Horner's rule."""
-    *lower, last = coefficients
-    total = np.full_like(x, last)
-    for coefficient in reversed(lower):
-        total *= x
-        total += coefficient
-    return total

@@ -1,0 +1,113 @@
+"""The product of many quaternions, as a tree.
+
+A sequential loop of q[k+1] = q[k] dq[k] (eq. 36) is slow in numpy, one sample at a time. But the
+product is associative, so the steps of a tile are composed as a tree: neighbouring steps are
+multiplied to steps over two intervals, those to steps over four, and so on; then the attitudes in
+between are filled in on the way back. Every level is a handful of numpy calls, and rounding errors
+grow with the depth of the tree instead of its width.
+
+Inside, a quaternion w + xi + yj + zk is a pair of complex numbers, a = w + xi and b = y + zi,
+arrays ``(2, n)``: the product (a c - b d*, a d + b c*) then takes four complex multiplications.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.kinematics.half_angle import half_angle
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Float64 = NDArray[np.float64]
+    Pairs = NDArray[np.complex128]
+
+LEVELS: Final = 8
+"""Of the tree: so often steps are composed in pairs. The few that are left are composed by a loop,
+which is faster than more levels."""
+
+PADDING: Final = 2**LEVELS * 8
+"""The steps of a tile are padded to a multiple of this. Then arrays have a multiple of 8 elements
+on every level: numpy rounds the remainder of an array, which fills no register, in another way."""
+
+
+def tile_steps(rotvec: Float64) -> Pairs:
+    """Return the unit quaternions of rotation vectors ``(n, 3)`` (eq. 35), for whole trees.
+
+    Identity steps follow, up to a multiple of :data:`PADDING`; products with them are exact.
+    """
+    x, y, z = rotvec.T
+    count = len(x)
+    cosine, ratio = half_angle(x * x + y * y + z * z)
+    steps = np.empty((2, -(-count // PADDING) * PADDING), np.complex128)
+    steps[0, count:], steps[1, count:] = 1, 0
+    a, b = steps[:, :count]
+    a.real = cosine
+    np.multiply(x, ratio, out=a.imag)
+    np.multiply(y, ratio, out=b.real)
+    np.multiply(z, ratio, out=b.imag)
+    return steps
+
+
+def product_scan(first: Pairs, steps: Pairs, levels: int = LEVELS) -> Pairs:
+    """Return the attitudes ``(2, n + 1)`` that `n` steps lead through from the first, ``(2,)``."""
+    if not levels:
+        return _product_loop(first, steps)
+    even = steps[:, 0::2]
+    every = np.empty((2, steps.shape[1] + 1), np.complex128)
+    every[:, 0::2] = every_other = product_scan(first, _double_steps(steps), levels - 1)
+    _multiply(every_other[:, :-1], even, out=every[:, 1::2])
+    return every
+
+
+def product(first: Pairs, steps: Pairs) -> Pairs:
+    """Return the last attitude of :func:`product_scan`, ``(2, 1)``, by the same products."""
+    for _ in range(LEVELS):
+        steps = _double_steps(steps)
+    return _product_loop(first, steps)[:, -1:]
+
+
+def _double_steps(steps: Pairs) -> Pairs:
+    """Return each step of even index times the one after it."""
+    even, odd = steps[:, 0::2], steps[:, 1::2]
+    double = np.empty_like(odd)
+    _multiply(even, odd, out=double)
+    return double
+
+
+def _product_loop(first: Pairs, steps: Pairs) -> Pairs:
+    """Return the same as :func:`product_scan`, one step after the other."""
+    a, b = first.tolist()
+    attitudes = [(a, b)]
+    for c, d in steps.T.tolist():
+        a, b = a * c - b * d.conjugate(), a * d + b * c.conjugate()
+        attitudes.append((a, b))
+    return np.array(attitudes).T.copy()
+
+
+def _multiply(p: Pairs, q: Pairs, out: Pairs) -> None:
+    """Write the Hamilton products p q: a c - b d* and a d + b c*."""
+    (a, b), (c, d), (left, right) = p, q, out
+    np.multiply(a, c, out=left)
+    term = d.conj()
+    term *= b
+    left -= term
+    np.multiply(a, d, out=right)
+    np.conjugate(c, out=term)
+    term *= b
+    right += term
+
+
+def write_rows(pairs: Pairs, rows: Float64) -> None:
+    """Write pairs ``(2, n)`` as rows wxyz ``(n, 4)`` of unit length."""
+    a, b = pairs
+    components = (a.real, a.imag, b.real, b.imag)
+    squares = np.zeros(len(rows))
+    for component in components:
+        squares += np.square(component)
+    # 1/sqrt(s), where s differs from 1 by rounding errors only.
+    scale = 1.5 - 0.5 * squares
+    for component, column in zip(components, rows.T, strict=True):
+        np.multiply(component, scale, out=column)
