@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -133,6 +133,8 @@ def open_log(
         elif Path(path).is_dir():
             if kind not in (None, "rosbag2"):
                 raise _other_kind(path, "folder", kind)
+            if kind is None:
+                _refuse_several_logs(Path(path))
             log = _enter("rosbag2", Path(path), stack)
             _complete(log, Path(path), msg_path)
             yield log
@@ -168,6 +170,21 @@ def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | Non
     )
     remarks = (f"{quoted(name)} is defined by {plain(file)}" for name, file in files.used.items())
     log.remarks = [*log.remarks, *remarks, *several]
+
+
+def _refuse_several_logs(folder: Path) -> None:
+    """Refuse a folder with other logs than the parts of a bag: none of them is left out."""
+    suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes}
+    logs: list[Path] = []
+    if not (folder / "metadata.yaml").exists():
+        with suppress(OSError):  # the reader of bags has the sentence for it
+            logs = sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes)
+    parts = {suffix for kind in ("mcap", "db3") for suffix in READERS[kind].suffixes}
+    if len(logs) > 1 and any(file.suffix.lower() not in parts for file in logs):
+        names = listed(file.name for file in logs)
+        raise UnsupportedLogError(
+            folder, f"the folder holds several logs: {names}; name one, or use quatprop batch"
+        )
 
 
 def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
