@@ -57,6 +57,8 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
         Kind of the log; by default told by its content, then by its suffix.
     topic : str
         Which topic; by default the only one that has rates.
+    msg_path : str or path
+        Message definitions for a log that carries none: a ``.msg`` file, or a folder of them.
     rate_field, time_field : str
         Fields of a message, such as ``"imu.angular_velocity"``.
     rate_cols, time_col : str or sequence
@@ -92,7 +94,7 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
 
     path = _path(log)
     settings = propagation_settings(options)
-    with open_log(path, settings.kind) as opened:
+    with open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened:
         signal = choose_rates(opened, settings.selection)
         batches = list(signal.batches())
         _warn(path, opened.losses, (*signal.remarks, *opened.remarks))
@@ -104,7 +106,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
 
     Parameters
     ----------
-    log, kind, topic, time_field, time_col, time_unit, sample_rate, clock
+    log, kind, topic, msg_path, time_field, time_col, time_unit, sample_rate, clock
         As for :func:`read_rates`.
     quat_field : str
         Field of a message that is the quaternion.
@@ -161,8 +163,8 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     ----------
     log
         A path as for :func:`read_rates`, or rates in memory.
-    kind, topic, rate_field, time_field, rate_cols, time_col, rate_unit, time_unit, sample_rate, \
-clock
+    kind, topic, msg_path, rate_field, time_field, rate_cols, time_col, rate_unit, time_unit, \
+sample_rate, clock
         Which samples of a log, as for :func:`read_rates`.
     method : str
         Integration rule: ``"start"`` (the default), ``"end"``, ``"mean"`` or ``"coning"``; see
@@ -239,7 +241,7 @@ clock
     if isinstance(log, GyroSeries):
         return _collect(AttitudeStream("series", signal_of_series(log), settings, None))
     path = _path(log)
-    with open_log(path, settings.kind) as opened:
+    with open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened:
         signal = choose_rates(opened, settings.selection)
         result = _collect(AttitudeStream(path, signal, settings, opened))
     report = result.report

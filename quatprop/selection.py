@@ -17,6 +17,8 @@ class SignalSelection:
     ----------
     topic
         Topic of a log of messages.
+    msg_path
+        Message definitions for a log that carries none: a ``.msg`` file, or a folder of them.
     clock
         ``"header"``, ``"log"`` or ``"publish"``.
     time_field
@@ -30,6 +32,7 @@ class SignalSelection:
     """
 
     topic: str | None = None
+    msg_path: str | None = None
     clock: str | None = None
     time_field: str | None = None
     time_col: str | None = None

@@ -74,6 +74,7 @@ class SelectOptions(TypedDict, total=False):
 
     kind: str
     topic: str
+    msg_path: str | PathLike[str]
     clock: str
     time_field: str
     time_col: str | int
@@ -352,6 +353,7 @@ def _is_numbers(value: str) -> bool:
 
 SELECT: Mapping[str, Callable[[object], Any]] = {
     "topic": text,
+    "msg_path": path,
     "clock": Choice(*CLOCKS),
     "time_field": text,
     "time_col": lambda value: text(str(value)),

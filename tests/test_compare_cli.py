@@ -290,6 +290,7 @@ def test_an_undeclared_layout_is_asked_for_by_the_name_of_its_side(files, tmp_pa
 OF_A_SIDE = {
     "--from": ("parquet", "kind", "parquet"),
     "--topic": ("/t", "topic", "/t"),
+    "--msg-path": ("a.msg", "msg_path", "a.msg"),
     "--quat-field": ("a.b", "quat_field", "a.b"),
     "--quat-cols": ("1,2,3,4", "quat_cols", ("1", "2", "3", "4")),
     "--frame": ("map:base", "frame", "map:base"),

@@ -6,8 +6,11 @@ import struct
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from mcap.writer import Writer
 
+import quatprop
+from quatprop.cli.commands import cli
 from quatprop.errors import SchemaError, UsageError
 from quatprop.formats import open_log
 from quatprop.selection import RateSelection
@@ -91,7 +94,7 @@ def test_a_missing_definition_is_said(log):
         pytest.raises(
             SchemaError,
             match=r"no definition of 'my_msgs/msg/Gyro' and it is not a standard type; "
-            r"put its .msg files beside the log$",
+            r"put its .msg files beside the log, or name them with msg_path$",
         ),
     ):
         choose_rates(opened, RateSelection(topic="/gyro", rate_field="angular"))
@@ -137,3 +140,25 @@ def test_messages_are_decoded_by_such_a_definition(tmp_path):
         series = list(choose_rates(opened, selection).batches())
     rate = np.concatenate([batch.rate for batch in series])
     assert rate.tolist() == [[0.1, 0.2, 0.3]] * 50
+
+
+def test_definitions_are_named_to_every_command(log, tmp_path):
+    """The option arrives where the log is opened; without it, it is the way out."""
+    package = put(tmp_path / "elsewhere")
+    run = CliRunner().invoke
+    rates = [str(log), "-t", "/gyro", "--rate-field", "angular", "--rate-unit", "rad/s"]
+    refused = run(cli, ["propagate", *rates, "-o", "-"])
+    assert (refused.exit_code, refused.stderr.rstrip()[-44:]) == (
+        2,
+        "beside the log, or name them with --msg-path",
+    )
+    given = ["--msg-path", str(package)]
+    done = run(cli, ["propagate", *rates, "-o", str(tmp_path / "out.csv"), *given])
+    assert done.exit_code == 0, done.stderr
+    assert "'my_msgs/msg/Gyro' is defined by" in done.stderr
+    info = run(cli, ["info", *rates, *given])
+    assert "50" in info.stdout
+    series = quatprop.propagate(
+        log, topic="/gyro", rate_field="angular", rate_unit="rad/s", msg_path=package
+    )
+    assert len(series) == 50

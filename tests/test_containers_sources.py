@@ -66,8 +66,11 @@ def test_info_opens_a_log_once(tmp_path, monkeypatch):
     assert OPENED[str(log)] == 1
 
 
-def test_threads_read_at_their_own_places(tmp_path):
-    """No thread moves the place at which another reads."""
+@pytest.mark.parametrize("positional", [True, False])
+def test_threads_read_at_their_own_places(tmp_path, monkeypatch, positional):
+    """No thread moves the place at which another reads, nor where reads have no place of theirs."""
+    if not positional:
+        monkeypatch.delattr("os.pread")
     path = tmp_path / "numbers"
     path.write_bytes(b"".join(number.to_bytes(4, "big") for number in range(50_000)))
     wrong = []

@@ -163,7 +163,7 @@ def test_a_log_without_the_definition_is_refused(tmp_path):
         pytest.raises(
             SchemaError,
             match=r"the log carries no definition of 'px4_msgs/msg/VehicleImu' and it is not a "
-            r"standard type; put its .msg files beside the log$",
+            r"standard type; put its .msg files beside the log, or name them with msg_path$",
         ),
     ):
         choose_rates(log, RateSelection())

@@ -172,7 +172,7 @@ def test_wide_strings_are_an_error_only_in_the_way():
             Channel("/t", "pkg/msg/T", "cdr"),
             (
                 "the log carries no definition of 'pkg/msg/T' and it is not a standard type; "
-                "put its .msg files beside the log"
+                "put its .msg files beside the log, or name them with msg_path"
             ),
         ),
         (

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 VALUES = {
     "topic": "NAME",
+    "msg_path": "PATH",
     "time_field": "A.B",
     "time_col": "C",
     "sample_rate": "HZ",
@@ -68,6 +69,8 @@ VALUES = {
 HELP = {
     "kind": "Kind of {log}.  [default: told by its content, then by its suffix]",
     "topic": "Topic of {log}.  [default: the only one with {signal}]",
+    "msg_path": "Message definitions for {log}: a .msg file, or a folder of them.  [default: those "
+    "in the log or beside it]",
     "clock": "Timestamp source.  [default: header where the message has one, else log]",
     "time_field": "Message field of {log} that is the time.  [default: the header stamp]",
     "time_col": "Time column of {log}, by name or number from 0.  [default: by the header]",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import threading
 import weakref
 from typing import TYPE_CHECKING
 
@@ -38,8 +39,9 @@ class FileSource:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._lock = threading.Lock()
         try:
-            self._file = os.open(path, os.O_RDONLY)
+            self._file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
         except OSError as error:
             raise UnreadableLogError(path, os_reason(error)) from error
         # Also runs when the log that reads from it is no longer used, whoever forgot to close it.
@@ -60,13 +62,21 @@ class FileSource:
             The medium is damaged there.
         """
         length = max(0, min(length, self.size - start))
-        data = os.pread(self._file, length, start)
+        data = self._read(length, start)
         while len(data) < length:
-            more = os.pread(self._file, length - len(data), start + len(data))
+            more = self._read(length - len(data), start + len(data))
             if not more:
                 break
             data += more
         return data
+
+    def _read(self, length: int, start: int) -> bytes:
+        if hasattr(os, "pread"):
+            return os.pread(self._file, length, start)
+        # Windows has only a place in the file that all threads share.
+        with self._lock:
+            os.lseek(self._file, start, os.SEEK_SET)
+            return os.read(self._file, length)
 
     def close(self) -> None:
         """Close the file; harmless the second time."""

@@ -94,7 +94,7 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
     """
     _refuse_contradictions(job)
     refuse_overlap([job.log], [job.output.path, job.output.report])
-    with open_log(job.log, job.kind) as log:
+    with open_log(job.log, job.kind, msg_path=job.selection.msg_path) as log:
         output = job.output
         if output.into:
             output = replace(output, to=copy_kind(log, output.path, output.to))

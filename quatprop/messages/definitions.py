@@ -23,7 +23,7 @@ from quatprop.messages.schema import (
     Struct,
     Unknown,
 )
-from quatprop.text import quoted
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -181,7 +181,8 @@ class _Builder:
             if definition is None:
                 raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
-                    "type; put its .msg files beside the log"
+                    "type; put its .msg files beside the log, or name them with ",
+                    Setting("msg_path"),
                 )
             self.types[name] = self._build(name, definition)
         return self.types[name]

@@ -96,7 +96,7 @@ def run(
     if not output.into:
         layout = layout_of(kind_of(output.path, output.to), output.layout).name
         output = replace(output, layout=layout)
-    with open_log(job.log, settings.kind) as log:
+    with open_log(job.log, settings.kind, msg_path=settings.selection.msg_path) as log:
         if output.into:
             kind = copy_kind(log, output.path, output.to)
             output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)

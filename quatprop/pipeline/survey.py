@@ -77,7 +77,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     LogError
         The log cannot be read, or holds neither body rates nor attitudes.
     """
-    with open_log(path, kind) as log:
+    with open_log(path, kind, msg_path=selection.msg_path) as log:
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
         rates: tuple[RateSurvey, ...] = ()

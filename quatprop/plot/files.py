@@ -84,7 +84,7 @@ def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> File
             Setting("end"),
             " need a file",
         )
-    with open_log(path, view.kind) as log:
+    with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
         name, signal = without_secret(path), _choose(log, view)
         if isinstance(signal, RateSignal):
             return _view_rates(name, log, signal, view, tick)

@@ -156,7 +156,7 @@ def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
 
 
 def _load(wanted: AttitudeInput) -> LoadedAttitudes:
-    with open_log(wanted.path, wanted.kind) as log:
+    with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
         signal = choose_attitudes(log, wanted.selection)
         if signal.placeholder:
             raise LogError(
