@@ -51,6 +51,16 @@ def run(*arguments, **options):
     return result.returncode, result.stderr
 
 
+@pytest.fixture(autouse=True)
+def signals_are_heard():
+    """Undo what nohup, or a shell that runs tests in the background, has ignored."""
+    hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGHUP, hangup)
+    signal.signal(signal.SIGINT, interrupt)
+
+
 @pytest.mark.parametrize("name", ["long.csv", "long.mcap"])
 @pytest.mark.parametrize("number", ENDS)
 def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(logs, tmp_path, name, number):
