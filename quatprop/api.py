@@ -407,7 +407,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
 
 
 def _path(path: StrPath) -> str:
-    from quatprop.settings import path as parse_path
+    from quatprop.parsers import path as parse_path
 
     return parse_path(path)
 

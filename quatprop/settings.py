@@ -8,22 +8,33 @@ value as text, as TOML has it, or as Python has it. Nothing heavy is imported, s
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
-from decimal import Decimal
-from fractions import Fraction
-from os import PathLike, fspath
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
+from quatprop.parsers import (
+    Choice,
+    bias,
+    columns,
+    count,
+    duration,
+    flag,
+    frequency,
+    initial_attitude,
+    moment,
+    mounting,
+    number,
+    path,
+    text,
+)
 from quatprop.text import Setting, listed, quoted
-from quatprop.times import Instant, duration_ns, instant
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping, Sequence
+    from datetime import datetime, timedelta
+    from fractions import Fraction
+    from os import PathLike
+
+    from quatprop.parsers import Parser
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
@@ -39,34 +50,6 @@ METHODS = ("start", "end", "mean", "coning")
 FRAMES = ("body", "inertial")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
-
-FROM_THE_LOG = ("level", "log")
-"""Initial attitudes that are taken from the log itself."""
-
-STATIC = "static"
-"""The bias is the mean rate at rest."""
-
-STATIC_WINDOW_NS = 1_000_000_000
-"""Rest is looked for in windows of this length, ns, unless the user says otherwise."""
-
-MAX_FREQUENCY = 1_000_000_000
-"""Hz: stamps are whole nanoseconds."""
-
-MIN_FREQUENCY = Decimal("1e-9")
-"""Hz: an interval of 31 years."""
-
-
-@dataclass(frozen=True, slots=True)
-class StaticBias:
-    """Take the mean rate at rest as the bias.
-
-    Parameters
-    ----------
-    window_ns
-        Rest is looked for in windows of this length, ns.
-    """
-
-    window_ns: int = STATIC_WINDOW_NS
 
 
 class SelectOptions(TypedDict, total=False):
@@ -145,7 +128,7 @@ def parse(name: str, value: object) -> Any:
 
 
 def parse_all(
-    options: Mapping[str, object], parsers: Mapping[str, Callable[[object], Any]] | None = None
+    options: Mapping[str, object], parsers: Mapping[str, Parser] | None = None
 ) -> dict[str, Any]:
     """Return settings by name with their parsed values; None counts as not given.
 
@@ -175,183 +158,7 @@ def parse_all(
     return values
 
 
-def text(value: object) -> str:
-    """Return text that is not empty."""
-    if not isinstance(value, str) or not value:
-        raise UsageError(f"{quoted(value)} is not a name")
-    return value
-
-
-def flag(value: object) -> bool:
-    """Return True or False."""
-    if not isinstance(value, bool):
-        raise UsageError(f"{quoted(value)} is not true or false")
-    return value
-
-
-def path(value: object) -> str:
-    """Return a path as text."""
-    if not isinstance(value, str | PathLike) or not str(value):
-        raise UsageError(f"{quoted(value)} is not a path")
-    return str(fspath(value))
-
-
-class Choice:
-    """A parser that takes one of a few names."""
-
-    def __init__(self, *names: str) -> None:
-        self.names = names
-
-    def __call__(self, value: object) -> str:
-        """Return the name."""
-        if not isinstance(value, str) or value not in self.names:
-            raise UsageError(f"{quoted(value)} is not one of {listed(self.names)}")
-        return value
-
-
-def columns(names: str) -> Callable[[object], tuple[str, ...]]:
-    """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``."""
-    count = names.count(",") + 1
-
-    def parse_columns(value: object) -> tuple[str, ...]:
-        parts = tuple(str(part).strip() for part in _parts(value))
-        if len(parts) != count or not all(parts):
-            raise UsageError(f"{quoted(_shown(value))} does not name {count} columns {names}")
-        if len(set(parts)) != len(parts):
-            raise UsageError(f"{quoted(_shown(value))} names a column twice")
-        return parts
-
-    return parse_columns
-
-
-def numbers(names: str) -> Callable[[object], tuple[float, ...]]:
-    """Return a parser of as many numbers as `names` has, such as ``"W,X,Y,Z"``."""
-    count = names.count(",") + 1
-
-    def parse_numbers(value: object) -> tuple[float, ...]:
-        try:
-            parts = tuple(float(str(part)) for part in _parts(value))
-        except ValueError:
-            parts = ()
-        if len(parts) != count:
-            raise UsageError(f"{quoted(_shown(value))} is not {names}, {count} numbers")
-        return parts
-
-    return parse_numbers
-
-
-def number(value: object) -> float:
-    """Return a finite number."""
-    try:
-        parsed = float(str(value))
-    except ValueError:
-        parsed = math.nan
-    if not math.isfinite(parsed) or isinstance(value, bool):
-        raise UsageError(f"{quoted(value)} is not a finite number")
-    return parsed
-
-
-def count(value: object) -> int:
-    """Return a whole number of at least one."""
-    try:
-        parsed = int(value) if isinstance(value, str) else value
-    except ValueError:
-        parsed = 0
-    if not isinstance(parsed, int) or isinstance(parsed, bool) or parsed < 1:
-        raise UsageError(f"{quoted(value)} is not a whole number above 0")
-    return parsed
-
-
-def frequency(value: object) -> Fraction:
-    """Return a frequency in Hz as the decimal or the fraction it is written as."""
-    # By its text: 29.97 is meant, not the binary fraction nearest to it.
-    numerator, _, denominator = str(value).partition("/")
-    try:
-        # The size first: the exact value of 1e-99999999 would fill the memory.
-        if MIN_FREQUENCY <= Decimal(numerator) / Decimal(denominator or 1) <= MAX_FREQUENCY:
-            return Fraction(str(value))
-    except (ValueError, ArithmeticError):
-        pass
-    raise UsageError(f"{quoted(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
-
-
-def duration(value: object) -> int:
-    """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
-    if isinstance(value, timedelta):
-        return (value // timedelta(microseconds=1)) * 1000
-    if isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if isinstance(value, str):
-        return duration_ns(value)
-    raise UsageError(f"{quoted(value)} is not a duration; write text such as '20ms', or whole ns")
-
-
-def moment(value: object) -> Instant:
-    """Return an instant: text, whole nanoseconds, or a datetime with its zone."""
-    if isinstance(value, Instant):
-        return value
-    if isinstance(value, datetime):
-        return instant(value.isoformat())
-    if isinstance(value, int) and not isinstance(value, bool):
-        return Instant(value, "clock")
-    if isinstance(value, str):
-        return instant(value)
-    raise UsageError(f"{quoted(value)} is not a time; write text, whole ns, or a datetime")
-
-
-def initial_attitude(value: object) -> tuple[float, ...] | str:
-    """Return four numbers, ``"level"``, ``"log"``, or the path of an attitude series."""
-    if isinstance(value, str) and value in FROM_THE_LOG:
-        return value
-    if not isinstance(value, PathLike) and not (isinstance(value, str) and not _is_numbers(value)):
-        return numbers("W,X,Y,Z")(value)
-    if not Path(value).exists():
-        raise UsageError(
-            f"{quoted(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
-            "is there"
-        )
-    return path(value)
-
-
-def bias(value: object) -> tuple[float, ...] | StaticBias:
-    """Return three rates, or where to take the bias from."""
-    if isinstance(value, StaticBias):
-        return value
-    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
-        window = value.partition(":")[2]
-        return StaticBias(duration_ns(window)) if window else StaticBias()
-    try:
-        return numbers("X,Y,Z")(value)
-    except UsageError as error:
-        raise UsageError(error.text, ", nor static[:DUR]") from None
-
-
-def mounting(value: object) -> str:
-    """Return three signed axes or a quaternion as text, for the conditioning to read."""
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
-
-
-def _parts(value: object) -> list[object]:
-    """Return the parts of text with commas, of a list, or of an array."""
-    if isinstance(value, str):
-        return list(value.split(","))
-    convert = getattr(value, "tolist", None)
-    value = value if convert is None else convert()
-    return list(value) if isinstance(value, Iterable) else [value]
-
-
-def _shown(value: object) -> str:
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
-
-
-def _is_numbers(value: str) -> bool:
-    try:
-        return bool([float(part) for part in value.split(",")])
-    except ValueError:
-        return False
-
-
-SELECT: Mapping[str, Callable[[object], Any]] = {
+SELECT: Mapping[str, Parser] = {
     "topic": text,
     "msg_path": path,
     "clock": Choice(*CLOCKS),
@@ -362,7 +169,7 @@ SELECT: Mapping[str, Callable[[object], Any]] = {
 }
 """Which topic and which time: setting -> its parser."""
 
-SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
+SELECT_RATES: Mapping[str, Parser] = {
     **SELECT,
     "rate_field": text,
     "rate_cols": columns("X,Y,Z"),
@@ -370,7 +177,7 @@ SELECT_RATES: Mapping[str, Callable[[object], Any]] = {
 }
 """Which rates of a log: setting -> its parser."""
 
-SELECT_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
+SELECT_ATTITUDES: Mapping[str, Parser] = {
     **SELECT,
     "quat_field": text,
     "quat_cols": columns("A,B,C,D"),
@@ -382,22 +189,22 @@ SELECT_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
 }
 """Which attitudes of a log, and what their numbers mean: setting -> its parser."""
 
-ONE_SERIES: Mapping[str, Callable[[object], Any]] = {"kind": Choice(*KINDS), **SELECT_ATTITUDES}
+ONE_SERIES: Mapping[str, Parser] = {"kind": Choice(*KINDS), **SELECT_ATTITUDES}
 """What has to be known of each series where several are read: setting -> its parser."""
 
-CHECK_ATTITUDES: Mapping[str, Callable[[object], Any]] = {
+CHECK_ATTITUDES: Mapping[str, Parser] = {
     "normalize": flag,
     "on_invalid": Choice("error", "drop"),
 }
 """What is done about invalid quaternions: setting -> its parser."""
 
-READ_ATTITUDES: Mapping[str, Callable[[object], Any]] = {**ONE_SERIES, **CHECK_ATTITUDES}
+READ_ATTITUDES: Mapping[str, Parser] = {**ONE_SERIES, **CHECK_ATTITUDES}
 """How attitudes are read: setting -> its parser."""
 
-READ_RATES: Mapping[str, Callable[[object], Any]] = {"kind": Choice(*KINDS), **SELECT_RATES}
+READ_RATES: Mapping[str, Parser] = {"kind": Choice(*KINDS), **SELECT_RATES}
 """How rates are read: setting -> its parser."""
 
-PROPAGATE: Mapping[str, Callable[[object], Any]] = {
+PROPAGATE: Mapping[str, Parser] = {
     **READ_RATES,
     "start": moment,
     "end": moment,

@@ -53,7 +53,7 @@ def test_every_module_imports_and_says_what_it_is(name):
 
 LAYERS = (
     {"errors", "text", "times", "checksum", "third_party_errors", "parallel", "provenance"},
-    {"series", "selection", "settings", "arrow_arrays", "columns"},
+    {"series", "selection", "settings", "parsers", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "formats"},

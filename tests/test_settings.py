@@ -3,15 +3,15 @@
 import datetime as dt
 from fractions import Fraction
 from pathlib import Path
-from typing import get_type_hints
 
 import numpy as np
 import pytest
 
 from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
+from quatprop.parsers import StaticBias
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, StaticBias, parse, parse_all
+from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, parse, parse_all
 from quatprop.times import Instant
 
 
@@ -107,7 +107,7 @@ def test_every_interface_has_the_same_names():
     output = {"log", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
               "report", "plot", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
-    assert set(get_type_hints(PropagateOptions)) == set(PROPAGATE)
+    assert PropagateOptions.__optional_keys__ == set(PROPAGATE)
 
 
 def test_the_methods_are_those_of_the_kinematics():

@@ -13,7 +13,7 @@ import click
 
 from quatprop.cli.spelling import option as option_name
 from quatprop.cli.types import Parsed
-from quatprop.settings import Choice, flag
+from quatprop.parsers import Choice, flag
 from quatprop.text import Setting
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
@@ -21,6 +21,7 @@ Command = TypeVar("Command", bound="Callable[..., Any]")
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from quatprop.parsers import Parser
     from quatprop.signals.attitude_input import AttitudeInput
 
     class Option(Protocol):
@@ -153,7 +154,7 @@ or attitudes."""
 
 
 def setting_options(
-    parsers: Mapping[str, Callable[[object], Any]],
+    parsers: Mapping[str, Parser],
     *,
     log: str = "LOG",
     signal: str = "rates",
@@ -180,7 +181,7 @@ def setting_options(
     ]
 
 
-def _setting_option(name: str, parser: Callable[[object], Any], text: str, side: str) -> Option:
+def _setting_option(name: str, parser: Parser, text: str, side: str) -> Option:
     names = [option_name(Setting(name), side), f"{name}_{side}" if side else name]
     if name == "topic" and not side:
         names.insert(0, "-t")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from quatprop.cli.types import Parsed
-from quatprop.settings import MAX_FREQUENCY, duration, numbers
+from quatprop.parsers import MAX_FREQUENCY, duration, numbers
 from quatprop.writers import GENERAL_KINDS
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")

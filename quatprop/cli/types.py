@@ -9,7 +9,7 @@ import click
 from quatprop.cli.spelling import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from quatprop.parsers import Parser
 
     ParamType = click.ParamType[Any]
 else:
@@ -28,7 +28,7 @@ class Parsed(ParamType):
         What help calls the value, such as ``"W,X,Y,Z"``.
     """
 
-    def __init__(self, parser: Callable[[object], Any], name: str) -> None:
+    def __init__(self, parser: Parser, name: str) -> None:
         self.parser = parser
         self.name = name
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.settings import Choice, duration, number
+from quatprop.parsers import Choice, duration, number
 from quatprop.text import Setting, listed, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
+
+    from quatprop.parsers import Parser
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Which frames of B are rotated before the comparison."""
@@ -168,7 +170,7 @@ def _percentage(value: object) -> float:
     return percentage
 
 
-COMPARE: Mapping[str, Callable[[object], Any]] = {
+COMPARE: Mapping[str, Parser] = {
     "tol": angle_rad,
     "rms_tol": angle_rad,
     "final_tol": angle_rad,
