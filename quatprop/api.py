@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import CompareOptions
     from quatprop.containers.base import Loss
+    from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
     from quatprop.settings import AttitudeOptions, PropagateOptions, RateOptions
@@ -258,8 +259,15 @@ def compare(
     ----------
     a, b
         Paths as for :func:`read_attitudes`, or series in memory.
-    tol : str or float
-        Largest error that passes: text such as ``"0.1deg"``, or rad.
+    tol, rms_tol, final_tol, p95_tol : str or float
+        Limits on the worst, the RMS and the final error and on their 95th percentile: text such as
+        ``"0.1deg"``, or rad.
+    window_tol, window_rms_tol : str or float
+        Limits on the worst and the RMS error of rotations over windows.
+    drift_tol : str
+        Limit on the drift of the error, such as ``"10deg/h"``.
+    min_coverage : float
+        Percentage of B, of its samples and of its time, that must be compared.
     align : str
         What B is rotated by first: ``"none"`` (the default), ``"first"``, ``"mean"`` or
         ``"mount"``.
@@ -277,8 +285,8 @@ def compare(
     Returns
     -------
     Comparison
-        The errors, their statistics, and what explains them; `passed` tells whether they are within
-        the tolerance.
+        The errors, their statistics, and what explains them; `passed` tells whether every limit is
+        kept.
 
     Raises
     ------
@@ -352,7 +360,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     sign: str = "keep",
     representation: str = "quaternion",
     **options: Unpack[AttitudeOptions],
-) -> None:
+) -> ConversionReport:
     """Write an attitude series in another layout, convention, direction, form or format.
 
     Parameters
@@ -371,6 +379,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     representation
         ``"quaternion"``, ``"rotvec"`` (rad), ``"euler-zyx"`` (rad), ``"euler-zyx-deg"`` or
         ``"matrix"``.
+
+    Returns
+    -------
+    ConversionReport
+        What was read, done, counted and lost.
 
     Raises
     ------
@@ -404,6 +417,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
+    return report
 
 
 def _path(path: StrPath) -> str:

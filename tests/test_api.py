@@ -3,6 +3,7 @@
 import ast
 import datetime as dt
 import json
+import re
 import subprocess
 import sys
 import warnings
@@ -19,7 +20,9 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.cli import cli
+from quatprop.comparison.settings import COMPARE
 from quatprop.errors import LogError, SeriesError, UsageError
+from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -302,6 +305,22 @@ def test_only_attitudes_are_written(tmp_path):
     """Rates are no attitudes."""
     with pytest.raises(SeriesError, match="Expected an AttitudeSeries, got GyroSeries"):
         quatprop.write(GyroSeries(T_NS, RATE), tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("function", "settings"),
+    [
+        (quatprop.read_rates, READ_RATES),
+        (quatprop.read_attitudes, READ_ATTITUDES),
+        (quatprop.propagate, PROPAGATE),
+        (quatprop.compare, COMPARE),
+    ],
+)
+def test_every_keyword_is_documented(function, settings):
+    """Each setting stands before a colon, or in a list of them, in the parameters."""
+    parameters = function.__doc__.split("Returns\n")[0]
+    for name in settings:
+        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n        ))", parameters), name
 
 
 def test_the_public_names_are_listed():
