@@ -1,7 +1,7 @@
 """The library: read, propagate, convert, compare and write attitude from Python.
 
-Each function is a few lines over the code that the command line uses, with the same settings by
-the same names; a value may be given as text, as on the command line, or as a Python value.
+Thin wrappers around the code that the command line uses, with the same settings by the same names.
+A value may be given as text, as on the command line, or as a Python value.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quatprop.errors import DataLossWarning, RemarkWarning, SeriesError
+from quatprop.errors import DataLossWarning, RemarkWarning, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
     from os import PathLike
     from typing import Unpack
 
@@ -27,12 +28,11 @@ if TYPE_CHECKING:
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
     from quatprop.settings import AttitudeOptions, PropagateOptions, RateOptions
-    from quatprop.text import Text
 
     StrPath: TypeAlias = str | PathLike[str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class PropagatedSeries(AttitudeSeries):
     """Attitudes that were propagated, and the report of how.
 
@@ -91,10 +91,11 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     """
     from quatprop.formats import open_log
     from quatprop.pipeline.settings import propagation_settings
+    from quatprop.settings import READ_RATES, parse_all
     from quatprop.signals.rates import choose_rates
 
-    path = _path(log)
-    settings = propagation_settings(options)
+    path = _path("log", log)
+    settings = propagation_settings(parse_all(options, READ_RATES))
     with open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened:
         signal = choose_rates(opened, settings.selection)
         batches = list(signal.batches())
@@ -148,7 +149,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     """
     from quatprop.signals.attitude_input import attitude_input, load_attitudes
 
-    path = _path(log)
+    path = _path("log", log)
     loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
     _warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
     return loaded.series
@@ -224,6 +225,8 @@ sample_rate, clock
     -----
     DataLossWarning
         A part of the log could not be read, or samples were dropped.
+    RemarkWarning
+        Something was inferred, or looks wrong: gaps, rates beyond any gyroscope...
 
     Examples
     --------
@@ -240,14 +243,17 @@ sample_rate, clock
 
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
-        return _collect(AttitudeStream("series", signal_of_series(log), settings, None))
-    path = _path(log)
+        path = "series"
+        _refuse_log_settings(options)
+        if not len(log):
+            raise SeriesError("Expected a series with samples, got an empty one")
+        result = _collect(AttitudeStream(path, signal_of_series(log), settings, None))
+        return _with_warnings(path, result)
+    path = _path("log", log)
     with open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened:
         signal = choose_rates(opened, settings.selection)
         result = _collect(AttitudeStream(path, signal, settings, opened))
-    report = result.report
-    _warn(path, report.losses, (), dropped=report.counts.dropped)
-    return result
+    return _with_warnings(path, result)
 
 
 def compare(
@@ -303,10 +309,7 @@ def compare(
     from quatprop.comparison.settings import comparison_settings
 
     settings = comparison_settings(**options)
-    first, second = (
-        side if isinstance(side, AttitudeSeries) else read_attitudes(side) for side in (a, b)
-    )
-    return compare_series(first, second, settings)
+    return compare_series(_attitudes("a", a), _attitudes("b", b), settings)
 
 
 def write(
@@ -321,7 +324,7 @@ def write(
     path
         Where; it is replaced when the new content is complete.
     to
-        Format; by default told by the suffix.
+        Format; by default that of the suffix. A name without a suffix is a ROS 2 bag folder.
     layout
         ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
         scalar-first where it leaves the choice.
@@ -329,14 +332,21 @@ def write(
     Raises
     ------
     QuatpropError
-        It cannot be written there, or not so.
+        The path is not writable, the format does not support the settings, or rows are no unit
+        quaternions.
+
+    Warns
+    -----
+    RemarkWarning
+        The series has positions, and the format has no place for them.
     """
     from quatprop.pipeline.report import convention_of
     from quatprop.writers import kind_of, layout_of, open_writer
 
     if not isinstance(series, AttitudeSeries):
         raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
-    place = _path(path)
+    _valid("series", series)
+    place = _path("path", path)
     order = layout_of(kind_of(place, to), layout).name
     if isinstance(series, PropagatedSeries):
         report = series.report
@@ -401,11 +411,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.signals.attitude_input import attitude_input
 
-    wanted = attitude_input(_path(source), options)
+    wanted = attitude_input(_path("source", source), options)
     report = convert_file(
         Conversion(
             log=wanted.path,
-            output=OutputSettings(path=_path(output), to=to, layout=layout),
+            output=OutputSettings(path=_path("output", output), to=to, layout=layout),
             kind=wanted.kind,
             selection=wanted.selection,
             meaning=Meaning(convention, direction),
@@ -420,10 +430,46 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     return report
 
 
-def _path(path: StrPath) -> str:
+def _path(name: str, path: StrPath) -> str:
     from quatprop.parsers import path as parse_path
 
-    return parse_path(path)
+    try:
+        return parse_path(path)
+    except UsageError as error:
+        raise UsageError(Setting(name), ": ", error.text) from None
+
+
+def _attitudes(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
+    """Return one side of a comparison."""
+    if isinstance(source, AttitudeSeries):
+        return _valid(name, source)
+    return read_attitudes(_path(name, source))
+
+
+def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
+    """Return a series of unit quaternions; refuse others, as where they are read from a file."""
+    from quatprop.signals.quaternion_check import QuaternionCheck
+
+    check = QuaternionCheck(name)
+    for _ in check.apply([(series.t_ns, series.wxyz)]):
+        pass
+    return series
+
+
+def _refuse_log_settings(options: Mapping[str, object]) -> None:
+    """Refuse settings that say what to read of a log, for rates in memory."""
+    from quatprop.settings import READ_RATES
+
+    for name, value in options.items():
+        if name in READ_RATES and value is not None:
+            hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""
+            raise UsageError(Setting(name), " is for logs, not for rates in memory", hint)
+
+
+def _with_warnings(path: str, result: PropagatedSeries) -> PropagatedSeries:
+    report = result.report
+    _warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
+    return result
 
 
 def _collect(stream: AttitudeStream) -> PropagatedSeries:
@@ -436,13 +482,18 @@ def _collect(stream: AttitudeStream) -> PropagatedSeries:
 
 
 def _warn(
-    path: str, losses: Iterable[Loss], remarks: Iterable[str | Text], *, dropped: int = 0
+    path: str,
+    losses: Iterable[Loss],
+    remarks: Iterable[str | Text],
+    *,
+    dropped: int = 0,
+    depth: int = 3,
 ) -> None:
-    """Warn of losses and remarks where the caller's caller is."""
+    """Warn of losses and remarks at the line of the user's call, `depth` calls up."""
     for loss in losses:
         message = f"{path}: lost: {loss.place}: {loss.reason}"
-        warnings.warn(message, DataLossWarning, stacklevel=3)
+        warnings.warn(message, DataLossWarning, stacklevel=depth)
     if dropped:
-        warnings.warn(f"{path}: {dropped} rows were dropped", DataLossWarning, stacklevel=3)
+        warnings.warn(f"{path}: {dropped} rows were dropped", DataLossWarning, stacklevel=depth)
     for remark in remarks:
-        warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=3)
+        warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=depth)

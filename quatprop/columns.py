@@ -6,6 +6,7 @@ guessed: stamps are integers in ns or dates, never floats.
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,12 +50,16 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
         return _dates_in_ns(name, array)
     # Integers beyond 64 bits are floats to NumPy, or objects.
     exact = values if isinstance(values, list | tuple) else array
+    if array.dtype.kind == "O" and len(array) and all(isinstance(v, datetime) for v in array):
+        return np.array([_ns_of(value) for value in array], np.int64)
     if array.dtype.kind in "Of" and all(isinstance(value, int) for value in exact):
         if all(INT64.min <= value <= INT64.max for value in exact):
             return np.array(exact, np.int64)
         raise SeriesError(f"`{name}` has values that do not fit 64 bits")
+    if array.dtype.kind == "f" and np.isnan(array).any():
+        raise SeriesError(f"`{name}` has missing values")
     if array.dtype.kind not in "iu":
-        hint = "; for seconds as floats use from_seconds(), and look for missing values"
+        hint = "; for seconds as floats use from_seconds()"
         raise SeriesError(
             f"Expected `{name}` to be int64 nanoseconds or dates, got {array.dtype}"
             + (hint if array.dtype.kind == "f" else "")
@@ -120,6 +125,16 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
             array = np.stack([np.asarray(row) for row in array])
         except ValueError as error:
             raise SeriesError(f"`{name}` has rows of different lengths") from error
+    if array.dtype.kind == "O":
+        # Nullable and Arrow-backed columns of pandas.
+        try:
+            array = array.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            raise SeriesError(f"`{name}` has values that are missing or not numbers") from error
+    if array.shape == (width, count) != (count, width):
+        raise SeriesError(
+            f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}; transpose it"
+        )
     if array.shape != (count, width):
         raise SeriesError(f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}")
     if array.dtype.kind not in "iuf":
@@ -147,6 +162,12 @@ def _as_array(name: str, values: object) -> NDArray[Any]:
         return np.asarray(values)
     except ValueError as error:
         raise SeriesError(f"`{name}` has rows of different lengths") from error
+
+
+def _ns_of(date: datetime) -> int:
+    """Return a date in ns; without a zone it is UTC."""
+    since = date.replace(tzinfo=date.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+    return since // timedelta(microseconds=1) * 1000
 
 
 def _dates_in_ns(name: str, dates: NDArray[Any]) -> NDArray[np.int64]:

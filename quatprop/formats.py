@@ -174,7 +174,8 @@ def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | Non
 
 def _refuse_several_logs(folder: Path) -> None:
     """Refuse a folder with other logs than the parts of a bag: none of them is left out."""
-    suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes}
+    # A text beside the parts of a bag is a note, as a rule.
+    suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes} - {".txt"}
     logs: list[Path] = []
     if not (folder / "metadata.yaml").exists():
         with suppress(OSError):  # the reader of bags has the sentence for it

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
+from operator import index
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from quatprop.errors import UsageError
-from quatprop.text import listed, quoted
+from quatprop.text import listed, shown
 from quatprop.times import Instant, duration_ns, instant
 
 Parser: TypeAlias = Callable[[object], Any]
@@ -55,21 +56,21 @@ class StaticBias:
 def text(value: object) -> str:
     """Return text that is not empty."""
     if not isinstance(value, str) or not value:
-        raise UsageError(f"{quoted(value)} is not a name")
+        raise UsageError(f"{shown(value)} is not a name")
     return value
 
 
 def flag(value: object) -> bool:
     """Return True or False."""
     if not isinstance(value, bool):
-        raise UsageError(f"{quoted(value)} is not true or false")
+        raise UsageError(f"{shown(value)} is not true or false")
     return value
 
 
 def path(value: object) -> str:
     """Return a path as text."""
-    if not isinstance(value, str | PathLike) or not str(value):
-        raise UsageError(f"{quoted(value)} is not a path")
+    if not isinstance(value, str | PathLike) or not str(value) or "\0" in str(value):
+        raise UsageError(f"{shown(value)} is not a path")
     return str(fspath(value))
 
 
@@ -82,7 +83,7 @@ class Choice:
     def __call__(self, value: object) -> str:
         """Return the name."""
         if not isinstance(value, str) or value not in self.names:
-            raise UsageError(f"{quoted(value)} is not one of {listed(self.names)}")
+            raise UsageError(f"{shown(value)} is not one of {listed(self.names)}")
         return value
 
 
@@ -93,9 +94,9 @@ def columns(names: str) -> Callable[[object], tuple[str, ...]]:
     def parse_columns(value: object) -> tuple[str, ...]:
         parts = tuple(str(part).strip() for part in _parts(value))
         if len(parts) != count or not all(parts):
-            raise UsageError(f"{quoted(_shown(value))} does not name {count} columns {names}")
+            raise UsageError(f"{shown(value)} does not name {count} columns {names}")
         if len(set(parts)) != len(parts):
-            raise UsageError(f"{quoted(_shown(value))} names a column twice")
+            raise UsageError(f"{shown(value)} names a column twice")
         return parts
 
     return parse_columns
@@ -111,7 +112,7 @@ def numbers(names: str) -> Callable[[object], tuple[float, ...]]:
         except ValueError:
             parts = ()
         if len(parts) != count:
-            raise UsageError(f"{quoted(_shown(value))} is not {names}, {count} numbers")
+            raise UsageError(f"{shown(value)} is not {names}, {count} numbers")
         return parts
 
     return parse_numbers
@@ -124,18 +125,18 @@ def number(value: object) -> float:
     except ValueError:
         parsed = math.nan
     if not math.isfinite(parsed) or isinstance(value, bool):
-        raise UsageError(f"{quoted(value)} is not a finite number")
+        raise UsageError(f"{shown(value)} is not a finite number")
     return parsed
 
 
 def count(value: object) -> int:
     """Return a whole number of at least one."""
     try:
-        parsed = int(value) if isinstance(value, str) else value
+        parsed = int(value) if isinstance(value, str) else _whole(value)
     except ValueError:
-        parsed = 0
-    if not isinstance(parsed, int) or isinstance(parsed, bool) or parsed < 1:
-        raise UsageError(f"{quoted(value)} is not a whole number above 0")
+        parsed = None
+    if parsed is None or parsed < 1:
+        raise UsageError(f"{shown(value)} is not a whole number above 0")
     return parsed
 
 
@@ -149,18 +150,26 @@ def frequency(value: object) -> Fraction:
             return Fraction(str(value))
     except (ValueError, ArithmeticError):
         pass
-    raise UsageError(f"{quoted(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
+    raise UsageError(f"{shown(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
 
 
 def duration(value: object) -> int:
     """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
     if isinstance(value, timedelta):
         return (value // timedelta(microseconds=1)) * 1000
-    if isinstance(value, int) and not isinstance(value, bool):
-        return value
+    if (whole := _whole(value)) is not None:
+        return whole
     if isinstance(value, str):
         return duration_ns(value)
-    raise UsageError(f"{quoted(value)} is not a duration; write text such as '20ms', or whole ns")
+    raise UsageError(f"{shown(value)} is not a duration; write text such as '20ms', or whole ns")
+
+
+def length(value: object) -> int:
+    """Return a duration above zero, in ns."""
+    parsed = duration(value)
+    if parsed <= 0:
+        raise UsageError(f"{shown(value)} is not a duration above 0")
+    return parsed
 
 
 def moment(value: object) -> Instant:
@@ -168,12 +177,14 @@ def moment(value: object) -> Instant:
     if isinstance(value, Instant):
         return value
     if isinstance(value, datetime):
+        if value.tzinfo is None:
+            raise UsageError(f"{shown(value)} needs a time zone, such as tzinfo=datetime.UTC")
         return instant(value.isoformat())
-    if isinstance(value, int) and not isinstance(value, bool):
-        return Instant(value, "clock")
+    if (whole := _whole(value)) is not None:
+        return Instant(whole, "clock")
     if isinstance(value, str):
         return instant(value)
-    raise UsageError(f"{quoted(value)} is not a time; write text, whole ns, or a datetime")
+    raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")
 
 
 def initial_attitude(value: object) -> tuple[float, ...] | str:
@@ -184,7 +195,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
         return numbers("W,X,Y,Z")(value)
     if not Path(value).exists():
         raise UsageError(
-            f"{quoted(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
+            f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
             "is there"
         )
     return path(value)
@@ -214,11 +225,18 @@ def _parts(value: object) -> list[object]:
         return list(value.split(","))
     convert = getattr(value, "tolist", None)
     value = value if convert is None else convert()
-    return list(value) if isinstance(value, Iterable) else [value]
+    try:
+        return list(value) if isinstance(value, Iterable) else [value]
+    except TypeError:
+        return [value]
 
 
-def _shown(value: object) -> str:
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+def _whole(value: object) -> int | None:
+    """Return a whole number of any type, NumPy's too; None for others, and for truth values."""
+    try:
+        return None if str(value) in {"True", "False"} else index(value)  # type: ignore[arg-type]
+    except TypeError:
+        return None
 
 
 def _is_numbers(value: str) -> bool:

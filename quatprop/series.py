@@ -13,6 +13,7 @@ import numpy as np
 
 from quatprop.columns import rows_of, seconds_in_ns, stamps_of
 from quatprop.errors import SeriesError, UsageError
+from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,7 +37,7 @@ def blocks(rows: int) -> Iterator[slice]:
         yield slice(start, start + BLOCK)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class GyroSeries:
     """Angular rates of the body relative to the reference, in time.
 
@@ -89,6 +90,9 @@ class GyroSeries:
         """Return some samples: views for a slice, copies for a mask or positions."""
         span_ns = None if self.span_ns is None else self.span_ns[chosen]
         return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns)
+
+    def __repr__(self) -> str:
+        return _summary(self, "samples")
 
     @classmethod
     def from_seconds(cls, t_s: Float64, rate: Float64) -> Self:
@@ -167,7 +171,7 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
         yield GyroSeries.joined(held)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class AttitudeSeries:
     """Attitudes of the body, in time.
 
@@ -210,6 +214,14 @@ class AttitudeSeries:
         """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
         return cls(seconds_in_ns("t_s", t_s), wxyz)
 
+    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> AttitudeSeries:
+        """Return some attitudes: views for a slice, copies for a mask or positions."""
+        position = None if self.position is None else self.position[chosen]
+        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], position)
+
+    def __repr__(self) -> str:
+        return _summary(self, "attitudes")
+
     def as_quat(self, *, scalar_first: bool) -> Float64:
         """Return the quaternions as an array in a layout.
 
@@ -233,11 +245,13 @@ class AttitudeSeries:
         ----------
         scalar_first
             Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
-            the last.
+            the last. Positions follow as ``px``, ``py``, ``pz``, where the series has them.
         """
         names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
-        values = self.as_quat(scalar_first=scalar_first).T
-        return _table(self.t_ns, dict(zip(names, values, strict=True)))
+        columns = dict(zip(names, self.as_quat(scalar_first=scalar_first).T, strict=True))
+        if self.position is not None:
+            columns |= dict(zip(("px", "py", "pz"), self.position.T, strict=True))
+        return _table(self.t_ns, columns)
 
     def to_pandas(self, *, scalar_first: bool = True) -> Any:
         """Return a pandas data frame with the columns of :meth:`to_arrow`.
@@ -248,6 +262,14 @@ class AttitudeSeries:
             pandas is not installed.
         """
         return _data_frame(self.to_arrow(scalar_first=scalar_first))
+
+
+def _summary(series: GyroSeries | AttitudeSeries, what: str) -> str:
+    name, t_ns = type(series).__name__, series.t_ns
+    if not len(t_ns):
+        return f"<{name}: no {what}>"
+    span = duration_text(int(t_ns[-1]) - int(t_ns[0]))
+    return f"<{name}: {len(t_ns):,} {what} over {span} from t = {t_ns[0]} ns>"
 
 
 def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:

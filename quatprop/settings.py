@@ -8,6 +8,7 @@ value as text, as TOML has it, or as Python has it. Nothing heavy is imported, s
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
@@ -16,10 +17,10 @@ from quatprop.parsers import (
     bias,
     columns,
     count,
-    duration,
     flag,
     frequency,
     initial_attitude,
+    length,
     moment,
     mounting,
     number,
@@ -148,7 +149,9 @@ def parse_all(
     values = {}
     for name, value in options.items():
         if name not in parsers:
-            raise UsageError(f"there is no setting {quoted(name)}; choose from {listed(parsers)}")
+            near = get_close_matches(name, parsers, 1)
+            way_out = f"did you mean {quoted(near[0])}?" if near else f"there are {listed(parsers)}"
+            raise UsageError(f"there is no setting {quoted(name)}; {way_out}")
         if value is None:
             continue
         try:
@@ -218,7 +221,7 @@ PROPAGATE: Mapping[str, Parser] = {
     "mount": mounting,
     "on_backwards": Choice("error", "drop", "sort"),
     "on_nonfinite": Choice("error", "drop", "hold"),
-    "max_gap": duration,
+    "max_gap": length,
     "on_gap": Choice("hold", "zero", "split", "error"),
     "every": count,
     "rate": frequency,

@@ -11,9 +11,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+    from typing import Self
 
 MAX_LISTED = 12
 """Names listed one by one before "and N more"."""
+
+MAX_SHOWN = 60
+"""Characters of a value that are shown as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +47,8 @@ class Setting:
         return f"{self.name}=" + " or ".join(repr(value) for value in self.value.split("|"))
 
 
-class Text:
-    """A sentence that may mention settings.
+class Text(str):
+    """A sentence that may mention settings: text as the library spells it, and its parts.
 
     Parameters
     ----------
@@ -54,7 +58,7 @@ class Text:
     Examples
     --------
     >>> text = Text("several topics carry body rates; choose one with ", Setting("topic"))
-    >>> str(text)
+    >>> text
     'several topics carry body rates; choose one with topic'
     >>> text.spelled(lambda setting: f"--{setting.name}")
     'several topics carry body rates; choose one with --topic'
@@ -64,27 +68,21 @@ class Text:
 
     parts: tuple[str | Setting, ...]
 
-    def __init__(self, *parts: str | Setting | Text) -> None:
+    def __new__(cls, *parts: str | Setting) -> Self:
+        """Join the parts."""
         flat: list[str | Setting] = []
         for part in parts:
             flat += part.parts if isinstance(part, Text) else (part,)
-        self.parts = tuple(flat)
+        text = super().__new__(cls, "".join(map(str, flat)))
+        text.parts = tuple(flat)
+        return text
+
+    def __reduce__(self) -> tuple[type[Text], tuple[str | Setting, ...]]:
+        return Text, self.parts
 
     def spelled(self, spell: Callable[[Setting], str]) -> str:
         """Return the sentence, its settings spelled by a function."""
         return "".join(part if isinstance(part, str) else spell(part) for part in self.parts)
-
-    def __str__(self) -> str:
-        return self.spelled(str)
-
-    def __repr__(self) -> str:
-        return f"Text({', '.join(map(repr, self.parts))})"
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Text) and self.parts == other.parts
-
-    def __hash__(self) -> int:
-        return hash(self.parts)
 
 
 def quoted(text: object) -> str:
@@ -114,6 +112,23 @@ def plain(text: object) -> str:
         character if character.isprintable() else character.encode("unicode_escape").decode()
         for character in str(text)
     )
+
+
+def shown(value: object) -> str:
+    """Return a value that was given, quoted; of what is large or unusual, its type alone.
+
+    Examples
+    --------
+    >>> shown("fast"), shown((1, 0)), shown(range(5000))
+    ("'fast'", "'1,0'", 'a value of type range')
+    """
+    if isinstance(value, list | tuple) and len(value) <= MAX_LISTED:
+        return quoted(",".join(map(str, value)))
+    if value is None or isinstance(value, str | bytes | int | float):
+        return quoted(value)
+    text = str(value)
+    simple = "\n" not in text and len(text) < MAX_SHOWN and not text.startswith("<")
+    return quoted(text) if simple else f"a value of type {type(value).__name__}"
 
 
 def listed(names: Iterable[object]) -> str:

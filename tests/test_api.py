@@ -3,6 +3,7 @@
 import ast
 import datetime as dt
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from quatprop.cli import cli
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import LogError, SeriesError, UsageError
 from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.text import Setting, Text
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -36,6 +38,9 @@ def dates(unit):
 
 
 FRAME = pd.DataFrame({"t": T_NS, "wx": RATE[:, 0], "wy": RATE[:, 1], "wz": RATE[:, 2]})
+HOLES = FRAME[["wx", "wy", "wz"]].where(RATE > 0).convert_dtypes()
+START = dt.datetime(2023, 11, 14, 22, 13, 20, tzinfo=dt.UTC)
+DATES = [START, START.replace(second=21, tzinfo=None)]
 STAMPS = {
     "array": T_NS,
     "list": T_NS.tolist(),
@@ -62,6 +67,8 @@ RATES = {
     "pandas": FRAME[["wx", "wy", "wz"]],
     "polars": pl.DataFrame(FRAME[["wx", "wy", "wz"]].to_dict("list")),
     "arrow table": pa.table(FRAME[["wx", "wy", "wz"]].to_dict("list")),
+    "pandas of Arrow": FRAME[["wx", "wy", "wz"]].convert_dtypes(dtype_backend="pyarrow"),
+    "nullable pandas": FRAME[["wx", "wy", "wz"]].convert_dtypes(),
     "arrow lists": pa.FixedSizeListArray.from_arrays(pa.array(RATE.ravel()), 3),
 }
 
@@ -87,6 +94,12 @@ def test_coarser_dates_are_exact(unit):
     assert GyroSeries(pl.Series(stamps), RATE).t_ns.tolist() == expected.tolist()
 
 
+def test_lists_of_dates_are_dates():
+    """With a zone, and without one as UTC."""
+    series = AttitudeSeries(DATES, [[1, 0, 0, 0]] * 2)
+    assert series.t_ns.tolist() == [1_700_000_000_000_000_000, 1_700_000_001_000_000_000]
+
+
 def test_float32_becomes_float64():
     """The value of each number stays what it is."""
     single = RATE.astype(np.float32)
@@ -107,6 +120,12 @@ def test_float_seconds_only_where_the_caller_says_so():
     ("stamps", "rate", "sentence"),
     [
         (T_NS, RATE[:2], r"Expected `rate` to have shape \(3, 3\), got \(2, 3\)"),
+        (T_NS[:2], RATE[:2].T, r"Expected `rate` to have shape \(2, 3\), got \(3, 2\); transpose"),
+        (
+            T_NS,
+            FRAME[["wx", "wy", "wz"]].where(RATE > 0).convert_dtypes(),
+            "`rate` has values that",
+        ),
         (T_NS, RATE.T[:2].T, r"Expected `rate` to have shape \(3, 3\), got \(3, 2\)"),
         (T_NS, RATE.ravel(), r"Expected `rate` to have shape \(3, 3\), got \(9,\)"),
         (T_NS, RATE.astype(str), "Expected `rate` to be numbers, got <U"),
@@ -120,7 +139,7 @@ def test_float_seconds_only_where_the_caller_says_so():
         ([True, False, True], RATE, "Expected `t_ns` to be int64 nanoseconds or dates, got bool"),
         ([1, 2, 2**63], RATE, "`t_ns` has values that do not fit 64 bits"),
         ([1, 2, -(2**70)], RATE, "`t_ns` has values that do not fit 64 bits"),
-        (pa.array([1, None, 3]), RATE, "got float64; for seconds as floats .* missing values"),
+        (pa.array([1, None, 3]), RATE, "`t_ns` has missing values"),
         (np.array(["2020", "NaT", "2021"], "M8[s]"), RATE, "`t_ns` has missing dates"),
         (np.array(["2020", "2021", "9020"], "M8[s]"), RATE, "dates that do not fit 64 bits"),
     ],
@@ -206,8 +225,14 @@ def test_policies_hold_for_rates_in_memory():
     series = GyroSeries(T_NS[[0, 2, 1]], RATE)
     with pytest.raises(LogError, match=r"^series: .*choose on_backwards='drop' or 'sort'"):
         quatprop.propagate(series)
-    assert len(quatprop.propagate(series, on_backwards="drop")) == 2
-    assert quatprop.propagate(series, on_backwards="sort").t_ns.tolist() == T_NS.tolist()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert len(quatprop.propagate(series, on_backwards="drop")) == 2
+    dropped, remark = (str(warning.message) for warning in caught)
+    assert dropped == "series: 1 rows were dropped"
+    assert remark.startswith("series: 1 non-monotonic timestamp (dropped), first at sample 2, t = ")
+    with pytest.warns(quatprop.RemarkWarning, match=r"timestamp \(sorted\)"):
+        assert quatprop.propagate(series, on_backwards="sort").t_ns.tolist() == T_NS.tolist()
 
 
 @pytest.mark.parametrize(
@@ -228,7 +253,112 @@ def test_a_wrong_argument_is_a_clear_error(keywords, sentence):
         quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
 
 
-@pytest.mark.parametrize("path", [7, None, b"", ""])
+@pytest.mark.parametrize(
+    "keywords",
+    [{"rate_unit": "deg/s"}, {"topic": "/imu"}, {"clock": "log"}, {"rate_cols": "a,b,c"},
+     {"kind": "csv"}, {"msg_path": "a.msg"}],
+)  # fmt: skip
+def test_what_is_about_logs_is_refused_for_rates_in_memory(keywords):
+    """It would be ignored silently otherwise."""
+    (name,) = keywords
+    with pytest.raises(UsageError, match=f"^{name} is for logs, not for rates in memory"):
+        quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
+
+
+def test_reading_takes_no_settings_of_a_propagation():
+    """A bias is not subtracted by reading."""
+    with pytest.raises(UsageError, match="there is no setting 'bias'"):
+        quatprop.read_rates(SAMPLES / "spin.csv", bias="1,2,3")
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers():
+    """As they come out of a series."""
+    series = GyroSeries(T_NS, RATE)
+    by_numpy = quatprop.propagate(series, start=series.t_ns[1], every=np.int32(1), max_gap=T_NS[0])
+    assert by_numpy.t_ns.tolist() == T_NS[1:].tolist()
+
+
+def test_what_looks_wrong_is_a_warning():
+    """A gap is propagated across, and said; also of rates in memory."""
+    t_ns = np.append(np.arange(50), 1000) * 10_000_000
+    series = GyroSeries(t_ns, np.tile([0, 0, 0.5], (51, 1)))
+    with pytest.warns(
+        quatprop.RemarkWarning, match="^series: 1 interval longer than 100 ms"
+    ) as seen:
+        quatprop.propagate(series)
+    assert seen[0].filename == __file__
+
+
+@pytest.mark.parametrize("row", [[2, 0, 0, 0], [np.nan, 0, 0, 0], [0, 0, 0, 0]])
+def test_what_is_no_rotation_is_neither_written_nor_compared(tmp_path, row):
+    """As where it is read from a file."""
+    series, good = (AttitudeSeries([0], [wxyz]) for wxyz in (row, [1, 0, 0, 0]))
+    with pytest.raises(LogError, match=r"^series: 1 of 1 rows are invalid quaternions"):
+        quatprop.write(series, tmp_path / "a.csv")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(LogError, match=r"^b: 1 of 1 rows are invalid quaternions"):
+        quatprop.compare(good, series)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"tol": -1}, "tol: '-1' is below 0"),
+        ({"tol": np.nan}, "tol: 'nan' is not a finite number"),
+        ({"max_dt": -5}, "max_dt: '-5' is not a duration above 0"),
+        ({"align": "best"}, "align: 'best' is not one of"),
+    ],
+)
+def test_wrong_settings_of_a_comparison_are_named(keywords, sentence):
+    """As those of a propagation."""
+    good = AttitudeSeries([0], [[1, 0, 0, 0]])
+    with pytest.raises(UsageError, match=f"^{sentence}"):
+        quatprop.compare(good, good, **keywords)
+
+
+def test_no_error_shows_a_table():
+    """Of what is no path the type is named, and the parameter."""
+    series = quatprop.propagate(GyroSeries(T_NS, RATE))
+    for call, name in (
+        (lambda: quatprop.propagate(FRAME), "log"),
+        (lambda: quatprop.convert(series, "a.csv"), "source"),
+        (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=series), "at"),
+    ):
+        with pytest.raises(UsageError, match=rf"^{name}: .* is not a path$") as caught:
+            call()
+        assert len(str(caught.value)) < 100
+    with pytest.raises(UsageError, match=r"^q0: "):
+        quatprop.propagate(GyroSeries(T_NS, RATE), q0=Rotation.identity())
+
+
+def test_series_are_shown_in_a_line_and_sliced():
+    """A notebook shows what they hold, not all of it."""
+    rates = GyroSeries(T_NS, RATE)
+    assert repr(rates) == "<GyroSeries: 3 samples over 20 ms from t = 1700000000000000000 ns>"
+    result = quatprop.propagate(rates)
+    assert repr(result).startswith("<PropagatedSeries: 3 attitudes over 20 ms")
+    assert result[1:].wxyz.tolist() == result.wxyz[1:].tolist()
+    empty = AttitudeSeries(T_NS[:0], result.wxyz[:0])
+    assert repr(empty) == "<AttitudeSeries: no attitudes>"
+
+
+def test_positions_are_in_tables():
+    """They are columns of their own."""
+    series = AttitudeSeries([5], [[1, 0, 0, 0]], [[1.0, 2.0, 3.0]])
+    assert series.to_pandas().to_dict("records") == [
+        {"t_ns": 5, "qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "px": 1.0, "py": 2.0, "pz": 3.0}
+    ]
+
+
+def test_remarks_of_a_report_are_text():
+    """They print as sentences, and pass between processes."""
+    text = Text("choose ", Setting("clock", "log"), "; or not")
+    assert [text] == ["choose clock='log'; or not"]
+    assert repr([text]) == "[\"choose clock='log'; or not\"]"
+    assert pickle.loads(pickle.dumps(text)).parts == text.parts  # noqa: S301  # our own
+
+
+@pytest.mark.parametrize("path", [7, None, b"", "", "a\0b"])
 def test_what_is_no_path_is_refused(path):
     """In every function that takes one."""
     for function in (quatprop.read_rates, quatprop.read_attitudes, quatprop.propagate):

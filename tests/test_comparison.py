@@ -368,11 +368,15 @@ def test_settings_are_read_from_texts_and_numbers():
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
-        ("align", "best", "'best' is not one of 'none', 'first', 'mean', 'mount'"),
-        ("match", "fuzzy", "'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
-        ("min_matched", 101, "'101' is not a percentage from 0 to 100"),
-        ("max_dt", "soon", "'soon' is not a duration; write a number with a unit, such as 20ms"),
-        ("size", 1, "there is no setting 'size'; choose from 'tol', 'rms_tol', 'final_tol'"),
+        ("align", "best", "align: 'best' is not one of 'none', 'first', 'mean', 'mount'"),
+        ("match", "fuzzy", "match: 'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
+        ("min_matched", 101, "min_matched: '101' is not a percentage from 0 to 100"),
+        (
+            "max_dt",
+            "soon",
+            "max_dt: 'soon' is not a duration; write a number with a unit",
+        ),
+        ("size", 1, "there is no setting 'size'; there are 'tol', 'rms_tol', 'final_tol'"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(name, value, sentence):

@@ -129,7 +129,7 @@ def test_drifts_have_units():
     """Degrees an hour, degrees a second, radians a second."""
     for text, deg_h in (("10deg/h", 10), ("0.1 deg/s", 360), ("1e-3rad/s", np.degrees(3.6))):
         assert comparison_settings(drift_tol=text).drift_tol == pytest.approx(deg_h, rel=1e-12)
-    with pytest.raises(UsageError, match=r"^'10' is not a drift; write .* such as 10deg/h$"):
+    with pytest.raises(UsageError, match=r"^drift_tol: '10' is not a drift; write .* 10deg/h$"):
         comparison_settings(drift_tol="10")
 
 

@@ -84,7 +84,7 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
 
 def test_an_unknown_setting_is_refused():
     """The sentence lists those there are."""
-    with pytest.raises(UsageError, match="there is no setting 'metod'; choose from 'kind', "):
+    with pytest.raises(UsageError, match="there is no setting 'metod'; did you mean 'method'"):
         parse_all({"metod": "end"})
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.parsers import Choice, duration, number
-from quatprop.text import Setting, listed, quoted
+from quatprop.parsers import Choice, duration, length, number
+from quatprop.settings import parse_all
+from quatprop.text import Setting, quoted, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -108,9 +109,16 @@ def angle_rad(value: object) -> float:
     >>> angle_rad("90deg")
     1.5707963267948966
     """
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+    if not isinstance(value, str):
+        return _positive(value)
     return _quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+
+
+def _positive(value: object) -> float:
+    parsed = number(value)
+    if parsed < 0:
+        raise UsageError(f"{shown(value)} is below 0")
+    return parsed
 
 
 def drift_deg_h(value: object) -> float:
@@ -126,8 +134,8 @@ def drift_deg_h(value: object) -> float:
     >>> drift_deg_h("0.1deg/s")
     360.0
     """
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+    if not isinstance(value, str):
+        return _positive(value)
     return _quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
@@ -182,9 +190,9 @@ COMPARE: Mapping[str, Parser] = {
     "align": Choice(*ALIGNMENTS),
     "time_offset": time_offset_ns,
     "match": Choice(*MATCHES),
-    "max_dt": duration,
+    "max_dt": length,
     "min_matched": _percentage,
-    "window": duration,
+    "window": length,
 }
 """How two series are compared: setting -> its parser, which takes text or a Python value."""
 
@@ -224,10 +232,4 @@ def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings
     >>> comparison_settings(tol="90deg", time_offset="-12ms").time_offset
     -12000000
     """
-    values: dict[str, Any] = {}
-    for name, value in options.items():
-        if name not in COMPARE:
-            raise UsageError(f"there is no setting {quoted(name)}; choose from {listed(COMPARE)}")
-        if value is not None:
-            values[name] = COMPARE[name](value)
-    return ComparisonSettings(**values)
+    return ComparisonSettings(**parse_all(options, COMPARE))
