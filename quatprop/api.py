@@ -169,8 +169,8 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
 sample_rate, clock
         Which samples of a log, as for :func:`read_rates`.
     method : str
-        Integration rule: ``"start"`` (the default), ``"end"``, ``"mean"`` or ``"coning"``; see
-        :func:`quatprop.kinematics.increments.rotation_vectors`.
+        Integration rule: ``"start"`` (the default), ``"end"``, ``"mean"``, ``"coning"`` or
+        ``"cubic"``; see :func:`quatprop.kinematics.increments.rotation_vectors`.
     rates : str
         Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
         or ``"inertial"`` (on the left).

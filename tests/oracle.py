@@ -5,7 +5,11 @@ serial oracle is the definition; the blocked one is the same product, fast enoug
 samples, and is itself checked against the serial one.
 """
 
+from itertools import pairwise
+
 import numpy as np
+
+from quatprop.kinematics.cubic import MAX_RATIO, MAX_RATIO_ONE_SIDED
 
 L = np.longdouble
 RUN = 1000
@@ -36,7 +40,30 @@ def rotation_vectors(t_ns, rate, method="start"):
         "end": lambda: v * dt,
         "mean": lambda: mean,
         "coning": lambda: mean + dt**2 / 12 * np.cross(u, v),
+        "cubic": lambda: mean + dt**2 / 12 * np.cross(u, v) - dt**3 / 6 * curvature(dt, u, v),
     }[method]()
+
+
+def curvature(dt, u, v):
+    """Return the weighted second divided differences of the rate, sample by sample."""
+    dt = dt[:, 0]
+    slope = (v - u) / dt[:, None]
+    # By sample: the second difference and the ratio of the intervals.
+    none = (np.zeros(3, L), np.inf)
+    samples = [
+        ((slope[k] - slope[k - 1]) / (a + b), max(a, b) / min(a, b))
+        for k, (a, b) in enumerate(pairwise(dt), 1)
+    ]
+    rows = []
+    for k, ((left, p), (right, q)) in enumerate(pairwise([none, *samples, none])):
+        if max(p, q) <= MAX_RATIO:
+            weight = (dt[k - 1] + dt[k] / 2) / dt[k - 1 : k + 2].sum()
+            rows.append((1 - weight) * left + weight * right)
+        elif min(p, q) <= MAX_RATIO_ONE_SIDED:
+            rows.append(left if p < q else right)
+        else:
+            rows.append(np.zeros(3, L))
+    return np.array(rows, L)
 
 
 def increments(rotvec):
@@ -56,9 +83,10 @@ def unit(q):
 def serial(t_ns, rate, q0=(1, 0, 0, 0), method="start", rates="body"):
     """Return attitudes ``(N, 4)``, one step after the other."""
     rotvec = rotation_vectors(t_ns, rate, method)
-    if rates == "inertial" and method == "coning":
+    if rates == "inertial" and method in {"coning", "cubic"}:
         # Left multiplication takes the commutator, which is the coning term, with the other sign.
-        rotvec = 2 * rotation_vectors(t_ns, rate, "mean") - rotvec
+        mean, coning = (rotation_vectors(t_ns, rate, each) for each in ("mean", "coning"))
+        rotvec = rotvec + 2 * (mean - coning)
     steps = increments(rotvec)
     q = unit(tuple(L(number) for number in q0))
     rows = [q]

@@ -87,7 +87,7 @@ def test_times_outside_have_no_attitude():
     assert stamps.tolist() == [first, last]
 
 
-@given(st.integers(1, 60), st.integers(1, 7), st.sampled_from(["start", "coning"]))
+@given(st.integers(1, 60), st.integers(1, 7), st.sampled_from(["start", "coning", "cubic"]))
 def test_batches_do_not_matter(size, rate, method):
     """The same times and the same attitudes, to the bit, come out of any blocks."""
     gyro = series()

@@ -98,7 +98,8 @@ HELP = {
     "on_invalid": "Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or "
     "leave out.  [default: error]",
     "method": "Integration rule: the rate over an interval is that of the sample at its start, of "
-    "the one at its end, their mean, or linear between them (coning).  [default: start]",
+    "the one at its end, their mean, linear between them (coning), or a cubic through four samples "
+    "(cubic).  [default: start]",
     "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
     "body]",
     "q0": "Attitude body to reference at the first sample: four numbers; level, roll and pitch "

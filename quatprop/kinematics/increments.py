@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.errors import UsageError
+from quatprop.kinematics.cubic import curvature
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -61,9 +62,11 @@ METHODS: Final[dict[str, Rule]] = {
     "end": _end,
     "mean": _mean,
     "coning": _coning,
+    "cubic": _coning,
 }
 """Integration rules. They take the rates at the start and at the end of intervals, ``(3, M)``,
-rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad."""
+rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad. To that of
+``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say."""
 
 
 def integration_rule(method: str) -> Rule:
@@ -106,7 +109,8 @@ def rotation_vectors(
         A key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample
         k; ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
         between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear,
-        of second order elsewhere.
+        of second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of
+        fourth order, see :func:`quatprop.kinematics.cubic.curvature`.
     span_ns
         Where samples are increments: the time over which the sensor integrated each, shape
         ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. The rotation of interval k
@@ -137,7 +141,10 @@ def rotation_vectors(
         dt = np.where(t_ns[1:] > t_ns[:-1], span_ns[1:], 0) / NS_PER_S
         return _end(rate[:-1].T, rate[1:].T, dt).T
     dt = np.diff(t_ns) / NS_PER_S
-    return rule(rate[:-1].T, rate[1:].T, dt).T
+    rotvec = rule(rate[:-1].T, rate[1:].T, dt)
+    if method == "cubic":
+        rotvec += curvature(t_ns, rate.T).rotation(dt)
+    return rotvec.T
 
 
 def _like(rows: Float64) -> Float64:

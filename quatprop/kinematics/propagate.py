@@ -7,7 +7,7 @@ attitudes of the first samples are those of the whole log.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
     Pairs = NDArray[np.complex128]
+
+Item = TypeVar("Item")
 
 FRAMES: Final = ("body", "inertial")
 """Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
@@ -101,25 +103,32 @@ class _Composition:
         self._inertial = rates == "inertial"
         q0 = unit_q0(q0)
         self._attitude: Pairs = (conjugate(q0) if self._inertial else q0).view(np.complex128)
-        self._last_sample: GyroSeries | None = None
+        self._previous: GyroSeries | None = None
 
-    def _steps(self, series: GyroSeries) -> Iterator[tuple[slice, Pairs]]:
+    def _steps(
+        self, series: GyroSeries, following: GyroSeries | None
+    ) -> Iterator[tuple[slice, Pairs]]:
         """Yield where tiles are, and the steps that lead to their samples, ``(2, n)``."""
+        if not len(series):
+            return
+        # Before the very first sample comes itself: a step of no time leads to it.
+        previous = self._previous or series[:1]
         for start in range(0, len(series), TILE):
-            samples = self._with_previous(series, start)
+            stop = min(start + TILE, len(series))
+            # Of the neighbours of a tile, two before it and one after it count.
+            parts = [series[max(start - 2, 0) : stop + 1]]
+            first = 2
+            if not start:
+                parts.insert(0, previous)
+                first = len(previous)
+            if stop == len(series) and following is not None:
+                parts.append(following[:1])
+            samples = GyroSeries.joined(parts)
             rate = 0.0 - samples.rate if self._inertial else samples.rate
             rotvec = rotation_vectors(samples.t_ns, rate, self._method, samples.span_ns)
-            yield slice(start, start + TILE), tile_steps(rotvec)
-        if len(series):
-            self._last_sample = series[np.array([len(series) - 1])]
-
-    def _with_previous(self, series: GyroSeries, start: int) -> GyroSeries:
-        """Return the samples of a tile and the one before them."""
-        stop = start + TILE
-        if start:
-            return series[start - 1 : stop]
-        # Before the very first sample comes itself: a step of no time leads to it.
-        return GyroSeries.joined([self._last_sample or series[:1], series[:stop]])
+            yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
+        last = GyroSeries.joined([previous, series[-2:]])
+        self._previous = last[np.arange(len(last))[-2:]]
 
 
 class Propagation(_Composition):
@@ -170,10 +179,11 @@ class Propagation(_Composition):
         SeriesError
             An attitude is not finite.
         """
-        for block in reblock(batches):
-            yield block, AttitudeSeries(block.t_ns, self.advance(block))
+        look_ahead = self._method == "cubic"
+        for block, following in with_next(reblock(batches), look_ahead=look_ahead):
+            yield block, AttitudeSeries(block.t_ns, self.advance(block, following))
 
-    def advance(self, series: GyroSeries) -> Float64:
+    def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> Float64:
         """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
 
         Parameters
@@ -181,6 +191,9 @@ class Propagation(_Composition):
         series
             Samples that follow the last ones: a block of :func:`quatprop.series.reblock`, so that
             tiles begin at fixed sample indices.
+        following
+            The samples after those, of which the method ``cubic`` takes the first into account;
+            None: there are none.
 
         Raises
         ------
@@ -189,7 +202,7 @@ class Propagation(_Composition):
         """
         rows = np.empty((len(series), 4))
         with np.errstate(over="ignore", invalid="ignore"):
-            for tile, steps in self._steps(series):
+            for tile, steps in self._steps(series, following):
                 self._fill_tile(steps, rows[tile])
         return rows
 
@@ -218,11 +231,11 @@ class FinalAttitude(_Composition):
         As for :class:`Propagation`.
     """
 
-    def advance(self, series: GyroSeries) -> None:
+    def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> None:
         """Go on to the last of the next samples: a block, as for :meth:`Propagation.advance`."""
         row = np.empty((1, 4))
         with np.errstate(over="ignore", invalid="ignore"):
-            for _, steps in self._steps(series):
+            for _, steps in self._steps(series, following):
                 write_rows(product(self._attitude, steps), row)
                 self._attitude = row[0].copy().view(np.complex128)
 
@@ -231,6 +244,27 @@ class FinalAttitude(_Composition):
         """The attitude at the last sample so far, shape ``(4,)``."""
         wxyz = self._attitude.view(np.float64)
         return conjugate(wxyz) if self._inertial else wxyz
+
+
+def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
+    """Yield each item with the next one, which is None after the last.
+
+    Parameters
+    ----------
+    items
+        What follows one another.
+    look_ahead
+        Whether to wait for the next one; otherwise it is always None.
+    """
+    last: Item | None = None
+    for item in items:
+        if not look_ahead:
+            yield item, None
+        elif last is not None:
+            yield last, item
+        last = item
+    if look_ahead and last is not None:
+        yield last, None
 
 
 def unit_q0(q0: ArrayLike) -> Float64:

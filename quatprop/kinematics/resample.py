@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from quatprop.errors import UsageError
+from quatprop.kinematics.cubic import Curvature, curvature
 from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.propagate import with_next
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.text import Setting
@@ -169,19 +171,25 @@ def at_times(
         Attitudes at the wanted times between the first sample and the last; none elsewhere.
     """
     first_ns = None
-    last: tuple[GyroSeries, AttitudeSeries] | None = None
-    for block, attitudes in propagated:
+    last: tuple[GyroSeries, Float64] | None = None
+    pairs = with_next(propagated, look_ahead=method == "cubic")
+    for (block, attitudes), following in pairs:
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
         gyro, wxyz = block, attitudes.wxyz
         if last is not None:
-            # The interval between blocks begins with the last sample of the block before.
+            # The interval between blocks begins with the last sample of the block before, and the
+            # cubic through it with the one before that.
             gyro = GyroSeries.joined([last[0], block])
-            wxyz = np.concatenate([last[1].wxyz, wxyz])
-        last = gyro[-1:], AttitudeSeries(gyro.t_ns[-1:], wxyz[-1:])
+            wxyz = np.concatenate([last[1], wxyz])
+        last = gyro[-2:], wxyz[-2:]
         if isinstance(times, Steady):
             times.refuse_excess(gyro.t_ns)
+        bend = None
+        if method == "cubic":
+            after = gyro[-1:] if following is None else following[0][:1]
+            bend = _curvature(GyroSeries.joined([gyro, after]), rates, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            between = _between(gyro, wxyz, wanted, method, rates)
+            between = _between(gyro, wxyz, wanted, method=method, rates=rates, bend=bend)
             if gap_limit_ns is not None:
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
@@ -189,7 +197,21 @@ def at_times(
             yield AttitudeSeries(wanted, between)
 
 
-def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates: str) -> Float64:
+def _curvature(gyro: GyroSeries, rates: str, gap_limit_ns: int | None) -> Curvature:
+    """Return the curvature between samples of the rate that is propagated."""
+    sign = -1.0 if rates == "inertial" else 1.0
+    return curvature(gyro.t_ns, sign * gyro.rate.T, gap_limit_ns)
+
+
+def _between(  # noqa: PLR0913  # what determines an attitude
+    gyro: GyroSeries,
+    wxyz: Float64,
+    wanted: Int64,
+    *,
+    method: str,
+    rates: str,
+    bend: Curvature | None,
+) -> Float64:
     """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(gyro) - 1)
@@ -202,10 +224,17 @@ def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, rates:
     if gyro.span_ns is not None:
         # Of an increment only the whole is measured: within it the rate is taken as constant.
         method, duration = "end", fraction * (gyro.span_ns[after] / NS_PER_S)
-    elif method == "coning":
+        bend = None
+    elif method in {"coning", "cubic"}:
         # A rate that is linear in time has got part of the way to the next sample's.
         second = first + fraction * (second - first)
-    steps = exp(METHODS[method](first, second, duration).T)
+    if bend is not None:
+        bend = bend.at(before)
+        second += bend.rate(elapsed)
+    rotvec = METHODS[method](first, second, duration)
+    if bend is not None:
+        rotvec += bend.rotation(elapsed)
+    steps = exp(rotvec.T)
     if rates == "inertial":
         attitudes = conjugate(multiply(conjugate(wxyz[before]), steps))
     else:
