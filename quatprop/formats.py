@@ -79,7 +79,9 @@ READERS: dict[str, Reader] = {
     ),
     "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
-    "jsonl": Reader("quatprop.tables.jsonl:JsonLinesLog", (b"{",), (".jsonl", ".ndjson")),
+    "jsonl": Reader(
+        "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
+    ),
     "tum": Reader("quatprop.tables.csv.tum:TumLog", (), (".tum",)),
     "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }

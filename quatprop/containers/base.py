@@ -46,7 +46,8 @@ class Channel:
         Language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
         ``"jsonschema"``, ``"protobuf"``, or ``""`` if the log has none.
     schema
-        The definition as the log has it; empty if it has none.
+        The definition as the log has it; empty if it has none. Definitions of ROS that differ only
+        in comments and blanks are the same: recorders write what their own files say.
     count
         Number of messages, where it is known without reading them; not compared.
     sample
@@ -58,9 +59,18 @@ class Channel:
     type_name: str
     encoding: str
     schema_encoding: str = ""
-    schema: bytes = b""
+    schema: bytes = field(default=b"", compare=False)
     count: int | None = field(default=None, compare=False)
     sample: bytes = field(default=b"", compare=False)
+    _definition: bytes = field(init=False, repr=False, default=b"")
+
+    def __post_init__(self) -> None:
+        """Keep the definition as it is compared."""
+        definition = self.schema
+        if self.schema_encoding in {"ros1msg", "ros2msg"}:
+            lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
+            definition = b"\n".join(b" ".join(line) for line in lines if line)
+        object.__setattr__(self, "_definition", definition)
 
 
 @dataclass(frozen=True, slots=True)

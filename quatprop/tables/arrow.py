@@ -144,4 +144,5 @@ def _leaves(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator
         if pa.types.is_struct(field.type):
             yield from _leaves(field.type.fields, path)
         else:
-            yield Leaf(path, field.type)
+            is_dictionary = pa.types.is_dictionary(field.type)
+            yield Leaf(path, field.type.value_type if is_dictionary else field.type)

@@ -174,6 +174,8 @@ class TypedTable(TableLog):
         numbers = np.empty((batch.num_rows, len(columns.numbers)))
         for axis, k in enumerate(columns.numbers):
             values = _column(batch, self._leaves[k])
+            if pa.types.is_decimal128(values.type):
+                values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
             numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
         if not columns.time:
             t_ns = timestamps.row_stamps(first, batch.num_rows, columns.sample_rate or 1.0)
@@ -206,7 +208,9 @@ class TypedTable(TableLog):
 
 def _column(batch: pa.RecordBatch, leaf: Leaf) -> pa.Array:
     column = batch.column(leaf.path[0])
-    return pc.struct_field(column, list(leaf.path[1:])) if leaf.path[1:] else column
+    if leaf.path[1:]:
+        column = pc.struct_field(column, list(leaf.path[1:]))
+    return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
 
 
 def _is_number(kind: pa.DataType) -> bool:

@@ -26,8 +26,10 @@ COMMENTS = ("#", "%", "//")
 
 _OURS = COMMENT.decode()
 _LINES = 200
+_LINES_A_CELL = 10
+_MARKS = tuple(mark.encode() for mark in COMMENTS)
 _MARK = b"\xef\xbb\xbf"
-_DELIMITERS = ("\t", ";", ",", " ")
+_DELIMITERS = ("\t", ";", ",", "|", " ")
 _NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
 )
@@ -49,7 +51,7 @@ class CsvLayout:
     names
         Column names as the header spells them; ``"0"``, ``"1"``... where there is none.
     delimiter
-        ``","``, ``";"``, a tab, or a space for any run of blanks.
+        ``","``, ``";"``, ``"|"``, a tab, or a space for any run of blanks.
     decimal
         ``"."`` or ``","``.
     body
@@ -100,7 +102,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         raise UnsupportedLogError(
             path, "it is not UTF-8 text; if it is a table, save it again as a CSV in UTF-8"
         )
-    raw = head.splitlines(keepends=True)[:_LINES]
+    raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
     delimiter = _delimiter(texts)
     # The provenance of our own files is JSON in a comment, full of numbers and commas.
@@ -119,11 +121,24 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         delimiter=delimiter,
         decimal=_decimal(data) if delimiter != "," else ".",
         body=sum(map(len, raw[:body])),
-        line=body + 1,
+        line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
         notes=replace(notes, units={**notes.units, **dict.fromkeys(dates, "ns")}),
         dates=dates,
     )
+
+
+def _records(lines: list[bytes]) -> list[bytes]:
+    """Return lines, joined where a quote is open at the end of a line and soon closed."""
+    records: list[bytes] = []
+    while lines:
+        count = 1
+        if lines[0].count(b'"') % 2 and not lines[0].lstrip().startswith(_MARKS):
+            count += next((k for k, line in enumerate(lines[1:_LINES_A_CELL], 1)
+                           if line.count(b'"') % 2), 0)  # fmt: skip
+        records.append(b"".join(lines[:count]))
+        lines = lines[count:]
+    return records
 
 
 def split_cells(text: str, delimiter: str) -> list[str]:
@@ -133,7 +148,10 @@ def split_cells(text: str, delimiter: str) -> list[str]:
         # The mark of a comment may stand apart: "# timestamp tx ty tz".
         for mark in COMMENTS:
             text = text.removeprefix(mark)
-        return text.split()
+        cells = text.split()
+        if '"' not in text:
+            return cells
+        text = " ".join(cells)
     try:
         return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:

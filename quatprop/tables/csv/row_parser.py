@@ -111,6 +111,8 @@ class RowParser(ColumnParser):
         cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
         if len(cells) < len(self.layout.names):
             return False
+        if cells[0].count(b'"') % 2 and 0 not in (*self.columns.time, *self.columns.numbers):
+            return False  # the end of a text with a line break
         texts = [cell.strip(b' \r\n"').decode(errors="replace") for cell in cells]
         try:
             self._row(texts[: len(self.layout.names)])
