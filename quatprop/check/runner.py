@@ -124,10 +124,12 @@ def run_cases(
     try:
         yield from in_order(results)
     finally:
-        results.close()
-        if lock is not None:
-            # After an interruption, too: the lock must have the references that were written.
-            write_lock(lock, new_pins)
+        try:
+            results.close()
+        finally:
+            if lock is not None:
+                # After an interruption, too: the lock must have the references that were written.
+                write_lock(lock, new_pins)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:
