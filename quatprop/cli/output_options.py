@@ -38,7 +38,7 @@ into_option = click.option(
     metavar="PATH",
     help="Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
     "else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
-    "[default: a file of its own]",
+    "[default: off]",
 )
 MESSAGE_OPTIONS = (
     click.option(

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     "-o",
     "--output",
     metavar="PATH|-",
-    help="Where the attitudes go; - is CSV on stdout.  [default: none, so --into is needed]",
+    help="Where the attitudes go; - is CSV on stdout.  [default: none, required without --into]",
 )
 @into_option
 @with_options(OUTPUT_OPTIONS)
