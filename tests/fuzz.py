@@ -1,6 +1,7 @@
 """Read damaged logs: ``make fuzz``, or ``python tests/fuzz.py [--first SEED] [--count N]``.
 
-Each seed is one damaged log, which goes through ``info`` and ``propagate`` in a process of its
+Each seed is one damaged log, which goes through ``info``, ``propagate`` and, in turn, one of
+``convert``, ``compare``, ``plot`` and ``propagate --into``, in a process of its
 own with bounded memory and time. Whatever is not a sentence and an exit code of 0, 2 or 3 is told
 with its seed; ``--keep FOLDER`` keeps the log.
 """
@@ -9,6 +10,7 @@ import argparse
 import faulthandler
 import multiprocessing
 import os
+import random
 import resource
 import shutil
 import signal
@@ -30,6 +32,11 @@ LOGS_A_PROCESS = 1000
 
 LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
 COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
+TURNS = (("convert",), ("compare",), ("plot",), ("propagate", *LENIENT, "--into"))
+"""Commands of which each log meets one."""
+
+
+OUTPUTS = {"propagate": ".csv", "convert": ".csv", "plot": ".svg"}
 
 
 class Hang(BaseException):
@@ -101,7 +108,7 @@ def _serve(pipe, intact):
             with tempfile.TemporaryDirectory(dir=room) as folder:
                 log = write_damaged(seed, intact, Path(folder))
                 began = time.perf_counter()
-                found, codes = problem(log, Path(folder))
+                found, codes = problem(log, Path(folder), seed)
                 seconds = time.perf_counter() - began
                 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
                 pipe.send(Found(found, codes, seconds, memory))
@@ -111,7 +118,7 @@ def _interrupt(_number, _frame):
     raise Hang
 
 
-def problem(log, folder):
+def problem(log, folder, seed):
     """Return what is wrong with how a log is read, None where nothing is, and the exit codes.
 
     Parameters
@@ -120,6 +127,8 @@ def problem(log, folder):
         The log.
     folder
         Where results and unpacked copies may go.
+    seed
+        Its seed, which decides about one of the commands.
     """
     from click.testing import CliRunner
 
@@ -129,13 +138,23 @@ def problem(log, folder):
     # What a stream can be is read from one as well.
     texts = (("propagate", "-"),) if set(log.suffixes) & {".csv", ".tsv"} else ()
     codes = []
-    for arguments in COMMANDS + texts:
+    # Every format meets each: the names of the logs go round with the seeds.
+    turn = TURNS[random.Random(seed).randrange(len(TURNS))]
+    for arguments in (*COMMANDS, turn, *texts):
         scratch.mkdir()
         tempfile.tempdir = str(scratch)
         is_stream = "-" in arguments
         command = [*arguments] if is_stream else [*arguments, str(log)]
-        if arguments[0] == "propagate":
-            command += ["-o", str(scratch / "out.csv")]
+        out = f"out{OUTPUTS.get(arguments[0], '')}"
+        if "--into" in arguments:
+            out = f"out{'' if log.is_dir() else log.suffix}"
+            command = [*arguments, str(scratch / out), str(log)]
+        elif arguments[0] == "compare":
+            command.append(str(log))
+        elif arguments[0] == "convert":
+            command.append(str(scratch / out))
+        elif arguments[0] != "info":
+            command += ["-o", str(scratch / out)]
         signal.setitimer(signal.ITIMER_REAL, SECONDS)
         try:
             stdin = log.read_bytes() if is_stream else None
@@ -145,7 +164,8 @@ def problem(log, folder):
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0)
             tempfile.tempdir = None
-        wrong = _wrong(arguments[0], result, sorted(path.name for path in scratch.iterdir()))
+        names = sorted(path.name for path in scratch.iterdir())
+        wrong = _wrong(result, names, [out] if arguments[0] in OUTPUTS else [])
         if wrong:
             return f"{' '.join(arguments)}: {wrong}", codes
         codes.append(result.exit_code)
@@ -153,14 +173,14 @@ def problem(log, folder):
     return None, codes
 
 
-def _wrong(command, result, left):
+def _wrong(result, left, outputs):
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return "".join(traceback.format_exception(*result.exc_info))
-    if result.exit_code not in {0, 2, 3}:
+    if result.exit_code not in {0, 2, 3}:  # compare has no criteria here that could fail
         return f"exit code {result.exit_code}"
     if any(not one.isprintable() for one in result.output.replace("\n", "")):
         return f"unprintable output {result.output!r}"
-    wanted = ["out.csv"] if command == "propagate" and result.exit_code != 2 else []
+    wanted = outputs if result.exit_code != 2 else []
     return f"exit code {result.exit_code} leaves {left}" if left != wanted else None
 
 

@@ -5,6 +5,8 @@ import gzip
 import json
 import random
 import shutil
+import sqlite3
+from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
 
@@ -57,6 +59,9 @@ TOKENS = [
     b'"',
     b",,,,",
     b"\r",
+    b"\nnull\n",
+    b"\n[1, 2]\n3\n",
+    b"CREATE TABLE x(y)",
     b"\n",
     b"\0",
     b"\x1b[2J\x1b]0;x\x07",
@@ -99,6 +104,7 @@ def write_logs(folder):
     for name, kind in {"small_ros2": "rosbag2", "mcap_ros2": "rosbag2-mcap"}.items():
         simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     shutil.copy(folder / "small_ros2" / "small_ros2.db3", folder / "small.db3")
+    _write_wal_bag(folder / "wal_ros2", folder / "small_ros2")
     _write_tables(folder)
     write_message_logs(folder, SAMPLES)
     for name in ("small.csv", "mcap-none.mcap", "bag-none.bag"):
@@ -155,6 +161,22 @@ def _write_bags(folder):
             )
             for _, log_ns, data in messages:
                 writer.write(target, log_ns, data)
+
+
+def _write_wal_bag(target, bag):
+    """Copy a ROS 2 bag whose last messages are still in the write-ahead log of SQLite."""
+    shutil.copytree(bag, target / "open")
+    file = target / "open" / "small_ros2.db3"
+    with closing(sqlite3.connect(file)) as database:
+        database.execute("PRAGMA journal_mode=WAL")
+        database.execute("PRAGMA wal_autocheckpoint=0")
+        for _ in range(3):
+            database.execute("UPDATE messages SET timestamp = timestamp + 1 WHERE id % 2 = 0")
+            database.commit()
+        for part in (target / "open").iterdir():
+            if part.suffix != ".db3-shm":
+                shutil.copy(part, target)
+    shutil.rmtree(target / "open")
 
 
 def _write_tables(folder):
@@ -322,6 +344,10 @@ def write_damaged(seed, intact, folder):
     if suffix in PACK and rng.random() < 0.5:
         inside = (intact / name.removesuffix(f".{suffix}")).read_bytes()
         target.write_bytes(PACK[suffix](damaged(inside, rng)))
+    elif rng.random() < 0.05:
+        other = rng.choice([other for other in names if (intact / other).is_file()])
+        both = [(intact / name).read_bytes(), (intact / rng.choice((name, other))).read_bytes()]
+        target.write_bytes(b"".join(rng.choice((both, [both[0], damaged(both[1], rng)]))))
     else:
         target.write_bytes(damaged((intact / name).read_bytes(), rng))
     return target
