@@ -22,6 +22,7 @@ from pyarrow import feather, parquet
 from rosbags.rosbag1 import Reader as BagReader
 from rosbags.rosbag1 import Writer as BagWriter
 
+from quatprop import propagate, write
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
@@ -107,6 +108,8 @@ def write_logs(folder):
     _write_wal_bag(folder / "wal_ros2", folder / "small_ros2")
     _write_tables(folder)
     write_message_logs(folder, SAMPLES)
+    for name in ("a.csv", "a.tum", "a.jsonl", "a.npz", "a.parquet", "a.feather", "a.mcap", "a.bag"):
+        write(propagate(folder / "small.csv"), folder / f"attitudes-{name}")
     for name in ("small.csv", "mcap-none.mcap", "bag-none.bag"):
         for suffix, pack in PACK.items():
             (folder / f"{name}.{suffix}").write_bytes(pack((folder / name).read_bytes()))
