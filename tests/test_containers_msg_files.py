@@ -158,7 +158,8 @@ def test_definitions_are_named_to_every_command(log, tmp_path):
     assert "'my_msgs/msg/Gyro' is defined by" in done.stderr
     info = run(cli, ["info", *rates, *given])
     assert "50" in info.stdout
-    series = quatprop.propagate(
-        log, topic="/gyro", rate_field="angular", rate_unit="rad/s", msg_path=package
-    )
+    with pytest.warns(quatprop.RemarkWarning, match="is defined by"):
+        series = quatprop.propagate(
+            log, topic="/gyro", rate_field="angular", rate_unit="rad/s", msg_path=package
+        )
     assert len(series) == 50
