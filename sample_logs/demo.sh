@@ -20,7 +20,7 @@ errors() {
         quatprop propagate "sample_logs/$log" -o "$result" --method "$method" --quiet
         quatprop compare "sample_logs/$truth" "$result" |
             awk -v log_name="$log" -v method="$method" \
-                '/^  max/ {printf "%-14s %-7s %12s rad %12s deg\n", log_name, method, $2, $3}'
+                '/^  max/ {printf "%-14s %-7s %12s rad %12s deg\n", log_name, method, $2, $4}'
     done
 }
 
@@ -35,11 +35,11 @@ run head -n 3 "$out/tumbling.csv"
 printf '\nHow far that is from the truth, which is known in closed form:\n'
 run quatprop compare sample_logs/tumbling.truth.csv "$out/tumbling.csv" --tol 0.1deg
 
-printf '\nThe largest error of every log, by the method that says which samples rule an interval:\n\n'
+printf '\nThe largest error of every log, by integration rule:\n\n'
 errors spin.csv spin.truth.csv start
-errors coning.mcap coning.truth.csv start mean coning
-errors tumbling.bag tumbling.truth.csv start mean coning
+errors coning.mcap coning.truth.csv start mean coning cubic
+errors tumbling.bag tumbling.truth.csv start mean coning cubic
 errors tumbling_ros2 tumbling.truth.csv coning
 errors rest.parquet rest.truth.parquet start
-printf '\nA constant rate is exact whatever the method; moving axes want the coning term; a gyroscope at\n'
-printf 'rest with a bias drifts with it. The results are in %s.\n' "$out"
+printf '\nA constant rate is exact with every method; moving axes need coning or cubic; a gyroscope at rest\n'
+printf 'with a bias drifts with it. The results are in %s.\n' "$out"

@@ -1,5 +1,8 @@
 """The sample logs are what the project generates, to the bit."""
 
+import math
+import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -93,6 +96,24 @@ def test_every_log_propagates_to_its_truth(tmp_path, log, truth, method, bound):
     run(Job(str(SAMPLE_LOGS / log), OutputSettings(str(result)), settings))
     error = (attitudes(SAMPLE_LOGS / truth).inv() * attitudes(result)).magnitude()
     assert error.max() < bound
+
+
+@pytest.mark.skipif(not shutil.which("awk"), reason="the demo needs a shell with awk")
+def test_the_demo_shows_the_error_of_every_log(tmp_path):
+    """Each line of its table has a log, a method, and the same angle in rad and in deg."""
+    root = tmp_path / "clone"
+    root.mkdir()
+    shutil.copytree(SAMPLE_LOGS, root / "sample_logs")
+    places = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        [shutil.which("sh"), "sample_logs/demo.sh"],
+        cwd=root, env={**os.environ, "PATH": places}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    rows = [line.split() for line in done.stdout.splitlines() if line.endswith(" deg")]
+    table = [row for row in rows if len(row) == 6 and row[1] != "%"]
+    assert len(table) == 11
+    for _log, _method, radians, _rad, degrees, _deg in table:
+        assert math.degrees(float(radians)) == pytest.approx(float(degrees), rel=1e-5, abs=1e-12)
 
 
 def test_containers_do_not_matter(tmp_path):
