@@ -109,16 +109,7 @@ def angle_rad(value: object) -> float:
     >>> angle_rad("90deg")
     1.5707963267948966
     """
-    if not isinstance(value, str):
-        return _positive(value)
     return _quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
-
-
-def _positive(value: object) -> float:
-    parsed = number(value)
-    if parsed < 0:
-        raise UsageError(f"{shown(value)} is below 0")
-    return parsed
 
 
 def drift_deg_h(value: object) -> float:
@@ -134,13 +125,15 @@ def drift_deg_h(value: object) -> float:
     >>> drift_deg_h("0.1deg/s")
     360.0
     """
-    if not isinstance(value, str):
-        return _positive(value)
     return _quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
 def _quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
     """Return a number with a unit, in the unit whose factor is 1."""
+    if not isinstance(value, str):
+        if (parsed := number(value)) < 0:
+            raise UsageError(f"{shown(value)} is below 0")
+        return parsed
     match = _QUANTITY.fullmatch(str(value).strip())
     if not match or match[2] not in units or math.isinf(float(match[1])):
         sentence = f"{quoted(value)} is not {noun}; write a number with its unit, such as"
