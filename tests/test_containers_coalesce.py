@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
+from quatprop.containers.buffers import BUFFER, Buffers
 from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
 from quatprop.containers.coalesce import coalesce_blocks
 
@@ -123,3 +124,38 @@ def test_an_index_that_points_elsewhere_picks_nothing(wanted, every):
     """Before the records, behind them, or where a message would end behind them."""
     places = np.array(wanted, np.int64), np.array(every, np.int64)
     assert ranges_worth_reading(*places, 1_000_000) is None
+
+
+def in_buffer(memory, messages, first):
+    """Return a block of numbers in memory that was handed out, as a chunk is unpacked."""
+    data = memory.take(8 * messages)
+    numbers = np.arange(first, first + messages)
+    data[:] = numbers.view(np.uint8)
+    starts = 8 * np.arange(messages)
+    return MessageBlock(
+        np.frombuffer(data.data, np.uint8), starts, starts + 8, numbers, numbers, first
+    )
+
+
+def test_neighbouring_chunks_are_decoded_together_without_a_copy():
+    """Blocks that lie in one buffer become one block of that buffer."""
+    memory, sizes = Buffers(), (3000, 2500, 4000)
+    chunks = [in_buffer(memory, size, 10_000 * number) for number, size in enumerate(sizes)]
+    (block,) = coalesce_blocks(iter(chunks))
+    assert np.shares_memory(block.data, chunks[0].data)
+    assert np.shares_memory(block.data, chunks[2].data)
+    assert messages(block) == [*chain(*map(messages, chunks))]
+    assert block.not_before_ns == 20_000
+
+
+def test_memory_is_used_again_when_nobody_refers_to_it():
+    """What still has a reader keeps its memory; what has none gives it to the next."""
+    memory = Buffers()
+    kept, dropped = memory.take(BUFFER), memory.take(BUFFER)
+    place = dropped.__array_interface__["data"][0]
+    kept[:] = 7
+    del dropped
+    first, second = memory.take(BUFFER), memory.take(BUFFER)
+    assert first.__array_interface__["data"][0] == place
+    second[:] = first[:] = 1
+    assert (kept == 7).all()

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from quatprop.containers import prefetch
+from quatprop import threads
 from quatprop.containers.base import Channel, Loss
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
@@ -30,7 +30,7 @@ IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
 @pytest.fixture
 def unthreaded(monkeypatch):
     """Read without threads: starting them is most of the time of a tiny log."""
-    monkeypatch.setattr(prefetch, "_WORKERS", 10**6)
+    monkeypatch.setattr(threads, "available_cores", lambda: 1)
 
 
 def written(*, messages=60, uneven=True, first_ns=1000, **options):
@@ -502,17 +502,17 @@ def test_an_index_that_leads_to_images_is_found_out(tmp_path):
     assert numbers_of(McapLog(path)) == list(range(400))
 
 
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("workers", [1, 4])
 def test_threads_change_nothing(tmp_path, monkeypatch, workers):
     """The messages are the same however many threads unpack them."""
-    monkeypatch.setattr(prefetch, "_WORKERS", workers)
+    monkeypatch.setattr(threads, "available_cores", lambda: workers)
     path = beside_images(tmp_path, chunk_size=100_000, compression=CompressionType.LZ4)
     assert numbers_of(McapLog(path)) == list(range(400))
 
 
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
     """A closed iteration leaves no thread and no open file behind."""
-    monkeypatch.setattr(prefetch, "_WORKERS", 2)
+    monkeypatch.setattr(threads, "available_cores", lambda: 3)
     log = McapLog(saved(tmp_path, written(messages=2000)))
     before = threading.active_count()
     blocks = log.blocks(IMU)

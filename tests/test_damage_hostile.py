@@ -12,11 +12,11 @@ from mcap.writer import Writer
 from test_containers_ulog import added, record
 from test_damage_mcap import MESSAGES, read, unclosed, written
 
+from quatprop import threads
 from quatprop.cli import cli
-from quatprop.containers import prefetch
 from quatprop.containers.base import Loss
 from quatprop.containers.limits import MAX_UNPACKED, decompressed_limit
-from quatprop.containers.mcap import log as mcap
+from quatprop.containers.mcap import loading as mcap
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
@@ -84,15 +84,15 @@ def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_p
 
 def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):
     """However many threads there are, of large chunks there is one at a time."""
-    monkeypatch.setattr(prefetch, "_WORKERS", 3)
+    monkeypatch.setattr(threads, "available_cores", lambda: 4)
     path = tmp_path / "log.mcap"
     path.write_bytes(unclosed(written()) + bombs(12))
     alone = []
     load = mcap.load
 
-    def watched(*arguments):
+    def watched(*arguments, **options):
         alone.append(threading.current_thread() is threading.main_thread())
-        return load(*arguments)
+        return load(*arguments, **options)
 
     monkeypatch.setattr(mcap, "load", watched)
     for large, expected in ((1 << 30, {False}), (SIZE // 2, {False, True})):

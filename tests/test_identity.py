@@ -14,8 +14,9 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import feather, parquet
 from test_containers_ulog import added, gyro, write
 
+from quatprop import threads
 from quatprop.conditioning import Conditioning
-from quatprop.containers import coalesce, prefetch, ulog
+from quatprop.containers import coalesce, ulog
 from quatprop.containers.mcap import index as mcap_index
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
@@ -72,10 +73,12 @@ def result(log, target):
 
 
 CUTS = {
-    "threads": {(prefetch, "_WORKERS"): 3},
-    "no threads": {(prefetch, "_WORKERS"): 1},
+    "2 threads": {(threads, "available_cores"): lambda: 2},
+    "3 threads": {(threads, "available_cores"): lambda: 3},
+    "8 threads": {(threads, "available_cores"): lambda: 8},
+    "no threads": {(threads, "available_cores"): lambda: 1},
     "small": {
-        (prefetch, "_WORKERS"): 2,
+        (threads, "available_cores"): lambda: 2,
         (csv, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
         (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
         (arrow, "BATCH_ROWS"): 999,
@@ -111,12 +114,12 @@ def test_what_is_read_at_a_time_changes_nothing(logs, tmp_path, monkeypatch, nam
             for (module, setting), value in settings.items():
                 assert hasattr(module, setting), (module, setting)
                 patched.setattr(module, setting, value)
-            threads = pa.cpu_count()
+            cores = pa.cpu_count()
             pa.set_cpu_count(1 if cut == "no threads" else 2)
             try:
                 assert result(logs / name, target) == usual, cut
             finally:
-                pa.set_cpu_count(threads)
+                pa.set_cpu_count(cores)
 
 
 @pytest.mark.parametrize("suffix", OUTPUTS)

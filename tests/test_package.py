@@ -53,7 +53,16 @@ def test_every_module_imports_and_says_what_it_is(name):
 
 
 LAYERS = (
-    {"errors", "text", "times", "checksum", "third_party_errors", "parallel", "provenance"},
+    {
+        "errors",
+        "text",
+        "times",
+        "checksum",
+        "third_party_errors",
+        "parallel",
+        "provenance",
+        "threads",
+    },
     {"series", "selection", "settings", "parsers", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},

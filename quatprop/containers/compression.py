@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     Buffer = bytes | bytearray | memoryview
 
 MAX_SIZE = 1 << 30
@@ -45,7 +48,12 @@ class CompressionError(Exception):
         self.reason = reason
 
 
-def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffer:
+def decompress(
+    data: Buffer,
+    compression: str,
+    size: int | None = None,
+    into: NDArray[np.uint8] | None = None,
+) -> Buffer:
     """Return `data` decompressed.
 
     Parameters
@@ -56,6 +64,8 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
         ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``.
     size
         The decompressed size in bytes as the log declares it; None if it declares none.
+    into
+        Memory of `size` bytes that may be used for the result.
 
     Returns
     -------
@@ -84,6 +94,8 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
     if size > MAX_SIZE:
         raise CompressionError(f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}")
     try:
+        if into is not None and len(into) == size and _fill(data, compression, into):
+            return into.data
         result = decompressor(data, size)
     except decompression_errors(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
@@ -192,6 +204,19 @@ def _decompress_zstd(data: Buffer, size: int) -> bytes:
     if size == 0:
         return b""
     return bytes(_contexts.zstd.decompress(data, max_output_size=size))
+
+
+def _fill(data: Buffer, compression: str, into: NDArray[np.uint8]) -> bool:
+    """Decompress one frame of zstd that states its size; False where it is none or has another."""
+    if compression != "zstd" or not len(into):
+        return False
+    import zstandard
+
+    if zstandard.frame_content_size(data) != len(into):
+        return False
+    # With room for the whole frame, zstd writes it there at once, as without streaming.
+    with _contexts.zstd.stream_reader(data, closefd=False) as stream:
+        return bool(stream.readinto(into) == len(into))
 
 
 def _decompress_bz2(data: Buffer, size: int) -> bytes:

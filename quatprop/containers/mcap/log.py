@@ -4,34 +4,23 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.compression import LARGE
 from quatprop.containers.file_source import source_of
-from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.index import build_index
+from quatprop.containers.mcap.loading import load_regions
 from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
 from quatprop.containers.mcap.metadata import read_provenance
-from quatprop.containers.mcap.regions import (
-    PEEK,
-    Loaded,
-    RegionError,
-    chunk_head,
-    is_uncompressed,
-    load,
-)
-from quatprop.containers.mcap.selected import selected_messages
+from quatprop.containers.mcap.regions import Loaded, RegionError
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
-from quatprop.containers.prefetch import Deferred, prefetch
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from quatprop.containers.compression import Buffer
@@ -40,8 +29,6 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.regions import Region
     from quatprop.containers.mcap.summary import McapIndex
     from quatprop.containers.msg_files import MsgFiles
-
-    RegionContent = Loaded | tuple[Buffer, LocatedMessages] | RegionError
 
 _CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
@@ -141,8 +128,7 @@ class McapLog(MessageLog):
         regions.sort(key=lambda region: (region.first_ns, region.start))
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
         count = 0
-        load_one = partial(_load, self.source, DecompressionBudget(self.source.size), ids)
-        with closing(_loaded(self.source, load_one, regions)) as loaded:
+        with closing(load_regions(self.source, regions, ids)) as loaded:
             for region, bound, content in zip(regions, bounds, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _message_count([region], ids)
@@ -246,35 +232,6 @@ def _type_name(name: str, encoding: str) -> str:
     if encoding not in _ROS_ENCODINGS or not slash:
         return name
     return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"
-
-
-def _loaded(
-    source: FileSource, load_one: Callable[[Region], RegionContent], regions: Sequence[Region]
-) -> Generator[RegionContent, None, None]:
-    """Load regions one after another; ahead, in threads, if they are compressed."""
-
-    def load_or_defer(region: Region) -> RegionContent | Deferred[RegionContent]:
-        """Load a region; a large one only when it is its turn."""
-        start = source.read(region.start, PEEK) if region.is_chunk else b""
-        head = chunk_head(start, region.length)
-        is_large = head is not None and head.size > LARGE
-        return Deferred(partial(load_one, region)) if is_large else load_one(region)
-
-    if not regions or is_uncompressed(source, regions[0]):
-        yield from map(load_one, regions)
-        return
-    loaded: Generator[RegionContent, None, None] = prefetch(load_or_defer, regions)
-    yield from loaded
-
-
-def _load(
-    source: FileSource, budget: DecompressionBudget, ids: Sequence[int], region: Region
-) -> RegionContent:
-    """Return the selected messages of a region or, where that is as quick, all of it."""
-    try:
-        return selected_messages(source, region, region.own(ids)) or load(source, region, budget)
-    except RegionError as error:
-        return error
 
 
 def _message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:

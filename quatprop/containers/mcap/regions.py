@@ -19,6 +19,9 @@ from quatprop.containers.limits import CHECKSUMS, checksums_matter
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.limits import DecompressionBudget
@@ -157,7 +160,12 @@ TORN = "the file ends inside it"
 
 
 def load(
-    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
+    source: FileSource,
+    region: Region,
+    budget: DecompressionBudget,
+    *,
+    check: bool = True,
+    into: NDArray[np.uint8] | None = None,
 ) -> Loaded:
     """Read a region with its message index, and decompress it.
 
@@ -171,6 +179,8 @@ def load(
         How much may be decompressed.
     check
         Whether to refuse a chunk whose checksum is wrong.
+    into
+        Memory for the decompressed records, where it has their size.
 
     Raises
     ------
@@ -195,7 +205,7 @@ def load(
             return Loaded(
                 decompress_prefix(data_on_disk, chunk.compression, chunk.size), raw, damage
             )
-        data = decompress(data_on_disk, chunk.compression, chunk.size or None)
+        data = decompress(data_on_disk, chunk.compression, chunk.size or None, into)
     except CompressionError as error:
         raise RegionError(error.reason) from error
     budget.spend(len(data) if chunk.compression else 0)

@@ -16,7 +16,6 @@ from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import source_of
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.prefetch import prefetch
 from quatprop.containers.rosbag1.index import (
     BagChunk,
     BagIndex,
@@ -37,6 +36,7 @@ from quatprop.containers.rosbag1.selected import selected_messages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
+from quatprop.threads import prefetch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,9 +14,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
 from quatprop.checksum import crc32
+from quatprop.threads import OrderedThreadPool
 from quatprop.writers.mcap.channel import CHUNK_BYTES, MessageChannel, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents, encoded
-from quatprop.writers.ordered_threads import OrderedThreadPool
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping

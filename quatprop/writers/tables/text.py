@@ -14,9 +14,9 @@ import pyarrow.csv
 
 from quatprop.arrow_arrays import to_arrow
 from quatprop.provenance import COMMENT
+from quatprop.threads import OrderedThreadPool
 from quatprop.writers.atomic import OutputFile, output_errors, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
-from quatprop.writers.ordered_threads import OrderedThreadPool
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -1,0 +1,99 @@
+"""Load the regions of an MCAP file, ahead of their use where they are compressed."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, TypeAlias
+
+from quatprop.containers.buffers import Buffers
+from quatprop.containers.compression import LARGE
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.mcap.regions import (
+    PEEK,
+    Loaded,
+    RegionError,
+    chunk_head,
+    is_uncompressed,
+    load,
+)
+from quatprop.containers.mcap.selected import selected_messages
+from quatprop.threads import Deferred, prefetch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterator, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.regions import Region
+
+    Content: TypeAlias = Loaded | tuple[Buffer, LocatedMessages] | RegionError
+
+
+def load_regions(
+    source: FileSource, regions: Sequence[Region], ids: Sequence[int]
+) -> Generator[Content, None, None]:
+    """Load regions, one after another.
+
+    Parameters
+    ----------
+    source
+        The file.
+    regions
+        Where in it.
+    ids
+        The channels that are wanted.
+
+    Yields
+    ------
+    Loaded or tuple or RegionError
+        The whole region; its selected messages alone, as
+        :func:`quatprop.containers.mcap.selected.selected_messages` gives them, where that is
+        quicker; or why it cannot be read. Chunks that are decompressed follow each other in one
+        buffer while they fit.
+    """
+    load_one = partial(_load, source, DecompressionBudget(source.size), ids)
+    if not regions or is_uncompressed(source, regions[0]):
+        yield from (load_one(region, None) for region in regions)
+        return
+    calls = _calls(source, load_one, regions)
+    loaded: Generator[Content, None, None] = prefetch(lambda call: call(), calls)
+    yield from loaded
+
+
+def _calls(
+    source: FileSource,
+    load_one: Callable[[Region, NDArray[np.uint8] | None], Content],
+    regions: Sequence[Region],
+) -> Iterator[Callable[[], Content | Deferred[Content]]]:
+    """Yield what loads each region; a large one only when it is its turn.
+
+    Memory is handed out in the order of the regions, whichever of them is loaded first.
+    """
+    buffers = Buffers()
+    for region in regions:
+        start = source.read(region.start, PEEK) if region.is_chunk else b""
+        head = chunk_head(start, region.length)
+        if head is not None and head.size > LARGE:
+            yield partial(Deferred, partial(load_one, region, None))
+        else:
+            into = buffers.take(head.size) if head and head.compression == "zstd" else None
+            yield partial(load_one, region, into)
+
+
+def _load(
+    source: FileSource,
+    budget: DecompressionBudget,
+    ids: Sequence[int],
+    region: Region,
+    into: NDArray[np.uint8] | None,
+) -> Content:
+    """Return the selected messages of a region or, where that is as quick, all of it."""
+    try:
+        selected = selected_messages(source, region, region.own(ids))
+        return selected or load(source, region, budget, into=into)
+    except RegionError as error:
+        return error

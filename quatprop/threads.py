@@ -1,0 +1,219 @@
+"""Stages of a run that overlap in threads: NumPy, Arrow and the decompressors release the GIL.
+
+However many threads there are, results come in the order of their input, so that the output is the
+same to the byte.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from contextlib import contextmanager
+from contextvars import ContextVar, copy_context
+from dataclasses import dataclass
+from itertools import chain, islice
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator
+    from concurrent.futures import Future
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+MOST = 8
+"""Threads that do the same work: reading and writing files are no faster with more."""
+
+AHEAD = 4
+"""Results that wait for their consumer at most: memory stays flat."""
+
+_STAGES = 3
+"""From so many threads on, some are left for unpacking beside those of the stages."""
+
+_wanted: ContextVar[int | None] = ContextVar("threads", default=None)
+
+
+def available_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """Return how many threads may compute at a time: as set, or as many as there are cores."""
+    return _wanted.get() or available_cores()
+
+
+@contextmanager
+def use_threads(count: int | None) -> Iterator[None]:
+    """Set the number of threads in this block; None leaves it as it is.
+
+    Examples
+    --------
+    >>> with use_threads(3):
+    ...     thread_count()
+    3
+    """
+    token = _wanted.set(count or _wanted.get())
+    try:
+        yield
+    finally:
+        _wanted.reset(token)
+
+
+@dataclass(frozen=True, slots=True)
+class Deferred(Generic[Result]):
+    """A result that is too large to be computed ahead of its use.
+
+    Parameters
+    ----------
+    compute
+        Computes the result when it is its turn.
+    """
+
+    compute: Callable[[], Result]
+
+
+def prefetch(
+    function: Callable[[Item], Result | Deferred[Result]], items: Iterable[Item]
+) -> Generator[Result, None, None]:
+    """Yield ``function(item)`` for each item, in order, computed a few items ahead.
+
+    Close the iterator to stop early: calls that have begun are waited for, others are dropped.
+
+    Parameters
+    ----------
+    function
+        Called in other threads, several at a time; a result that it defers is computed in the
+        caller's thread when it is its turn.
+    items
+        What to call it with; taken in the caller's thread.
+
+    Examples
+    --------
+    >>> list(prefetch(abs, [3, -1, -2, 0]))
+    [3, 1, 2, 0]
+    """
+    workers = min(MOST, thread_count() - 1)
+    rest = iter(items)
+    first = [] if workers + 1 < _STAGES else list(islice(rest, workers + 2))
+    if len(first) < workers + 2 or workers + 1 < _STAGES:
+        yield from (_computed(function(item)) for item in chain(first, rest))
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    pool = ThreadPoolExecutor(workers)
+    waiting: deque[Future[Result | Deferred[Result]]] = deque()
+    try:
+        for item in chain(first, rest):
+            waiting.append(pool.submit(function, item))
+            if len(waiting) > workers:
+                yield _computed(waiting.popleft().result())
+        while waiting:
+            yield _computed(waiting.popleft().result())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _computed(result: Result | Deferred[Result]) -> Result:
+    return result.compute() if isinstance(result, Deferred) else result
+
+
+def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, None, None]:
+    """Yield items that another thread computes a few ahead; with one thread, as they are asked for.
+
+    Close the iterator to stop early; `items` are closed in the thread that computed them.
+
+    Parameters
+    ----------
+    items
+        Iterated in the other thread; its errors are raised here, after the items before them.
+    ahead
+        How many are computed before they are asked for.
+
+    Examples
+    --------
+    >>> list(in_background(range(3)))
+    [0, 1, 2]
+    """
+    if thread_count() == 1:
+        yield from items
+        return
+    results: SimpleQueue[tuple[Item] | BaseException | None] = SimpleQueue()
+    room = threading.Semaphore(ahead)
+    stopped = threading.Event()
+
+    def compute() -> None:
+        stream = iter(items)
+        last: BaseException | None = None
+        try:
+            for item in stream:
+                results.put((item,))
+                room.acquire()
+                if stopped.is_set():
+                    break
+        except BaseException as error:  # noqa: BLE001  # raised where the items are used
+            last = error
+        finally:
+            if hasattr(stream, "close"):
+                stream.close()
+            results.put(last)
+
+    thread = threading.Thread(target=copy_context().run, args=(compute,), daemon=True)
+    thread.start()
+    try:
+        while isinstance(result := results.get(), tuple):
+            room.release()
+            yield result[0]
+            del result
+        if result is not None:
+            raise result
+    finally:
+        stopped.set()
+        room.release()
+        thread.join()
+
+
+class OrderedThreadPool(Generic[Result]):
+    """Threads whose results are written in the order in which the work was submitted.
+
+    Parameters
+    ----------
+    work
+        What the threads do.
+    write
+        Takes the results, one after the other, in the caller's thread.
+    """
+
+    def __init__(self, work: Callable[..., Result], write: Callable[[Result], None]) -> None:
+        from concurrent.futures import ThreadPoolExecutor
+
+        self._work = work
+        self._write = write
+        count = min(MOST, thread_count())
+        self._threads = ThreadPoolExecutor(count) if count > 1 else None
+        self._ahead = 2 * count
+        self._results: deque[Future[Result]] = deque()
+
+    def submit(self, *piece: object) -> None:
+        """Submit a piece of work; where too many are under way, wait for the oldest."""
+        if self._threads is None:
+            self._write(self._work(*piece))
+            return
+        self._results.append(self._threads.submit(self._work, *piece))
+        if len(self._results) > self._ahead:
+            self._write(self._results.popleft().result())
+
+    def drain(self) -> None:
+        """Wait for every piece of work and write its result."""
+        while self._results:
+            self._write(self._results.popleft().result())
+
+    def shutdown(self) -> None:
+        """End the threads and drop what is under way; may be called twice."""
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
+        self._results.clear()
