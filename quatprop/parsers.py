@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from quatprop.errors import UsageError
-from quatprop.text import listed, shown
+from quatprop.text import did_you_mean, listed, shown
 from quatprop.times import Instant, duration_ns, instant
 
 Parser: TypeAlias = Callable[[object], Any]
@@ -83,7 +83,8 @@ class Choice:
     def __call__(self, value: object) -> str:
         """Return the name."""
         if not isinstance(value, str) or value not in self.names:
-            raise UsageError(f"{shown(value)} is not one of {listed(self.names)}")
+            hint = did_you_mean(value, self.names) if isinstance(value, str) else ""
+            raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")
         return value
 
 

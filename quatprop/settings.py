@@ -8,7 +8,6 @@ value as text, as TOML has it, or as Python has it. Nothing heavy is imported, s
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
@@ -27,7 +26,7 @@ from quatprop.parsers import (
     path,
     text,
 )
-from quatprop.text import Setting, listed, quoted
+from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -149,9 +148,8 @@ def parse_all(
     values = {}
     for name, value in options.items():
         if name not in parsers:
-            near = get_close_matches(name, parsers, 1)
-            way_out = f"did you mean {quoted(near[0])}?" if near else f"there are {listed(parsers)}"
-            raise UsageError(f"there is no setting {quoted(name)}; {way_out}")
+            way_out = did_you_mean(name, parsers, f"there are {listed(parsers)}")
+            raise UsageError(f"there is no setting {quoted(name)}{way_out}")
         if value is None:
             continue
         try:

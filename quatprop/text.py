@@ -131,6 +131,37 @@ def shown(value: object) -> str:
     return quoted(text) if simple else f"a value of type {type(value).__name__}"
 
 
+def nearest(name: str, names: Iterable[str]) -> str | None:
+    """Return the name that was probably meant, whatever its case; None where none is like it.
+
+    Examples
+    --------
+    >>> nearest("imu", ["/gps", "/imu/data"]), nearest("--metod", ["--mode", "--method"])
+    ('/imu/data', '--method')
+    """
+    from difflib import get_close_matches
+
+    lower = {other.lower(): other for other in names}
+    name = name.lower()
+    longer = [other for other in lower if len(name) > 1 and name in other]
+    beginning = [other for other in longer if other.startswith(name)]
+    near = beginning or get_close_matches(name, lower, 1) or sorted(longer, key=len)
+    return lower[near[0]] if near else None
+
+
+def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
+    """Return the end of a sentence: which name was probably meant, or `otherwise`.
+
+    Examples
+    --------
+    >>> "no method 'conning'" + did_you_mean("conning", ["start", "coning"])
+    "no method 'conning'; did you mean 'coning'?"
+    """
+    near = nearest(name, names)
+    way_out = otherwise if near is None else f"did you mean {quoted(near)}?"
+    return f"; {way_out}" if way_out else ""
+
+
 def listed(names: Iterable[object]) -> str:
     """Return names quoted and separated by commas, cut after :data:`MAX_LISTED`."""
     every = [quoted(name) for name in names]

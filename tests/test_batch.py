@@ -514,7 +514,7 @@ def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence):
 
 def test_the_options_are_those_of_propagate(tmp_path):
     """What holds for one log holds for many, and help shows it."""
-    shown = run("--help").stdout
+    shown = run("--help-all").stdout
     for option in ("--method", "--q0", "--bias", "--on-gap", "--rate-unit", "--every", "--layout"):
         assert option in shown
     assert "--into" not in shown

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, NoReturn
 
 from quatprop.check.case import Case, CaseNotRun
@@ -21,7 +20,7 @@ from quatprop.parsers import FROM_THE_LOG
 from quatprop.pipeline.settings import propagation_settings
 from quatprop.settings import PROPAGATE, READ_ATTITUDES
 from quatprop.signals.attitude_input import attitude_input
-from quatprop.text import Setting, Text, quoted
+from quatprop.text import Setting, Text, did_you_mean, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -116,14 +115,10 @@ def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
     known = OWN_KEYS | PARSERS.keys()
     if key in known:
         return
-    near = get_close_matches(key, sorted(known), 1)
-    way_out = (
-        f"did you mean {quoted(near[0])}?"
-        if near
-        else "a case has the options of propagate that determine the attitudes, and of compare"
-    )
+    known_keys = "a case has the options of propagate that determine the attitudes, and of compare"
     place = key if case is not None else f"defaults.{key}"
-    raise SuiteError(suite.path, f"no such key; {way_out}", case, place)
+    hint = did_you_mean(key, sorted(known), known_keys)
+    raise SuiteError(suite.path, f"no such key{hint}", case, place)
 
 
 class _CaseParser:

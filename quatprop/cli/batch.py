@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli import propagate
+from quatprop.cli.help import Command
 from quatprop.cli.options import quiet_option
+from quatprop.cli.types import OneOf
 from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
@@ -32,7 +34,13 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 """The options of ``propagate`` that hold for every log."""
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop batch sample_logs -o attitudes --method coning",
+    "quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("names", metavar="LOG|DIR|GLOB...", nargs=-1)
 @click.option(
     "-o",
@@ -40,11 +48,11 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
     "folder",
     metavar="DIR",
     required=True,
-    help="Where the attitude series go, each under the name of its log, and the manifest.",
+    help="Where the attitude series go: each under the name of its log, and the manifest.",
 )
 @click.option(
     "--to",
-    type=click.Choice(tuple(WRITERS)),
+    type=OneOf(tuple(WRITERS)),
     default="parquet",
     show_default=True,
     help="Format of the outputs.",
@@ -72,7 +80,7 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
     "processes",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Logs at a time, each in a process of its own.  [default: the cores of this machine]",
+    help="Logs at a time: each in a process of its own.  [default: the cores]",
 )
 @click.option(
     "--dask",
@@ -99,15 +107,10 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    Folders are searched for logs; quoted patterns are expanded, ** included. A log that cannot be
-    used does not stop the others. DIR/manifest.jsonl records each log as soon as it has ended. The
-    options of propagate below hold for every log.
+    Folders are searched for logs; quoted patterns are expanded, ** included. DIR/manifest.jsonl
+    records each log as soon as it has ended. A log that cannot be used does not stop the others.
 
-    \b
-    quatprop batch recordings -o attitudes --method coning
-    quatprop batch 'runs/*/imu.bag' -o attitudes --to csv -j 4
-
-    Exit code 0: all done; 2: a log could not be used; 3: all done, but with data lost.
+    Exit code 2: a log could not be used; 3: all done, but with data lost.
     """
     from quatprop.batch.manifest import Manifest
     from quatprop.batch.run import outdated, plan

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import Command
+
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
@@ -22,7 +24,13 @@ MAX_LISTED = 8
 """Of more cases, those that pass are only counted."""
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop check suite.toml --init sample_logs/spin.csv sample_logs/tumbling.bag",
+    "quatprop check suite.toml",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
 @click.argument("suite", metavar="SUITE.toml")
 @click.argument("logs", metavar="[LOG...]", nargs=-1)
 @click.option(

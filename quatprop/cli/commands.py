@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
+from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
+from quatprop.text import did_you_mean
 
 COMMANDS = {
     "info": "Show what a log holds: every source of body rates.",
@@ -45,6 +47,16 @@ class Commands(click.Group):
         command: click.Command = import_module(f"quatprop.cli.{cmd_name}").command
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; where there is none of that name, say which was probably meant."""
+        name = args[0]
+        if name not in COMMANDS and not name.startswith("-"):
+            hint = did_you_mean(name, COMMANDS, "quatprop --help lists the commands")
+            raise click.UsageError(f"No such command {name!r}{hint}", ctx)
+        return super().resolve_command(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error becomes a sentence and an exit code here, and only here."""
         from quatprop.cli.spelling import sentence
@@ -72,8 +84,7 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        write_section(formatter, "Commands", COMMANDS.items(), max(map(len, COMMANDS)))
 
 
 def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
@@ -85,7 +96,11 @@ def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool
     ctx.exit()
 
 
-@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+    epilog="quatprop COMMAND --help shows examples and options of a command.",
+)
 @click.option(
     "--version",
     is_flag=True,

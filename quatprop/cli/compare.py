@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import Command
 from quatprop.cli.options import (
     input_of,
     plot_option,
@@ -26,7 +27,13 @@ if TYPE_CHECKING:
     from quatprop.plot.errors import ErrorPicture
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --tol 0.05deg",
+    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --align first --json",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("a", metavar="A")
 @click.argument("b", metavar="B")
 @with_options(setting_options(COMPARE, log="B"))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import Command
 from quatprop.cli.options import (
     input_of,
     quiet_option,
@@ -15,6 +16,7 @@ from quatprop.cli.options import (
 )
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
 from quatprop.cli.spelling import spelled
+from quatprop.cli.types import OneOf
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
 from quatprop.text import plain
 
@@ -27,7 +29,14 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 """Representation and unit of angles -> key of :data:`quatprop.conventions.REPRESENTATIONS`."""
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop convert attitude.csv attitude.parquet --layout scalar-last",
+    "quatprop convert attitude.mcap attitude.tum",
+    "quatprop convert attitude.csv - --as euler-zyx --euler-unit deg",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", metavar="IN")
 @click.argument("output", metavar="[OUT]", required=False)
 @into_option
@@ -35,21 +44,21 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 @with_options(OUTPUT_OPTIONS)
 @click.option(
     "--convention",
-    type=click.Choice(CONVENTIONS),
+    type=OneOf(CONVENTIONS),
     default="hamilton",
     show_default=True,
     help="Convention of OUT.",
 )
 @click.option(
     "--direction",
-    type=click.Choice(DIRECTIONS),
+    type=OneOf(DIRECTIONS),
     default="body-to-ref",
     show_default=True,
     help="Which coordinates OUT turns into which.",
 )
 @click.option(
     "--sign",
-    type=click.Choice(("keep", "continuous", "positive")),
+    type=OneOf(("keep", "continuous", "positive")),
     default="keep",
     show_default=True,
     help="Of q and -q, which are the same attitude: the one that is there, the one nearer to the "
@@ -59,7 +68,7 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 @click.option(
     "--as",
     "representation",
-    type=click.Choice(("quaternion", "rotvec", "euler-zyx", "matrix")),
+    type=OneOf(("quaternion", "rotvec", "euler-zyx", "matrix")),
     default="quaternion",
     show_default=True,
     help="What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
@@ -67,7 +76,7 @@ EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
 )
 @click.option(
     "--euler-unit",
-    type=click.Choice(("rad", "deg")),
+    type=OneOf(("rad", "deg")),
     help="Unit of yaw, pitch and roll.  [default: rad]",
 )
 @report_option
@@ -77,11 +86,6 @@ def command(*, quiet: bool, **chosen: Any) -> None:
 
     IN is a table or a log of messages with attitudes, or - for CSV on stdin; OUT is a file, or -
     for CSV on stdout. With --into instead, a copy of IN that holds them too.
-
-    \b
-    quatprop convert attitude.parquet attitude.csv --layout scalar-last
-    quatprop convert flight.bag vicon.tum -t /vicon/auk/auk
-    quatprop convert attitude.csv - --as euler-zyx --euler-unit deg
     """
     from quatprop.cli import summary
     from quatprop.conventions import Meaning

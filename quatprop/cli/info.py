@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import Command
 from quatprop.cli.options import setting_options, with_options
 from quatprop.cli.spelling import sentence, spelled
 from quatprop.provenance import as_json as to_json
@@ -38,7 +39,13 @@ NUMBERS_FROM = 2
 """Columns from here on are numbers and aligned to the right."""
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop info sample_logs/tumbling.bag",
+    "quatprop info --json sample_logs/spin.csv sample_logs/coning.mcap",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
 @with_options(setting_options(READ_RATES))

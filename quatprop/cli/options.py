@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import click
 
 from quatprop.cli.spelling import option as option_name
-from quatprop.cli.types import Parsed
+from quatprop.cli.types import OneOf, Parsed
 from quatprop.parsers import Choice, flag
 from quatprop.text import Setting
 
@@ -78,7 +78,7 @@ HELP = {
     "time_unit": "Unit of the time in {log}.  [default: as the log says]",
     "sample_rate": "Rows a second of {log}, a table without a time.  [default: none]",
     "rate_field": "Message field that is the rate.  [default: known from the message type]",
-    "rate_cols": "Rate columns of a table, by name or number from 0.  [default: by the header]",
+    "rate_cols": "Rate columns of a table; by name or number from 0.  [default: by the header]",
     "rate_unit": "Unit of the rates.  [default: as the log says]",
     "quat_field": "Message field of {log} that is the quaternion.  [default: known from the "
     "message type]",
@@ -109,10 +109,10 @@ HELP = {
     "reference_z": "For --q0 level: where the reference's z axis points (down for "
     "north-east-down).  [default: up]",
     "q0_layout": "Order of the four numbers of --q0.  [default: scalar-first]",
-    "bias": "Subtracted from the rates, in --rate-unit; static takes the mean rate at rest, found "
+    "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate at rest, found "
     "in windows of DUR (1s).  [default: none]",
     "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
-    "[default: they are the same]",
+    "[default: the same]",
     "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "
     " [default: all]",
     "end": "Use {log} up to here; as --start.  [default: all]",
@@ -124,7 +124,7 @@ HELP = {
     "on_gap": "Gaps: propagate across and warn, take the rate across as zero, begin again at --q0, "
     "or refuse.  [default: hold]",
     "every": "Write every N-th attitude only.  [default: all]",
-    "rate": "Write attitudes at this rate, exact at those times under the method.  [default: at "
+    "rate": "Rate of the attitudes: exact at its times under the method.  [default: at "
     "the samples]",
     "at": "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
     "method; times outside the log are left out.  [default: at the samples]",
@@ -190,8 +190,8 @@ def _setting_option(name: str, parser: Parser, text: str, side: str) -> Option:
     if parser is flag:
         return option(is_flag=True)
     if isinstance(parser, Choice):
-        return option(type=click.Choice(parser.names))
-    return option(type=Parsed(parser, VALUES[name]))
+        return option(type=OneOf(parser.names))
+    return option(type=Parsed(parser, VALUES[name]), metavar=VALUES[name])
 
 
 report_option = click.option(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.types import OneOf
 from quatprop.settings import LAYOUTS
 from quatprop.writers import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
@@ -18,13 +19,13 @@ if TYPE_CHECKING:
 
 output_kind_option = click.option(
     "--to",
-    type=click.Choice(tuple(WRITERS)),
+    type=OneOf(tuple(WRITERS)),
     help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 layout_option = click.option(
     "--layout",
-    type=click.Choice(LAYOUTS),
-    help="Order of the quaternion's columns; a matter of storage only.  [default: scalar-first, "
+    type=OneOf(LAYOUTS),
+    help="Order of the quaternion: a matter of storage only.  [default: scalar-first, "
     "but what the format prescribes for tum, euroc and ROS messages]",
 )
 comment_option = click.option(
@@ -43,7 +44,7 @@ into_option = click.option(
 MESSAGE_OPTIONS = (
     click.option(
         "--message",
-        type=click.Choice(tuple(MESSAGES)),
+        type=OneOf(tuple(MESSAGES)),
         help="What mcap and bags hold: the attitude, a pose, or a transform. FrameTransform and "
         "PoseInFrame are Foxglove's own, for mcap only.  [default: QuaternionStamped]",
     ),

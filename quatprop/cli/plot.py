@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from quatprop.cli.compare import settings_of
+from quatprop.cli.help import Command
 from quatprop.cli.options import (
     input_of,
     quiet_option,
@@ -15,6 +16,7 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.spelling import option, spelled
+from quatprop.cli.types import OneOf
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
 from quatprop.text import Setting, plain
@@ -26,10 +28,17 @@ ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in 
 """Settings about attitudes alone."""
 
 PART = ("start", "end")
-ERROR = ("tol", "align", "time_offset", "max_dt")
+ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt")}
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop plot sample_logs/tumbling.bag -o rates.png",
+    "quatprop plot attitude.csv sample_logs/tumbling.truth.csv -o attitudes.svg",
+    "quatprop plot attitude.csv -o report.html --reference sample_logs/tumbling.truth.csv",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("files", metavar="FILE...", nargs=-1, required=True)
 @click.option(
     "-o",
@@ -40,7 +49,7 @@ ERROR = ("tol", "align", "time_offset", "max_dt")
 )
 @click.option(
     "--show",
-    type=click.Choice(("rates", "attitude")),
+    type=OneOf(("rates", "attitude")),
     help="What to draw.  [default: attitudes where an option says which, else the rates of a file "
     "that has some, else its attitudes]",
 )
@@ -57,7 +66,9 @@ ERROR = ("tol", "align", "time_offset", "max_dt")
     "memory.  [default: what is in FILE]",
 )
 @with_options(
-    setting_options({name: COMPARE[name] for name in ERROR}, log="REF", prefix="With --reference: ")
+    setting_options(
+        {name: COMPARE[name] for name in ERROR}, log="REF", prefix="(with --reference) "
+    )
 )
 @quiet_option
 @with_options(setting_options(READ_RATES, log="FILE"))
@@ -68,11 +79,6 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
 
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
     Several files are laid over one another.
-
-    \b
-    quatprop plot flight.bag -o rates.png
-    quatprop plot old.parquet new.parquet -o attitude.svg
-    quatprop plot attitude.csv -o report.html --reference truth.csv --tol 0.1deg
     """
     from quatprop.cli import summary
     from quatprop.plot.run import Plot, plot

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import Command
 from quatprop.cli.options import (
     plot_option,
     quiet_option,
@@ -25,7 +26,14 @@ if TYPE_CHECKING:
     from quatprop.plot.propagation import PropagationPicture
 
 
-@click.command(no_args_is_help=True)
+EXAMPLES = (
+    "quatprop propagate sample_logs/tumbling.bag -o attitude.csv --method coning",
+    "quatprop propagate sample_logs/coning.mcap -o attitude.mcap -t /imu --start +1s",
+    "quatprop propagate sample_logs/spin.csv -o - --rate 10",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log")
 @click.option(
     "-o",
@@ -45,9 +53,9 @@ if TYPE_CHECKING:
 def command(**chosen: Any) -> None:
     """Turn the body rates of LOG into its attitude series.
 
-    LOG is an MCAP file, a ROS 1 bag, a ROS 2 bag (folder or .db3), a CSV, Parquet or Feather
-    table, or - for CSV on stdin. N samples give N attitudes; the first is --q0. Say where they go:
-    to a file of their own with -o, or into a copy of LOG with --into.
+    LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
+    CSV on stdin. N samples give N attitudes, which go to a file of their own (-o) or into a copy of
+    LOG (--into).
     """
     from quatprop.cli import summary as words
     from quatprop.pipeline.job import run

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from quatprop.cli.types import Parsed
+from quatprop.cli.help import Command
+from quatprop.cli.types import OneOf, Parsed
 from quatprop.parsers import MAX_FREQUENCY, duration, numbers
 from quatprop.writers import GENERAL_KINDS
 
@@ -48,19 +49,30 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
     return moment.ns
 
 
+EXAMPLES = (
+    "quatprop simulate spin.csv --frequency 0.25",
+    "quatprop simulate coning.mcap --motion coning --rate 200 --duration 1m",
+    "quatprop simulate rest.bag --motion rest --noise 1e-4 --bias 0.01,0,0",
+)
+
+
 @click.command(
-    short_help="Write a log whose true attitude is known.", epilog="Rates are in rad/s, body frame."
+    cls=Command,
+    examples=EXAMPLES,
+    grouped=False,
+    short_help="Write a log whose true attitude is known.",
+    epilog="Rates are in rad/s, body frame.",
 )
 @click.argument("out")
 @click.option(
     "--to",
     "kind",
-    type=click.Choice(GENERAL_KINDS),
+    type=OneOf(GENERAL_KINDS),
     help="Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 @click.option(
     "--compression",
-    type=click.Choice(("none", "lz4", "zstd", "bz2")),
+    type=OneOf(("none", "lz4", "zstd", "bz2")),
     help="Compression of a message log.  [default: zstd for mcap, else none]",
 )
 @click.option(
@@ -71,7 +83,7 @@ def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int
 )
 @click.option(
     "--motion",
-    type=click.Choice(MOTIONS),
+    type=OneOf(MOTIONS),
     default="spin",
     show_default=True,
     help="What the body does.",
@@ -179,11 +191,6 @@ def command(out: str, **options: Any) -> None:
     """Write a log of a known motion to OUT, and the true attitudes beside it.
 
     The same options give the same bytes.
-
-    \b
-    quatprop simulate spin.csv --frequency 0.25
-    quatprop simulate coning.mcap --motion coning --rate 200 --duration 1m
-    quatprop simulate rest.bag --motion rest --noise 1e-4 --bias 0.01,0,0
     """
     from quatprop.cli.summary import progress
     from quatprop.simulate.gyroscope import Gyroscope, samples_in

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import sentence
+from quatprop.text import did_you_mean
 
 if TYPE_CHECKING:
     from quatprop.parsers import Parser
 
     ParamType = click.ParamType[Any]
+    Choice = click.Choice[str]
 else:
     # Older versions of click cannot be subscripted.
     ParamType = click.ParamType
+    Choice = click.Choice
 
 
 class Parsed(ParamType):
@@ -40,3 +43,12 @@ class Parsed(ParamType):
             return self.parser(value)
         except UsageError as error:
             self.fail(sentence(error), param, ctx)
+
+
+class OneOf(Choice):
+    """An option that takes one of a few names, and names the one that was probably meant."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the sentence about a value that is none of them."""
+        message = super().get_invalid_choice_message(value, ctx)
+        return message.rstrip(".") + did_you_mean(str(value), self.choices)

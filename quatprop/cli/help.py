@@ -1,0 +1,166 @@
+"""Commands whose help shows options in groups: the common ones, or all of them."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from quatprop.text import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+ALL = "quatprop.help.all"
+"""Key in ``Context.meta``: help shows every option."""
+
+FIRST = 25
+"""Width of the column of options; the help of a longer one begins on the next line."""
+
+OWN = "Options"
+"""Title of options that are in no group: those of one command alone."""
+
+GROUPS = {
+    "Input": (
+        "topic rate_cols rate_unit",
+        (
+            "kind msg_path clock time_col time_field time_unit sample_rate rate_field quat_cols "
+            "quat_field frame from_layout from_convention from_direction from_angle_unit normalize "
+            "on_invalid"
+        ),
+    ),
+    "Many logs": ("processes skip_existing", "list_file root shard dask retries"),
+    "Time range": ("start end", ""),
+    "Rates": ("bias mount", ""),
+    "Initial attitude": ("q0", "heading reference_z q0_layout"),
+    "Integration": ("method", "rates"),
+    "Timestamps": ("on_backwards on_gap", "on_nonfinite max_gap"),
+    "Limits": ("tol", "rms_tol final_tol p95_tol window_tol window_rms_tol drift_tol min_coverage"),
+    "Alignment": ("align time_offset window", "match max_dt min_matched"),
+    "Output": (
+        "output folder to layout convention direction sign representation euler_unit rate plot",
+        "into every at comment message out_topic frames report",
+    ),
+    "Display": ("quiet as_json help help_all", "verbose"),
+}
+"""Title of a group -> the parameters that help always shows, and those it shows on request."""
+
+COMMON = {name for common, _ in GROUPS.values() for name in common.split()}
+GROUP = {name: title for title, names in GROUPS.items() for name in " ".join(names).split()}
+SIDES = {"a": "Input A", "b": "Input B", "ref": "Input REF"}
+"""Ending of options about one of several inputs -> their group."""
+
+
+def group_of(name: str) -> str:
+    """Return the title of the group of a parameter.
+
+    Examples
+    --------
+    >>> group_of("method"), group_of("topic_b"), group_of("seed")
+    ('Integration', 'Input B', 'Options')
+    """
+    base, _, side = name.rpartition("_")
+    return SIDES[side] if side in SIDES and base in GROUP else GROUP.get(name, OWN)
+
+
+def is_common(name: str) -> bool:
+    """Whether help shows a parameter without being asked for all of them."""
+    return name in COMMON or group_of(name) == OWN
+
+
+def brief(names: str, text: str) -> tuple[str, str]:
+    """Return the record of an option with the first clause of its help, and its default.
+
+    Examples
+    --------
+    >>> brief("--to KIND", "Format; it is. Long.  [default: by the suffix; else csv]")
+    ('--to KIND', 'Format  [default: by the suffix]')
+    """
+    said, bracket, default = text.partition("  [")
+    said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
+    default = re.sub("(;|, (but|required|else)) .*]", "]", default)
+    return names, said if default.startswith("default: none") else said + bracket + default
+
+
+class Command(click.Command):
+    """A command whose help has groups of options, and examples.
+
+    Parameters
+    ----------
+    examples
+        Command lines that run in a clone of the project, one after the other.
+    grouped
+        Whether there are so many options that help puts them into groups.
+    """
+
+    def __init__(
+        self, *args: Any, examples: Sequence[str] = (), grouped: bool = True, **kwargs: Any
+    ) -> None:
+        super().__init__(*args, **kwargs)
+        self.examples = examples
+        self._grouped = grouped
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Add ``--help-all`` where help leaves something out."""
+        params = super().get_params(ctx)
+        whole = not self._grouped or all(is_common(str(option.name)) for option in params)
+        return params if whole else [*params, _HELP_ALL]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Name the option that was meant where there is no such option."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            names = [name for p in self.get_params(ctx) for name in p.opts if name[:2] == "--"]
+            hint = did_you_mean(error.option_name, names)
+            raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples, and the options by group."""
+        if self.examples:
+            with formatter.section(styled("Examples", bold=True)):
+                formatter.write("".join(f"  {line}\n" for line in self.examples))
+        every = ctx.meta.get(ALL) or not self._grouped
+        groups: dict[str, list[tuple[str, str]]] = {OWN: [], **{title: [] for title in GROUPS}}
+        for option in self.get_params(ctx):
+            name = "help" if "--help" in option.opts else str(option.name)
+            record = option.get_help_record(ctx) if isinstance(option, click.Option) else None
+            if record is not None and (every or is_common(name)):
+                title = group_of(name) if self._grouped else OWN
+                groups.setdefault(title, []).append(record if every else brief(*record))
+        for title, rows in groups.items():
+            if rows:
+                write_section(formatter, title, rows)
+
+
+def write_section(
+    formatter: click.HelpFormatter, title: str, rows: Iterable[tuple[str, str]], first: int = FIRST
+) -> None:
+    """Write a heading and two columns, the first of this width."""
+    with formatter.section(styled(title, bold=True)):
+        cells = [(styled(name.ljust(first), fg="cyan"), text) for name, text in rows]
+        formatter.write_dl(cells, col_max=first)
+
+
+def styled(text: str, **style: Any) -> str:
+    """Return text as a terminal shows it in colour or bold, unless NO_COLOR is set."""
+    return text if os.environ.get("NO_COLOR") else click.style(text, **style)
+
+
+def _show_all(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        ctx.meta[ALL] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
+
+
+_HELP_ALL = click.Option(
+    ["--help-all"],
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_all,
+    help="Show all options and exit.",
+)

@@ -1,0 +1,105 @@
+"""Help: groups of options, one screen of common ones, examples that run, names that were meant."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from quatprop.cli import cli
+from quatprop.cli.commands import COMMANDS
+from quatprop.cli.help import GROUP
+from quatprop.comparison.settings import COMPARE
+from quatprop.settings import PROPAGATE, READ_ATTITUDES
+
+ROOT = Path(__file__).parent.parent
+SCREEN = 60
+"""Lines of a terminal window."""
+
+
+def run(*arguments, width=80, **environment):
+    """Return the output of quatprop on a terminal of this width."""
+    runner = CliRunner(env=environment)
+    return runner.invoke(cli, arguments, prog_name="quatprop", color=True, terminal_width=width)
+
+
+def test_every_setting_has_a_group_in_help():
+    """Whoever adds a setting says in GROUPS where help shows it, and whether always."""
+    assert {*PROPAGATE, *COMPARE, *READ_ATTITUDES} <= GROUP.keys()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("width", [80, 120])
+def test_help_fits_the_terminal(name, width):
+    """Every line but the examples fits; the common options are one screen."""
+    common = run(name, "--help", width=width, NO_COLOR="1").output.splitlines()
+    assert name == "check" or len(common) <= SCREEN
+    everything = "--help-all" if f"  --help-all{' ' * 3}" in "\n".join(common) else "--help"
+    whole = run(name, everything, width=width, NO_COLOR="1").output.splitlines()
+    for line in [*common, *whole]:
+        assert len(line) <= width or line.strip().startswith(("quatprop ", "--")), line
+    assert width == 80 or max(map(len, whole)) > 80
+
+
+@pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot"])
+def test_help_all_shows_every_option(name):
+    """The common ones are among them, in the same groups."""
+    command = cli.get_command(None, name)
+    options = {option for p in command.params for option in p.opts if option.startswith("--")}
+    common, whole = (run(name, flag, NO_COLOR="1").output for flag in ("--help", "--help-all"))
+    assert {option for option in options if f"{option} " in whole} == options
+    shown = {option for option in options if f"{option} " in common}
+    assert shown
+    assert shown < options
+
+
+def test_help_is_coloured_unless_no_color_is_set():
+    """On a terminal; NO_COLOR with any value turns colours off, an empty one does not."""
+    assert "\x1b[1mInput\x1b[0m:" in run("propagate", "--help").output
+    assert "\x1b[1mCommands\x1b[0m:" in run("--help").output
+    assert "\x1b" in run("--help", NO_COLOR="").output
+    assert "\x1b" not in run("propagate", "--help", NO_COLOR="1").output
+    assert "\x1b" not in run("--help", NO_COLOR="1").output
+
+
+def test_the_examples_of_every_command_run(tmp_path):
+    """One after the other, in a folder that has the sample logs."""
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    for name in COMMANDS:
+        examples = cli.get_command(None, name).examples
+        assert examples, name
+        for line in examples:
+            program, *arguments = shlex.split(line)
+            assert program == "quatprop"
+            done = subprocess.run(
+                [sys.executable, "-m", "quatprop", *arguments],
+                cwd=tmp_path,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            assert done.returncode == 0, (line, done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["propagat"], "No such command 'propagat'; did you mean 'propagate'?"),
+        (["draw"], "No such command 'draw'; quatprop --help lists the commands"),
+        (["propagate", "--metod", "x"], "No such option '--metod'; did you mean '--method'?"),
+        (["propagate", "--on-gaps", "x"], "No such option '--on-gaps'; did you mean '--on-gap'?"),
+        (["propagate", "--zzz"], "No such option '--zzz'"),
+        (["propagate", "x", "--method", "conning"], "'cubic'; did you mean 'coning'?"),
+        (["compare", "--topic", "x"], "No such option '--topic'; did you mean '--topic-a'?"),
+        (["convert", "--as", "euler", "x"], "'matrix'; did you mean 'euler-zyx'?"),
+    ],
+)  # fmt: skip
+def test_the_name_that_was_meant_is_suggested(arguments, sentence):
+    """Of commands, options and choices: the one that is nearest, or none."""
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].endswith(sentence)
