@@ -169,8 +169,9 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
 sample_rate, clock
         Which samples of a log, as for :func:`read_rates`.
     method : str
-        Integration rule: ``"start"`` (the default), ``"end"``, ``"mean"``, ``"coning"`` or
-        ``"cubic"``; see :func:`quatprop.kinematics.increments.rotation_vectors`.
+        Integration rule: ``"start"``, ``"end"``, ``"mean"``, ``"coning"`` or ``"cubic"``; see
+        :func:`quatprop.kinematics.increments.rotation_vectors`. By default ``"end"`` where samples
+        are averages or increments, else ``"start"``.
     rates : str
         Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
         or ``"inertial"`` (on the left).

@@ -56,6 +56,9 @@ class GyroSeries:
         For samples that are increments, integrated by the sensor: the time over which each was,
         shape ``(N,)``, int64, ns, ending at its stamp. The increment is the rate times this, and
         is taken as it is, whatever lies between the stamps. None for rates.
+    averages
+        Whether each rate is the average over the interval that ends at its stamp, instead of the
+        rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
 
     Raises
     ------
@@ -71,6 +74,7 @@ class GyroSeries:
     t_ns: Int64
     rate: Float64
     span_ns: Int64 | None = None
+    averages: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
@@ -89,10 +93,22 @@ class GyroSeries:
     def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
         """Return some samples: views for a slice, copies for a mask or positions."""
         span_ns = None if self.span_ns is None else self.span_ns[chosen]
-        return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns)
+        return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns, self.averages)
 
     def __repr__(self) -> str:
         return _summary(self, "samples")
+
+    def is_integrated(self, method: str) -> bool:
+        """Tell whether a method takes each sample as the whole rotation since the one before.
+
+        Increments are that under every method, averages under those that know of intervals.
+
+        Parameters
+        ----------
+        method
+            A key of :data:`quatprop.kinematics.increments.METHODS`.
+        """
+        return self.span_ns is not None or (self.averages and method not in {"start", "mean"})
 
     @classmethod
     def from_seconds(cls, t_s: Float64, rate: Float64) -> Self:
@@ -136,6 +152,7 @@ class GyroSeries:
             np.concatenate([part.t_ns for part in parts]),
             np.concatenate([part.rate for part in parts]),
             np.concatenate(spans) if spans else None,
+            parts[0].averages,
         )
 
 

@@ -250,12 +250,3 @@ def test_intervals_between_blocks_have_their_neighbours(count):
         jumps = geodesic_angle(drift[1:], drift[:-1])
         assert jumps[2:-2].max() < 1e-10
         assert jumps.max() > 1e-9
-
-
-def test_increments_are_taken_as_they_are():
-    """What a sensor integrated is not integrated again."""
-    random = np.random.default_rng(6)
-    t_ns, rate = np.arange(50) * 10_000_000, random.normal(size=(50, 3))
-    spans = np.full(50, 10_000_000)
-    cubic, end = (rotation_vectors(t_ns, rate, method, spans) for method in ("cubic", "end"))
-    assert np.array_equal(cubic, end)

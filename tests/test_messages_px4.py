@@ -44,7 +44,9 @@ def test_an_average_over_the_interval_before_its_stamp_wants_the_method_end(tmp_
             "method end assumes; method start was used"
         )
     ]
-    assert source.integration_rule("start") == "start"
+    assert series.averages
+    assert source.method_used("start") == ("start", "given")
+    assert source.method_used(None) == ("end", "log")
     whole = 0.005 * sum(range(1, COUNT))
     final = attitudes(series.t_ns, series.rate, method="end")[-1]
     assert geodesic_angle(final, exp([0, 0, whole])) < 1e-14
@@ -67,8 +69,9 @@ def test_increments_are_not_integrated_again(tmp_path):
     )  # fmt: skip
     source, series = read(path)
     assert source.increments
-    assert source.integration_rule("start") == "increments"
-    assert source.method_remarks("start") == []
+    assert source.samples == "increments"
+    assert source.method_used(None) == ("end", "log")
+    assert source.method_remarks(None) == []
     assert series.span_ns.tolist() == (spans * 1000).tolist()
     *_, last = propagated([series])
     whole = np.cumsum(angle[1:].astype(np.float64))
@@ -170,7 +173,7 @@ def test_a_log_without_the_definition_is_refused(tmp_path):
 
 
 def test_the_report_says_what_ruled_the_intervals(tmp_path):
-    """Increments are named where the method would be; an average is remarked on."""
+    """The default is what the messages say their samples are, and no remark is made on it."""
     samples = [
         {"timestamp": 5000 * k, "timestamp_sample": 5000 * k, "delta_angle_dt": 5000,
          "delta_angle": [0.01 * k, 0, 0], "gyro_rad": [k, 0, 0]}
@@ -181,7 +184,10 @@ def test_the_report_says_what_ruled_the_intervals(tmp_path):
         known = [{name: row[name] for name in row if name in zeros(kind)} for row in samples]
         path = write_mcap(tmp_path / f"{kind}.mcap", kind, known)
         reports[kind] = run(Job(str(path), OutputSettings(str(tmp_path / f"{kind}.csv"))))
-    assert reports["VehicleImu"].convention.method == "increments"
+    for kind, samples in (("VehicleImu", "increments"), ("SensorCombined", "averages")):
+        convention = reports[kind].convention
+        assert (convention.method, convention.method_from) == ("end", "log")
+        assert convention.samples == samples
+        assert not any("method" in remark for remark in reports[kind].remarks)
     assert reports["VehicleImu"].result.net_rotation_rad == pytest.approx(0.09, abs=1e-8)
-    assert reports["SensorCombined"].convention.method == "start"
-    assert "which is what method end assumes" in str(reports["SensorCombined"].remarks[0])
+    assert reports["SensorCombined"].result.net_rotation_rad == pytest.approx(0.045, abs=1e-8)

@@ -6,7 +6,6 @@ from streams import propagated
 
 from quatprop.conditioning import conditioned
 from quatprop.errors import SeriesError
-from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
@@ -34,7 +33,7 @@ def attitudes_of(batches, **options):
     return np.concatenate([series.wxyz for series in propagated(batches, **options)])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", ["start", "end", "mean"])
 def test_increments_lead_to_the_true_attitude_whatever_the_stamps_say(method):
     """Stamps jitter by half an interval, the motion is no constant rate: every step is exact."""
     random = np.random.default_rng(5)

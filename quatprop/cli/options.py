@@ -99,7 +99,8 @@ HELP = {
     "leave out.  [default: error]",
     "method": "Integration rule: the rate over an interval is that of the sample at its start, of "
     "the one at its end, their mean, linear between them (coning), or a cubic through four samples "
-    "(cubic).  [default: start]",
+    "(cubic). Coning and cubic also correct averages and increments for coning.  [default: end "
+    "where the log's samples are averages or increments, else start]",
     "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
     "body]",
     "q0": "Attitude body to reference at the first sample: four numbers; level, roll and pitch "

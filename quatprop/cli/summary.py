@@ -69,7 +69,10 @@ def _facts(report: RunReport) -> Iterator[Row]:
     yield "source", f"{plain(source.path)} ({source.kind}): {name}"
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
-    yield "method", f"{convention.method}, {convention.rates} rates: {convention.side}"
+    why = ""
+    if convention.method_from == "log":
+        why = f" (the samples are {convention.samples} over the intervals before their stamps)"
+    yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
     if convention.q0_from != "given":

@@ -8,6 +8,10 @@ with h the length of the interval. The cubic through the samples k - 1 to k + 2 
 two parabolas through three of them, so a and b follow from the second divided differences of the
 rate at the samples k and k + 1. The first two terms of the Magnus series (W. Magnus, Comm. Pure
 Appl. Math. 7, 1954) then give the rotation vector, with an error of fifth order in h.
+
+Where samples are averages over the intervals, or increments, it is the integral of the rate that is
+known at the samples. The cubic through four of its values has the same form, with the averages as
+slopes, and the rate is a parabola; of the Magnus series the second term is left to be added.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ if TYPE_CHECKING:
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
+    Bool = NDArray[np.bool_]
 
 MAX_RATIO: Final = 4.0
 """No cubic passes through samples whose neighbouring intervals differ by more than this factor: it
@@ -30,6 +35,9 @@ would amplify noise, and a long interval is likely to be a gap."""
 
 MAX_RATIO_ONE_SIDED: Final = 2.0
 """The same for a parabola through the samples of one side alone, which extrapolates more."""
+
+MAX_SPAN_RATIO: Final = 1.5
+"""Stamps further apart than this many times the integration of an increment: one is missing."""
 
 
 class Curvature(NamedTuple):
@@ -76,6 +84,31 @@ class Curvature(NamedTuple):
         weight = s**2 * s / -6
         return weight * (self.a + self.b * (1.5 * s - self.h))
 
+    def rotation_of_averages(self, average: Float64, s: Float64) -> Float64:
+        """Return what the average rate, multiplied by the time s, leaves out.
+
+        Parameters
+        ----------
+        average
+            Average rates over the intervals, shape ``(3, M)``, rad/s.
+        s
+            Time since the start of the interval, shape ``(M,)``, s.
+
+        Returns
+        -------
+        ndarray
+            To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval it is
+            the coning term h^3/6 v x (a + b h/2), with v the average.
+        """
+        deviation = self.rate(s)
+        # s/2 times the deviation less its integral from 0 to s.
+        lever = self.a * (s / 3 - self.h / 2)
+        lever += self.b * (s * (s / 4 - self.h / 3))
+        lever *= -(s**2)
+        lever += s / 2 * deviation
+        deviation += cross(average, lever)
+        return deviation
+
     def at(self, intervals: NDArray[np.intp]) -> Curvature:
         """Return the curvature in some intervals."""
         return Curvature(self.a[:, intervals], self.b[:, intervals], self.h[intervals])
@@ -100,30 +133,110 @@ def curvature(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Curvatur
         where the lengths of neighbouring intervals differ too much, it is that of the parabola
         through the three samples of the other side; zero where that cannot be used either.
     """
-    # In C order, which numpy then keeps: each component is contiguous.
-    rate = np.ascontiguousarray(rate)
     steps = np.diff(t_ns)
     h = steps / NS_PER_S
+    # In C order, which numpy then keeps: each component is contiguous.
+    slope = np.diff(np.ascontiguousarray(rate), axis=1)
+    slope /= np.where(h > 0, h, 1.0)
+    return _of_slopes(slope, h, _no_gaps(steps, gap_ns))
+
+
+def curvature_of_averages(
+    t_ns: Int64,
+    rate: Float64,
+    span_ns: Int64 | None = None,
+    *,
+    gap_ns: int | None = None,
+    causal: bool = False,
+) -> Curvature:
+    """Return the curvature of the integral of the rate in the intervals between samples.
+
+    Parameters
+    ----------
+    t_ns
+        Time stamps, shape ``(N,)``, int64, ns; N is at least 2.
+    rate
+        Average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that of
+        the first sample, whose interval begins earlier, does not count.
+    span_ns
+        For increments: the time over which each was integrated, shape ``(N,)``, int64, ns.
+    gap_ns
+        As for :func:`curvature`.
+    causal
+        Whether only the interval before counts: the rate is linear then.
+
+    Returns
+    -------
+    Curvature
+        Of N - 1 intervals, as long as the sensor integrated.
+    """
+    steps = np.diff(t_ns)
+    valid = _no_gaps(steps, gap_ns)
+    h = steps / NS_PER_S
+    if span_ns is not None:
+        h = span_ns[1:] / NS_PER_S
+        # A repeated message is no interval of its own; where one was lost, a rotation is missing.
+        moves = steps > 0
+        follows = (moves & (steps <= MAX_SPAN_RATIO * span_ns[1:]))[1:] & moves[:-1]
+        valid = follows if valid is None else valid & follows
+    return _of_slopes(np.ascontiguousarray(rate[:, 1:]), h, valid, causal=causal)
+
+
+def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool | None:
+    """Tell of each sample between two intervals whether neither is a gap; None: all are so."""
+    if gap_ns is None:
+        return None
+    within = steps <= gap_ns
+    return within[:-1] & within[1:]
+
+
+def _of_slopes(
+    slope: Float64, h: Float64, valid: Bool | None, *, causal: bool = False
+) -> Curvature:
+    """Return the curvature of values whose slopes over the intervals are known.
+
+    Parameters
+    ----------
+    slope
+        Differences of neighbouring values over the lengths of the intervals, ``(3, M)``.
+    h
+        Lengths of the intervals, ``(M,)``, s.
+    valid
+        Whether a parabola may pass through each sample between two intervals, ``(M - 1,)``.
+    causal
+        Whether only the interval before counts.
+    """
     before, after = h[:-1], h[1:]
     shorter, longer = np.minimum(before, after), np.maximum(before, after)
-    usable = np.zeros((2, len(t_ns)), np.bool_)
-    wide, narrow = usable[:, 1:-1]
-    np.logical_and(shorter > 0, longer <= MAX_RATIO * shorter, out=wide)
-    if gap_ns is not None:
-        gap = steps > gap_ns
-        wide &= ~(gap[:-1] | gap[1:])
-    np.logical_and(wide, longer <= MAX_RATIO_ONE_SIDED * shorter, out=narrow)
-    positive = np.where(h > 0, h, 1.0)
-    slope = np.diff(rate, axis=1)
-    slope /= positive
-    second = np.zeros(rate.shape)
+    wide = (shorter > 0) & (longer <= MAX_RATIO * shorter)
+    if valid is not None:
+        wide &= valid
+    second = np.zeros((3, len(h) + 1))
     np.divide(slope[:, 1:] - slope[:, :-1], before + after, out=second[:, 1:-1], where=wide)
-    # D_k and D_k+1, each replaced by the other where it cannot be used.
-    both = usable[0, :-1] & usable[0, 1:]
-    left = np.where(both | usable[1, :-1], second[:, :-1], usable[1, 1:] * second[:, 1:])
-    right = np.where(both | usable[1, 1:], second[:, 1:], left)
+    if causal:
+        return Curvature(second[:, :-1], np.zeros(slope.shape), h)
     previous, following = np.zeros(len(h)), np.zeros(len(h))
     previous[1:], following[:-1] = before, after
+    left, right = second[:, :-1], second[:, 1:]
+    # The first and the last interval have no sample on one side.
+    usable = np.zeros((2, len(h) + 1), np.bool_)
+    usable[0, 1:-1] = wide
+    np.logical_and(wide, longer <= MAX_RATIO_ONE_SIDED * shorter, out=usable[1, 1:-1])
+    lone = np.flatnonzero(~(usable[0, :-1] & usable[0, 1:]))
     b = right - left
-    b /= previous + positive + following
-    return Curvature(left + previous * b, b, h)
+    a = left.copy()
+    # There D_k and D_k+1 are each replaced by the other, where that may stand alone.
+    a[:, lone] = usable[1, lone] * left[:, lone] + usable[1, lone + 1] * right[:, lone]
+    b[:, lone] = 0.0
+    b /= previous + np.where(h > 0, h, 1.0) + following
+    a += previous * b
+    return Curvature(a, b, h)
+
+
+def cross(u: Float64, v: Float64) -> Float64:
+    """Return the cross products of columns, ``(3, M)``."""
+    product = np.empty(u.shape)
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(u[y], v[z], out=product[x])
+        product[x] -= u[z] * v[y]
+    return product

@@ -3,8 +3,9 @@
 Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle
 that the body turns in it, resolved in the body frame at its start.
 
-Sensors that integrate by themselves give that vector instead of a rate. It is used as it is,
-under every rule, and is not integrated again.
+Sensors that integrate by themselves give the integral of the rate over an interval, or its average,
+instead. That is not integrated again: about a fixed axis it is the rotation vector, and elsewhere
+``coning`` and ``cubic`` add to it, from the neighbouring intervals, how the axis has turned.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.kinematics.cubic import curvature
+from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -49,11 +50,9 @@ def _coning(before: Float64, after: Float64, dt: Float64) -> Float64:
     u, v = _start(before, after, dt), _end(before, after, dt)
     rotvec = np.add(u, v, out=_like(u))
     rotvec *= 0.5
-    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        cross = u[y] * v[z]
-        cross -= u[z] * v[y]
-        cross /= 12
-        rotvec[x] += cross
+    term = cross(u, v)
+    term /= 12
+    rotvec += term
     return rotvec
 
 
@@ -93,7 +92,12 @@ def integration_rule(method: str) -> Rule:
 
 
 def rotation_vectors(
-    t_ns: Int64, rate: Float64, method: str = "start", span_ns: Int64 | None = None
+    t_ns: Int64,
+    rate: Float64,
+    method: str = "start",
+    span_ns: Int64 | None = None,
+    *,
+    averages: bool = False,
 ) -> Float64:
     """Return the rotation vectors between neighbouring samples.
 
@@ -113,9 +117,17 @@ def rotation_vectors(
         fourth order, see :func:`quatprop.kinematics.cubic.curvature`.
     span_ns
         Where samples are increments: the time over which the sensor integrated each, shape
-        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. The rotation of interval k
-        is then the increment of sample k + 1 under every method; zero where no time passes,
-        because a repeated stamp is a repeated message.
+        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is then the
+        increment theta_k of sample k + 1, whatever its length; zero where no time passes, because a
+        repeated stamp is a repeated message.
+    averages
+        Whether rates are averages over the intervals that end at their stamps: theta_k is then the
+        rate of sample k + 1 times the length of the interval.
+
+        Increments under every method, and averages under ``"end"``, have the rotation vector
+        theta_k. To it ``"coning"`` adds theta_k-1 x theta_k / 12, which makes it of third order;
+        ``"cubic"`` (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights
+        are those of equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`.
 
     Returns
     -------
@@ -137,14 +149,27 @@ def rotation_vectors(
     array([[0., 0., 1.]])
     """
     rule = integration_rule(method)
-    if span_ns is not None:
-        dt = np.where(t_ns[1:] > t_ns[:-1], span_ns[1:], 0) / NS_PER_S
-        return _end(rate[:-1].T, rate[1:].T, dt).T
+    if span_ns is not None or (averages and method not in {"start", "mean"}):
+        return _integrated(t_ns, rate.T, method, span_ns).T
     dt = np.diff(t_ns) / NS_PER_S
     rotvec = rule(rate[:-1].T, rate[1:].T, dt)
     if method == "cubic":
         rotvec += curvature(t_ns, rate.T).rotation(dt)
     return rotvec.T
+
+
+def _integrated(t_ns: Int64, rate: Float64, method: str, span_ns: Int64 | None) -> Float64:
+    """Return the rotation vectors where the sensor integrates, ``(3, N - 1)``, rad."""
+    average = rate[:, 1:]
+    durations = np.diff(t_ns)
+    if span_ns is not None:
+        durations = np.where(durations > 0, span_ns[1:], 0)
+    dt = durations / NS_PER_S
+    rotvec = _end(rate[:, :-1], average, dt)
+    if method in {"coning", "cubic"}:
+        bend = curvature_of_averages(t_ns, rate, span_ns, causal=method == "coning")
+        rotvec += bend.rotation_of_averages(average, dt)
+    return rotvec
 
 
 def _like(rows: Float64) -> Float64:

@@ -125,7 +125,9 @@ class _Composition:
                 parts.append(following[:1])
             samples = GyroSeries.joined(parts)
             rate = 0.0 - samples.rate if self._inertial else samples.rate
-            rotvec = rotation_vectors(samples.t_ns, rate, self._method, samples.span_ns)
+            rotvec = rotation_vectors(
+                samples.t_ns, rate, self._method, samples.span_ns, averages=samples.averages
+            )
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
         last = GyroSeries.joined([previous, series[-2:]])
         self._previous = last[np.arange(len(last))[-2:]]

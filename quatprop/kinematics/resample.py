@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.kinematics.cubic import Curvature, curvature
+from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import with_next
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
@@ -184,10 +184,8 @@ def at_times(
         last = gyro[-2:], wxyz[-2:]
         if isinstance(times, Steady):
             times.refuse_excess(gyro.t_ns)
-        bend = None
-        if method == "cubic":
-            after = gyro[-1:] if following is None else following[0][:1]
-            bend = _curvature(GyroSeries.joined([gyro, after]), rates, gap_limit_ns)
+        after = gyro[-1:] if following is None else following[0][:1]
+        bend = _curvature(GyroSeries.joined([gyro, after]), method, rates, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
             between = _between(gyro, wxyz, wanted, method=method, rates=rates, bend=bend)
             if gap_limit_ns is not None:
@@ -197,10 +195,17 @@ def at_times(
             yield AttitudeSeries(wanted, between)
 
 
-def _curvature(gyro: GyroSeries, rates: str, gap_limit_ns: int | None) -> Curvature:
-    """Return the curvature between samples of the rate that is propagated."""
-    sign = -1.0 if rates == "inertial" else 1.0
-    return curvature(gyro.t_ns, sign * gyro.rate.T, gap_limit_ns)
+def _curvature(
+    gyro: GyroSeries, method: str, rates: str, gap_limit_ns: int | None
+) -> Curvature | None:
+    """Return the curvature, between samples, of what is propagated; None: the method has none."""
+    rate = (-1.0 if rates == "inertial" else 1.0) * gyro.rate.T
+    if gyro.is_integrated(method) and method in {"coning", "cubic"}:
+        causal = method == "coning"
+        return curvature_of_averages(
+            gyro.t_ns, rate, gyro.span_ns, gap_ns=gap_limit_ns, causal=causal
+        )
+    return curvature(gyro.t_ns, rate, gap_limit_ns) if method == "cubic" else None
 
 
 def _between(  # noqa: PLR0913  # what determines an attitude
@@ -220,25 +225,28 @@ def _between(  # noqa: PLR0913  # what determines an attitude
     fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
     sign = -1.0 if rates == "inertial" else 1.0
     first, second = sign * gyro.rate[before].T, sign * gyro.rate[after].T
-    duration = elapsed
-    if gyro.span_ns is not None:
-        # Of an increment only the whole is measured: within it the rate is taken as constant.
-        method, duration = "end", fraction * (gyro.span_ns[after] / NS_PER_S)
-        bend = None
-    elif method in {"coning", "cubic"}:
-        # A rate that is linear in time has got part of the way to the next sample's.
-        second = first + fraction * (second - first)
-    if bend is not None:
-        bend = bend.at(before)
-        second += bend.rate(elapsed)
-    rotvec = METHODS[method](first, second, duration)
-    if bend is not None:
-        rotvec += bend.rotation(elapsed)
+    bend = None if bend is None else bend.at(before)
+    if gyro.is_integrated(method):
+        # An increment may have been integrated over more or less time than there is between stamps.
+        if gyro.span_ns is not None:
+            elapsed = fraction * (gyro.span_ns[after] / NS_PER_S)
+        rotvec = METHODS["end"](first, second, elapsed)
+        if bend is not None:
+            rotvec += bend.rotation_of_averages(second, elapsed)
+    else:
+        if method in {"coning", "cubic"}:
+            # A rate that is linear in time has got part of the way to the next sample's.
+            second = first + fraction * (second - first)
+        if bend is not None:
+            second += bend.rate(elapsed)
+        rotvec = METHODS[method](first, second, elapsed)
+        if bend is not None:
+            rotvec += bend.rotation(elapsed)
     steps = exp(rotvec.T)
     if rates == "inertial":
         attitudes = conjugate(multiply(conjugate(wxyz[before]), steps))
     else:
         attitudes = multiply(wxyz[before], steps)
     # At a sample itself the attitude is the sample's, to the bit.
-    exact: Float64 = np.where((elapsed == 0)[:, None], wxyz[before], attitudes)
+    exact: Float64 = np.where((fraction == 0)[:, None], wxyz[before], attitudes)
     return exact

@@ -83,6 +83,7 @@ class AttitudeStream:
         self._batches, self._conditioned = condition(
             source.batches, settings.conditioning, UNITS[source.unit]
         )
+        self._method, self._method_from = source.method_used(settings.method)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._times = _times(settings)
 
@@ -137,7 +138,7 @@ class AttitudeStream:
         return Segments(
             self._timeline,
             self._q0,
-            method=settings.method,
+            method=self._method,
             rates=settings.rates,
             times=self._times,
         )
@@ -177,7 +178,9 @@ class AttitudeStream:
             ),
             convention=ConventionReport(
                 rates=settings.rates,
-                method=source.integration_rule(settings.method),
+                method=self._method,
+                method_from=self._method_from,
+                samples=source.samples,
                 layout=layout,
                 q0_wxyz=self._q0,
                 q0_from=settings.q0.source or "given",

@@ -70,7 +70,12 @@ class ConventionReport:
     rates
         ``"body"`` or ``"inertial"``.
     method
-        The integration rule that was used, or ``"increments"``.
+        The integration rule that was used.
+    method_from
+        ``"given"``, ``"log"`` where it follows from what the samples are, or ``"default"``.
+    samples
+        What the samples are: ``"rates"`` at their stamps, ``"averages"`` or ``"increments"`` over
+        the intervals that end at them.
     layout
         Order of the columns written; None where nothing was written.
     q0_wxyz
@@ -81,6 +86,8 @@ class ConventionReport:
 
     rates: str
     method: str
+    method_from: str
+    samples: str
     layout: str | None
     q0_wxyz: NDArray[np.float64]
     q0_from: str

@@ -42,7 +42,8 @@ class PropagationSettings:
     policy
         How irregular timestamps are handled.
     method
-        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`.
+        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what the
+        log says of its samples, or else ``"start"``.
     rates
         ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
     q0
@@ -60,7 +61,7 @@ class PropagationSettings:
     kind: str | None = None
     selection: RateSelection = field(default_factory=RateSelection)
     policy: Policy = field(default_factory=Policy)
-    method: str = "start"
+    method: str | None = None
     rates: str = "body"
     q0: InitialAttitude = field(default_factory=InitialAttitude)
     conditioning: Conditioning = field(default_factory=Conditioning)

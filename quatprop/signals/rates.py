@@ -60,6 +60,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
         clock="",
         batches=lambda: iter([series]),
         unit="rad/s",
+        method="end" if series.averages else None,
         increments=series.span_ns is not None,
     )
 
@@ -100,7 +101,7 @@ def _table_rates(log: TableLog, columns: ColumnMatch) -> Iterator[GyroSeries]:
     for t_ns, rate in log.rows(columns.timed):
         for factor in factors:
             np.multiply(rate, factor, out=rate)
-        yield GyroSeries(t_ns, rate)
+        yield GyroSeries(t_ns, rate, averages=columns.method == "end")
 
 
 def _candidates(
@@ -142,7 +143,7 @@ def _of_field(
         clock=clock.name,
         remarks=(*_remarks(channel, field, unit), *clock.remarks),
         stamps=lambda: stamps_logged(log, channel, reader()),
-        batches=lambda: _samples(log, channel, reader(), UNITS[unit]),
+        batches=lambda: _samples(log, channel, field, reader(), UNITS[unit]),
         unit=unit,
         method=field.method,
         increments=field.span is not None,
@@ -151,7 +152,7 @@ def _of_field(
 
 def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
     if field.span is not None:
-        yield "increments that the sensor has integrated: used as they are by every method"
+        yield "the samples are increments, which the sensor has integrated"
     elif field.burst is not None:
         yield "several samples a message: the time of each is counted back from the stamp"
     if field.unit not in (None, unit):
@@ -162,8 +163,10 @@ def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
 
 
 def _samples(
-    log: MessageLog, channel: Channel, reader: MessageReader, scale: float
+    log: MessageLog, channel: Channel, field: RateField, reader: MessageReader, scale: float
 ) -> Iterator[GyroSeries]:
     """Yield the rates of one channel in order of their log times."""
-    for t_ns, rate, *span_ns in timed_values(log, channel, reader):
-        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, *span_ns)
+    averages = field.method == "end"
+    for t_ns, rate, *spans in timed_values(log, channel, reader):
+        span_ns = spans[0] if spans else None
+        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, span_ns, averages)

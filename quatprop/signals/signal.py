@@ -88,7 +88,7 @@ class RateSignal(Signal):
     method
         The integration rule that fits the sensor, where the definition of its messages says it.
     increments
-        Whether the sensor has integrated: then every integration rule takes its increments.
+        Whether samples are increments, which the sensor has integrated.
     """
 
     batches: Callable[[], Iterator[GyroSeries]]
@@ -96,17 +96,51 @@ class RateSignal(Signal):
     method: str | None = None
     increments: bool = False
 
-    def integration_rule(self, method: str) -> str:
-        """Return what determines the rotation over an interval: the sensor, or the method."""
-        return "increments" if self.increments else method
+    @property
+    def samples(self) -> str:
+        """What the samples are: ``"rates"``, ``"averages"`` or ``"increments"``."""
+        if self.increments:
+            return "increments"
+        return "averages" if self.method == "end" else "rates"
 
-    def method_remarks(self, method: str) -> list[str]:
-        """Return the remarks on propagating this signal with a method."""
-        if self.method in (None, method) or self.increments:
+    def method_used(self, wanted: str | None) -> tuple[str, str]:
+        """Return the integration rule, and where it comes from.
+
+        Parameters
+        ----------
+        wanted
+            The method that the user has chosen; None: what the log says, or else ``"start"``.
+
+        Returns
+        -------
+        method : str
+            A key of :data:`quatprop.kinematics.increments.METHODS`.
+        method_from : str
+            ``"given"``, ``"log"`` where it follows from what the samples are, or ``"default"``.
+        """
+        if self.increments and wanted in {None, "start", "mean"}:
+            # Where the rate was known in between is lost: all three are the increment itself.
+            return "end", "log"
+        if wanted is not None:
+            return wanted, "given"
+        return (self.method, "log") if self.method else ("start", "default")
+
+    def method_remarks(self, wanted: str | None) -> list[str]:
+        """Return the remarks on a method that the user has chosen for this signal."""
+        samples = self.samples
+        if samples == "rates" or wanted in {None, "end"}:
             return []
+        if wanted in {"coning", "cubic"}:
+            remark = (
+                f"method {wanted} adds to {samples} the coning that a sensor leaves out; method "
+                "end fits sensors that correct for it themselves, such as those of PX4"
+            )
+            return [remark]
+        if self.increments:
+            return [f"samples are increments, to which method {wanted} does not apply; end is used"]
         remark = (
             "each rate is the average over the interval before its stamp, which is what method "
-            f"{self.method} assumes; method {method} was used"
+            f"{self.method} assumes; method {wanted} was used"
         )
         return [remark]
 
