@@ -187,7 +187,8 @@ sample_rate, clock
         ``"scalar-first"`` (the default) or ``"scalar-last"``.
     bias : sequence of float or str
         Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
-        mean rate at rest, found in windows of a second, or of DUR with ``"static:DUR"``.
+        mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
+        whole log.
     mount : str or sequence
         Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
         with v_body = m v_sensor m*.

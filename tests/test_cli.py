@@ -357,18 +357,6 @@ def test_a_kind_that_the_log_cannot_be(log, tmp_path):
                     "log itself")  # fmt: skip
 
 
-def test_motion_is_not_taken_for_rest(tmp_path):
-    """A log that moves throughout has no bias to give, and says how far it is from rest."""
-    path = tmp_path / "log.csv"
-    rows = [f"{k * 10_000_000},{np.sin(k)},0,0\n" for k in range(500)]
-    path.write_text(EUROC + "".join(rows))
-    result = run("propagate", path, "-o", tmp_path / "o.csv", "--bias", "static")
-    assert result.exit_code == 2
-    assert "the log has no period of rest to take the bias from (the quietest scatters by 0.7" in (
-        result.stderr
-    )
-
-
 def test_a_failed_run_leaves_the_old_file(log, tmp_path):
     """An error midway leaves the old result and nothing beside it."""
     out = tmp_path / "out.csv"
@@ -424,56 +412,6 @@ def test_a_bias_is_subtracted_in_the_unit_of_the_rates(tmp_path):
     assert result.exit_code == 0, result.output
     row = [float(q) for q in out.read_text().splitlines()[-1].split(",")[1:]]
     assert geodesic_angle(row, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]) < 1e-15
-
-
-def test_the_static_bias_is_that_of_the_rest(tmp_path):
-    """The rest is found, its mean subtracted, and both are reported."""
-    noise = np.random.default_rng(1).normal(0, 1e-4, (2000, 3))
-    rate = np.array([0.01, -0.02, 0.03]) + noise
-    rate[:500, 2] += 1.0 + np.sin(np.arange(500))
-    path = tmp_path / "log.csv"
-    rows = [f"{k * 10_000_000},{x},{y},{z}\n" for k, (x, y, z) in enumerate(rate.tolist())]
-    path.write_text(EUROC + "".join(rows))
-    result = run(
-        "propagate", path, "-o", tmp_path / "o.csv", "-q", "--bias", "static", "--report", "-"
-    )
-    told = json.loads(result.stdout)["conditioning"]
-    assert told["bias_rad_s"] == pytest.approx(rate[500:].mean(axis=0).tolist(), abs=1e-12)
-    assert (told["rest"]["first_ns"], told["rest"]["samples"]) == (5_000_000_000, 1500)
-    assert told["rest"]["scatter_rad_s"] == pytest.approx(np.sqrt(3) * 1e-4, rel=0.05)
-
-
-def static_bias(tmp_path, *periods):
-    """Run with --bias static on periods of (seconds, rate), rad/s, at 100 Hz with noise."""
-    rate = np.concatenate([np.tile(rate, (seconds * 100, 1)) for seconds, rate in periods])
-    rate = rate + np.random.default_rng(1).normal(0, 1e-3, rate.shape)
-    path, out = tmp_path / "log.csv", tmp_path / "o.csv"
-    rows = [f"{k * 10_000_000},{x},{y},{z}\n" for k, (x, y, z) in enumerate(rate.tolist())]
-    path.write_text(EUROC + "".join(rows))
-    return run("propagate", path, "-o", out, "-q", "--bias", "static", "--report", "-")
-
-
-@pytest.mark.parametrize("turn", [5.0, 30.0])
-@pytest.mark.parametrize("rest_first", [True, False])
-def test_a_steady_turn_is_not_rest(turn, rest_first, tmp_path):
-    """Three seconds of rest beside ten of a steady turn: the bias is that of the rest."""
-    bias = np.array([0.01, -0.02, 0.005])
-    periods = [(3, bias), (10, bias + np.array([0, 0, np.radians(turn)]))]
-    result = static_bias(tmp_path, *(periods if rest_first else periods[::-1]))
-    assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)["conditioning"]
-    assert told["bias_rad_s"] == pytest.approx(bias.tolist(), abs=3e-4)
-    assert told["rest"]["samples"] == 300
-
-
-def test_a_log_that_turns_all_along_has_no_rest(tmp_path):
-    """A car that circles at 14 deg/s is steady, but that is no bias."""
-    result = static_bias(tmp_path, (20, np.array([0.0, 0.0, 0.246])))
-    assert result.exit_code == 2
-    assert (
-        "the steadiest period of the log has a mean rate of 0.246 rad/s, more than the bias of a "
-        "gyroscope: the body turns; give --bias X,Y,Z"
-    ) in result.stderr
 
 
 def test_part_of_a_log(log, tmp_path):

@@ -110,8 +110,9 @@ HELP = {
     "reference_z": "For --q0 level: where the reference's z axis points (down for "
     "north-east-down).  [default: up]",
     "q0_layout": "Order of the four numbers of --q0.  [default: scalar-first]",
-    "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate at rest, found "
-    "in windows of DUR (1s).  [default: none]",
+    "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate over a rest of "
+    "at least DUR (1s), found in the whole log by rate, accelerometer and orientation.  [default: "
+    "none]",
     "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
     "[default: the same]",
     "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "

@@ -98,7 +98,8 @@ def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
     return (
         f"{bias}, from {rest.samples} samples at rest over "
         f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
-        f"scatter {rest.scatter_rad_s:.3g} rad/s"
+        f"scatter {rest.scatter_rad_s:.3g} rad/s; steady by {', '.join(rest.steady)}; "
+        "the whole log was searched"
     )
 
 

@@ -11,14 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.cells import cells_of
 from quatprop.conditioning.mounting import mounting
-from quatprop.conditioning.static_detection import (
-    AT_REST,
-    LARGEST_BIAS,
-    REST_WINDOW_NS,
-    longest_rest,
-    windows_of,
-)
+from quatprop.conditioning.static_detection import SignalsBeside, find_rest
 from quatprop.errors import UsageError
 from quatprop.text import Setting, Text
 from quatprop.times import duration_text
@@ -42,8 +37,7 @@ class Conditioning:
     bias
         Subtracted from every rate, x, y, z, in the unit of the source.
     static_ns
-        Take the mean over the log's rest as the bias; rest is looked for in windows of this
-        length, ns.
+        Take the mean over the log's rest as the bias; shorter than this, ns, is no rest.
     mount
         Sensor axes to body axes, as :func:`mounting` reads it.
     start, end
@@ -89,8 +83,15 @@ class ConditioningReport:
     outside: list[int]
 
 
+LOOK_AHEAD_CELL_NS = 1_000_000_000
+"""Only the first and the last stamp matter where no rest is looked for."""
+
+
 def condition(
-    read: Callable[[], Iterable[GyroSeries]], settings: Conditioning, unit: float
+    read: Callable[[], Iterable[GyroSeries]],
+    settings: Conditioning,
+    unit: float,
+    beside: SignalsBeside | None = None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
     """Return the conditioned samples, and what is done to them.
 
@@ -102,6 +103,8 @@ def condition(
         What to do.
     unit
         rad/s in the unit of the bias.
+    beside
+        What was measured beside the rates, read only where rest is looked for; None for nothing.
 
     Returns
     -------
@@ -121,11 +124,12 @@ def condition(
     first_ns = last_ns = 0
     rest = None
     if settings.looks_ahead:
-        windows = windows_of(read(), settings.static_ns or REST_WINDOW_NS)
-        if len(windows):
-            first_ns, last_ns = int(windows["first_ns"].min()), int(windows["last_ns"].max())
+        shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
+        cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
+        if len(cells):
+            first_ns, last_ns = int(cells["first_ns"].min()), int(cells["last_ns"].max())
         if settings.static_ns is not None:
-            rest = _bias_rest(longest_rest(windows))
+            rest = find_rest(cells, beside or SignalsBeside(), shortest_ns)
             bias = rest.mean_rad_s
     start_ns = _absolute(settings.start, first_ns, last_ns)
     end_ns = _absolute(settings.end, first_ns, last_ns)
@@ -143,28 +147,6 @@ def condition(
     if bias is not None or mount is not None:
         batches = conditioned(batches, bias=bias, mount=mount)
     return batches, report
-
-
-def _bias_rest(rest: Rest | None) -> Rest:
-    """Return a rest from which a bias can be taken, or refuse it."""
-    if rest is not None and rest.scatter_rad_s <= AT_REST:
-        size = float(np.linalg.norm(rest.mean_rad_s))
-        if size <= LARGEST_BIAS:
-            return rest
-        raise UsageError(
-            f"the steadiest period of the log has a mean rate of {size:.3g} rad/s, more than the "
-            "bias of a gyroscope: the body turns; give ",
-            Setting("bias", "X,Y,Z"),
-        )
-    quietest = ""
-    if rest is not None:
-        quietest = f" (the quietest scatters by {rest.scatter_rad_s:.3g} rad/s)"
-    raise UsageError(
-        f"the log has no period of rest to take the bias from{quietest}; give ",
-        Setting("bias", "X,Y,Z"),
-        ", or look for a shorter rest with ",
-        Setting("bias", "static:DUR"),
-    )
 
 
 def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:

@@ -1,33 +1,74 @@
-"""Static detection: the period of a log in which the sensor was at rest, from sums over windows."""
+"""Static detection: the period of a log in which the sensor was at rest.
+
+A log is divided into cells of equal time, of which only sums are kept. The sensor is at rest over
+neighbouring cells in which the rates and the specific force scatter little and have the same mean,
+while the log's own orientation, if it has one, does not turn with the rates.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.cells import cells_beside, mean_of, merged, outer_products, scatter_of
+from quatprop.errors import UsageError
+from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.text import Setting
+from quatprop.times import duration_text
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from quatprop.series import GyroSeries
+    from quatprop.conditioning.cells import Cells, Rows
 
-REST_WINDOW_NS = 1_000_000_000
-"""Rest is looked for in windows of this length by default."""
+    Float64 = NDArray[np.float64]
 
 AT_REST = 0.05
 """rad/s: rates that scatter more than this are not at rest."""
 
-REST_FACTOR = 2.0
-"""A window is at rest if its rates scatter at most this much more than the quietest window's."""
+FORCE_AT_REST = 0.1
+"""Specific force that scatters by more than this share of its size is not at rest."""
 
-AGREEMENT = 0.01
-"""rad/s: mean rates that differ by more on an axis are not the same bias."""
+REST_FACTOR = 3.0
+"""Cells at rest scatter at most this much more than the two quietest neighbours."""
+
+QUIET, FORCE_QUIET = 1e-3, 0.01
+"""Smaller scatter than this needs no comparison with the quietest: rad/s, and share of the size."""
+
+AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
+"""Means that differ by more, and by more than their noise explains, are not of the same rest: rad/s
+on an axis, and share of the size of the specific force (of its direction, rad)."""
+
+NOISE = 4.0
+"""Means may differ by so many standard errors."""
 
 LARGEST_BIAS = 0.2
-"""rad/s: a steady rate above this is a rotation, not the bias of a gyroscope."""
+"""rad/s: the largest bias that is believed. Data sheets of low-cost gyroscopes allow up to 20 deg/s
+(0.35 rad/s), but a car that circles is as fast, and no common sensor is found that far off."""
+
+TURNING = 5e-3
+"""rad/s: an orientation that turns slower than this stands still."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignalsBeside:
+    """What was measured beside the rates; None where the log does not have it.
+
+    Parameters
+    ----------
+    force
+        Reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes.
+    orientation
+        Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
+    """
+
+    force: Callable[[], Rows] | None = None
+    orientation: Callable[[], Rows] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,110 +82,213 @@ class Rest:
     samples
         How many samples it holds.
     mean_rad_s
-        The mean rate, shape ``(3,)``: the bias, if this is rest.
+        The mean rate, shape ``(3,)``: the bias.
     scatter_rad_s
         Root mean square deviation of the rates from the mean, over all three axes.
+    steady
+        Which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``.
+    searched_first_ns, searched_last_ns
+        The part of the log that was searched, ns: all of it, whatever part is propagated.
     """
 
     first_ns: int
     last_ns: int
     samples: int
-    mean_rad_s: NDArray[np.float64]
+    mean_rad_s: Float64
     scatter_rad_s: float
+    steady: tuple[str, ...]
+    searched_first_ns: int
+    searched_last_ns: int
 
 
-def longest_rest(windows: NDArray[np.void]) -> Rest | None:
-    """Return the longest quiet period, or None where no window holds two finite samples.
+@dataclass(frozen=True, slots=True)
+class _Steadiness:
+    """The cells of one signal, and how much they may differ."""
 
-    A window is quiet if its rates scatter at most :data:`REST_FACTOR` times as much as those of the
-    quietest one. A body that turns steadily is quiet too: neighbouring windows are one period only
-    where their means agree, and of periods that do not agree the slowest shows the bias.
+    cells: Cells
+    agreement: float | Float64
+
+    def changes(self, start: int, stop: int) -> NDArray[np.bool_]:
+        """Return which cells differ from the mean of those before them, from `start` on."""
+        cells = self.cells[start:stop]
+        count = np.cumsum(cells["count"])[:-1]
+        before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
+        apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
+        error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
+        changed: NDArray[np.bool_] = apart > np.maximum(self.agreement, NOISE * error)
+        return changed
+
+
+def find_rest(rates: Cells, beside: SignalsBeside, shortest_ns: int) -> Rest:
+    """Return the rest of a log from which the bias is taken.
+
+    Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
+    as quiet as one at rest. Of those that agree with it the longest is taken.
 
     Parameters
     ----------
-    windows
-        Of a whole log, as :func:`windows_of` gives them.
+    rates
+        Of the whole log, as :func:`cells_of` gives them for half of `shortest_ns`.
+    beside
+        What else was measured.
+    shortest_ns
+        The shortest time that counts as rest.
+
+    Raises
+    ------
+    UsageError
+        There is no rest; the sentence says what moves.
     """
-    windows = windows[windows["count"] > 1]
-    if not len(windows):
-        return None
-    quiet = np.flatnonzero(_scatter(windows) <= REST_FACTOR * _scatter(windows).min())
-    mean = _mean(windows)[quiet]
-    apart = np.diff(windows["index"][quiet]) != 1
-    apart |= np.abs(np.diff(mean, axis=0)).max(axis=1) > AGREEMENT
-    periods = _merged(windows[quiet], np.append(0, np.flatnonzero(apart) + 1))
-    mean = _mean(periods)
+    cell_ns = max(shortest_ns // 2, 1)
+    quiet = _quiet_rates(rates)
+    signals, steady = [_Steadiness(rates, AGREEMENT)], ["rate"]
+    forces = None if beside.force is None else cells_beside(rates, beside.force(), cell_ns)
+    if forces is not None:
+        size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
+        quiet = _quiet_forces(forces, quiet, size)
+        signals.append(_Steadiness(forces, FORCE_AGREEMENT * size))
+        steady.append("accelerometer")
+    periods = _periods(rates, quiet, signals)
+    if not periods:
+        raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
+    own = None if beside.orientation is None else outer_products(beside.orientation())
+    orientations = None if own is None else cells_beside(rates, own, cell_ns, 16)
+    if orientations is not None:
+        periods = _not_turning(rates, orientations, periods)
+        steady.append("orientation")
+    rests = np.concatenate([merged(rates[period], np.array([0])) for period in periods])
+    mean = mean_of(rests)
     slowest = mean[np.argmin((mean**2).sum(axis=1))]
     agrees = np.abs(mean - slowest).max(axis=1) <= AGREEMENT
-    longest = int(np.argmax(np.where(agrees, periods["last_ns"] - periods["first_ns"], -1)))
-    rest = periods[longest : longest + 1]
+    longest = int(np.argmax(np.where(agrees, rests["last_ns"] - rests["first_ns"], -1)))
+    rest = rests[longest]
     return Rest(
-        first_ns=int(rest["first_ns"][0]),
-        last_ns=int(rest["last_ns"][0]),
-        samples=int(rest["count"][0]),
+        first_ns=int(rest["first_ns"]),
+        last_ns=int(rest["last_ns"]),
+        samples=int(rest["count"]),
         mean_rad_s=mean[longest],
-        scatter_rad_s=float(_scatter(rest)[0]),
+        scatter_rad_s=float(scatter_of(rests)[longest]),
+        steady=tuple(steady),
+        searched_first_ns=int(rates["first_ns"].min()),
+        searched_last_ns=int(rates["last_ns"].max()),
     )
 
 
-_WINDOW = np.dtype(
-    [
-        ("index", np.int64),
-        ("first_ns", np.int64),
-        ("last_ns", np.int64),
-        ("count", np.float64),
-        ("total", np.float64, 3),
-        ("squares", np.float64),
-    ]
-)
-"""Sums over the samples of one window: enough for their mean and their scatter."""
+def _quiet_rates(rates: Cells) -> NDArray[np.intp]:
+    """Return the cells in which rates could be those of a gyroscope at rest, by themselves."""
+    # A cell that is not full, or of a sensor that has not begun to measure, is no evidence.
+    full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
+    measured = full & (rates["squares"] > 0) if rates["squares"].any() else full
+    cells = np.flatnonzero(measured)
+    if not len(cells):
+        raise _no_rest(": too few samples")
+    scatter, speed = scatter_of(rates[cells]), np.linalg.norm(mean_of(rates[cells]), axis=1)
+    steady = scatter <= AT_REST
+    if not steady.any():
+        raise _no_rest(f" (the quietest scatters by {scatter.min():.3g} rad/s)")
+    slow = steady & (speed <= LARGEST_BIAS)
+    if not slow.any():
+        raise UsageError(
+            f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
+            "more than the bias of a gyroscope: the body turns; give ",
+            Setting("bias", "X,Y,Z"),
+        )
+    cells = cells[slow]
+    quiet: NDArray[np.intp] = cells[_quiet(rates, cells, QUIET)]
+    return quiet
 
 
-def windows_of(batches: Iterable[GyroSeries], window_ns: int) -> NDArray[np.void]:
-    """Return the sums of every window, in the order of the log; only finite rates are counted."""
-    parts = [np.zeros(0, dtype=_WINDOW)]
-    origin = None
-    for batch in batches:
-        if not len(batch):
-            continue
-        origin = int(batch.t_ns[0]) if origin is None else origin
-        finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
-        rate = np.where(finite[:, None], batch.rate, 0.0)
-        rows = np.zeros(len(batch), dtype=_WINDOW)
-        rows["index"] = (batch.t_ns - origin) // window_ns
-        rows["first_ns"] = rows["last_ns"] = batch.t_ns
-        rows["count"] = finite
-        rows["total"] = rate
-        rows["squares"] = (rate**2).sum(axis=1)
-        parts.append(_by_index(rows))
-    return _by_index(np.concatenate(parts))
+def _quiet_forces(forces: Cells, cells: NDArray[np.intp], size: float) -> NDArray[np.intp]:
+    """Return in which of some cells the specific force, of a usual size, scatters little."""
+    scatter = scatter_of(forces[cells])
+    steady = scatter <= FORCE_AT_REST * size
+    if not steady.any():
+        raise _no_rest(
+            " (where the rates are quiet, the specific force scatters by at least "
+            f"{np.nanmin(scatter) / size:.0%}: the body moves)"
+        )
+    cells = cells[steady]
+    quiet: NDArray[np.intp] = cells[_quiet(forces, cells, FORCE_QUIET * size)]
+    return quiet
 
 
-def _by_index(rows: NDArray[np.void]) -> NDArray[np.void]:
-    """Add up neighbouring rows of the same window."""
-    if not len(rows):
-        return rows
-    return _merged(rows, np.flatnonzero(np.diff(rows["index"], prepend=rows["index"][0] - 1)))
+def _quiet(signal: Cells, cells: NDArray[np.intp], floor: float) -> NDArray[np.bool_]:
+    """Return in which of some cells a signal scatters about as little as in the quietest pair."""
+    scatter = scatter_of(signal[cells])
+    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][cells]) == 1]
+    quietest = float(min(pairs, default=scatter.min()))
+    # The scatter of few samples may be large or small by chance.
+    by_chance = 2 / np.sqrt(6 * (signal["count"][cells] - 1))
+    quiet: NDArray[np.bool_] = scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest)
+    return quiet
 
 
-def _merged(rows: NDArray[np.void], starts: NDArray[np.intp]) -> NDArray[np.void]:
-    """Add up the rows from each start to the next."""
-    merged = rows[starts]
-    merged["first_ns"] = np.minimum.reduceat(rows["first_ns"], starts)
-    merged["last_ns"] = np.maximum.reduceat(rows["last_ns"], starts)
-    for name in ("count", "total", "squares"):
-        merged[name] = np.add.reduceat(rows[name], starts, axis=0)
-    return merged
+def _periods(
+    rates: Cells, quiet: NDArray[np.intp], signals: list[_Steadiness]
+) -> list[NDArray[np.intp]]:
+    """Return runs of at least two neighbouring cells over which no signal changes its mean."""
+    neighbours = np.diff(rates["index"][quiet]) == 1
+    neighbours &= np.diff(quiet) == 1
+    periods = []
+    for run in np.split(quiet, np.flatnonzero(~neighbours) + 1):
+        start, stop = int(run[0]), int(run[-1]) + 1
+        while start < stop:
+            end = _end_of_agreement(signals, start, stop)
+            if end - start > 1:
+                periods.append(np.arange(start, end))
+            start = end
+    return periods
 
 
-def _mean(windows: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the mean rate of each window, ``(N, 3)``, rad/s."""
-    mean: NDArray[np.float64] = windows["total"] / windows["count"][:, None]
-    return mean
+def _end_of_agreement(signals: list[_Steadiness], start: int, stop: int) -> int:
+    """Return the first cell after `start` that differs from those before it, or `stop`."""
+    size = 16
+    while True:
+        end = min(start + size, stop)
+        changed = np.logical_or.reduce([signal.changes(start, end) for signal in signals])
+        if changed.any():
+            return start + 1 + int(np.argmax(changed))
+        if end == stop:
+            return stop
+        size *= 4
 
 
-def _scatter(windows: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the RMS deviation from the mean in each window, rad/s."""
-    variance = windows["squares"] / windows["count"] - (_mean(windows) ** 2).sum(axis=1)
-    scatter: NDArray[np.float64] = np.sqrt(np.maximum(variance, 0.0))
-    return scatter
+def _not_turning(
+    rates: Cells, orientations: Cells, periods: list[NDArray[np.intp]]
+) -> list[NDArray[np.intp]]:
+    """Return the periods in which the orientation does not turn as the rates say.
+
+    An orientation that drifts or settles while the rates say otherwise shows no rotation.
+    """
+    still, turns = [], []
+    for period in periods:
+        own = orientations[period]
+        own = own[own["count"] > 0]
+        if len(own) > 1:
+            # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
+            wxyz = np.linalg.eigh(own["total"].reshape(-1, 4, 4))[1][:, :, -1]
+            steps = multiply(conjugate(wxyz[:-1]), wxyz[1:])
+            turned = log(np.where(steps[:, :1] < 0, -steps, steps)).sum(axis=0)
+            middle = (own["first_ns"] // 2 + own["last_ns"] // 2).astype(np.float64)
+            turn = turned / ((middle[-1] - middle[0]) * 1e-9)
+            mean = mean_of(merged(rates[period], np.array([0])))[0]
+            size = float(np.linalg.norm(turn))
+            if size > TURNING and np.linalg.norm(mean - turn) < np.linalg.norm(mean) / 2:
+                turns.append(math.degrees(size))
+                continue
+        still.append(period)
+    if not still:
+        raise _no_rest(
+            f" (where the rates are steady, the log's own orientation turns by {min(turns):.3g} "
+            "deg/s)"
+        )
+    return still
+
+
+def _no_rest(why: str) -> UsageError:
+    return UsageError(
+        f"the log has no period of rest to take the bias from{why}; give ",
+        Setting("bias", "X,Y,Z"),
+        ", or look for a shorter rest with ",
+        Setting("bias", "static:DUR"),
+    )

@@ -15,6 +15,7 @@ from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.signals.beside_rates import signals_beside
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.text import Setting
@@ -80,8 +81,9 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity = observer, sensitivity
         self._rows = 0
+        beside = None if log is None else signals_beside(log, source, settings.selection)
         self._batches, self._conditioned = condition(
-            source.batches, settings.conditioning, UNITS[source.unit]
+            source.batches, settings.conditioning, UNITS[source.unit], beside
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()

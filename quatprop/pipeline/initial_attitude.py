@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,18 +12,11 @@ from quatprop.conditioning.static_detection import AT_REST
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
-from quatprop.messages.signal_fields import fields_beside
-from quatprop.signals.clock import choose_clock
+from quatprop.signals.beside_rates import specific_forces
 from quatprop.signals.interpolation import attitude_at, first_orientation
-from quatprop.signals.message_values import FieldReader, channels_of, timed_values
-from quatprop.tables.base import is_table
-from quatprop.tables.matching.choose import match_rates
-from quatprop.tables.matching.column_names import parse_name
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
@@ -34,20 +26,12 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
-    Rows = Iterator[tuple[NDArray[Any], ...]]
 
 LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
 
 STEADY = 0.05
 """Specific force that scatters by more than this share of its mean is not gravity alone."""
-
-_ACCELERATION = re.compile(
-    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
-    r"accelerometer_m_s2\[?|a)(?P<axis>[xyz012])\]?",
-    re.IGNORECASE,
-)
-"""Columns of specific force, by their name without a unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,11 +181,11 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
 
 def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
-    source, selection = recording.source, recording.selection
-    if is_table(log):
-        rows = _table_forces(log, selection)
-    else:
-        rows = _message_forces(cast("MessageLog", log), source, selection)
+    rows = specific_forces(log, recording.source, recording.selection)
+    if rows is None:
+        raise LogError(
+            log.path, "it has no accelerations to take roll and pitch from; give ", Setting("q0")
+        )
     last_ns = first_ns + LEVEL_NS
     parts = []
     for t_ns, force in rows:
@@ -222,36 +206,3 @@ def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> F
             Setting("q0"),
         )
     return mean
-
-
-def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Rows:
-    for channel in channels_of(log, source.name):
-        if channel.type_name != source.type_name:
-            continue
-        beside = fields_beside(channel, source.field, log.path)
-        if beside.rate is None or beside.acceleration is None:
-            continue
-        name, absent = beside.acceleration
-        clock = choose_clock(log, channel, beside.rate.stamps, selection)
-        reading = FieldReader(log, channel, clock, [name], [absent])
-        rows: Rows = timed_values(log, channel, reading)
-        return rows
-    raise _no_accelerations(log)
-
-
-def _table_forces(log: TableLog, selection: RateSelection) -> Rows:
-    axes: dict[int, int] = {}
-    for position, name in enumerate(log.columns()):
-        if match := _ACCELERATION.fullmatch(parse_name(name).key):
-            axes.setdefault("xyz012".index(match["axis"]) % 3, position)
-    if len(axes) != 3:  # noqa: PLR2004  # axes
-        raise _no_accelerations(log)
-    timed = match_rates(log, selection).timed
-    rows: Rows = log.rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
-    return rows
-
-
-def _no_accelerations(log: MessageLog | TableLog) -> LogError:
-    return LogError(
-        log.path, "it has no accelerations to take roll and pitch from; give ", Setting("q0")
-    )

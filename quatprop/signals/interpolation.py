@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -19,13 +18,11 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
-from quatprop.messages.signal_fields import fields_beside
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.message_values import channels_of
+from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.tables.base import is_table
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
@@ -149,14 +146,8 @@ def first_orientation(
     LogError
         The log cannot be used as asked.
     """
-    selection = AttitudeSelection()
-    if not is_table(log):
-        messages = cast("MessageLog", log)
-        selection = AttitudeSelection(topic=source.name, quat_field=_beside(messages, source))
-        if source.clock in {"header", "log", "publish"}:
-            selection = replace(selection, clock=source.clock)
     with _about("q0"):
-        signal = choose_attitudes(log, selection)
+        signal = own_orientation(log, source)
     if signal.placeholder:
         raise LogError(
             log.path,
@@ -176,16 +167,6 @@ def first_orientation(
     raise NoAttitudesError(
         log.path, [f"{source.name} ({source.type_name}), all of them absent or no rotation"]
     )
-
-
-def _beside(log: MessageLog, source: RateSignal) -> str | None:
-    """Return the orientation in the same part of the message as the rate, if it has one."""
-    for channel in channels_of(log, source.name):
-        if channel.type_name == source.type_name:
-            beside = fields_beside(channel, source.field, log.path).orientation
-            if beside is not None:
-                return beside.name
-    return None
 
 
 def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
