@@ -8,7 +8,7 @@ import pytest
 
 from quatprop.errors import TimelineError, UsageError
 from quatprop.kinematics.increments import METHODS
-from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.propagate import Propagation, attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.segments import Segments
@@ -42,18 +42,80 @@ def test_memory_does_not_grow_with_the_log():
     assert peak_bytes(15) < 1.1 * peak_bytes(3)
 
 
-@pytest.mark.parametrize("method", ["start", "coning", "cubic"])
-def test_the_difference_of_methods_is_that_of_their_ends(method):
-    """It is the angle between the ends of the method and of coning, or of coning and start."""
+@pytest.mark.parametrize("count", [1, 2, 3, 500, BLOCK + 1, BLOCK + 2, 2 * BLOCK])
+@pytest.mark.parametrize(
+    ("method", "other"),
+    [
+        ("start", "mean"),
+        ("end", "mean"),
+        ("mean", "coning"),
+        ("coning", "cubic"),
+        ("cubic", "coning"),
+    ],
+)
+def test_the_sensitivity_is_the_difference_of_ends(method, other, count):
+    """It is the angle to the end of the next better method, and to that of every second sample."""
+    if count > BLOCK and method in {"start", "end"}:
+        return
     random = np.random.default_rng(1)
-    t_ns, rate = np.arange(500) * 10_000_000, random.normal(0, 2, (500, 3))
+    t_ns, rate = np.arange(count) * 10_000_000, random.normal(0, 2, (count, 3))
     timeline = Timeline(Policy(), "log")
     segments = Segments(timeline, IDENTITY, method=method, rates="body")
-    (series,) = segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)]))
-    assert (series.wxyz == attitudes(t_ns, rate, method=method)).all()
-    other = "start" if method == "coning" else "coning"
-    ends = [attitudes(t_ns, rate, method=each)[-1] for each in (method, other)]
-    assert segments.method_sensitivity_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-15)
+    for _ in segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])):
+        pass
+    own, next_better = (final_attitude(t_ns, rate, each) for each in (method, other))
+    kept = np.unique([*range(0, count, 2), count - 1])
+    sparse = final_attitude(t_ns[kept], rate[kept], method)
+    assert geodesic_angle(segments.final, own) < 1e-15
+    assert segments.sensitivity.next_method == other
+    expected = [float(geodesic_angle(own, end)) for end in (next_better, sparse)]
+    assert segments.sensitivity.angles(segments.final) == pytest.approx(expected, abs=1e-13)
+
+
+def final_attitude(t_ns, rate, method):
+    """Return the last attitude, in one go."""
+    ((*_, (_, last)),) = [list(Propagation(IDENTITY, method, "body").run([GyroSeries(t_ns, rate)]))]
+    return last.wxyz[-1]
+
+
+@pytest.mark.parametrize("kind", ["averages", "increments"])
+def test_the_sensitivity_of_averages_and_increments(kind):
+    """The method end leads on to coning; two intervals become one, with the same integral."""
+    random = np.random.default_rng(4)
+    steps = random.integers(8_000_000, 12_000_000, 500)
+    t_ns, rate = np.cumsum(steps), random.normal(0, 2, (500, 3))
+    spans = steps if kind == "increments" else None
+    series = GyroSeries(t_ns, rate, spans, kind == "averages")
+    timeline = Timeline(Policy(), "log")
+    segments = Segments(timeline, IDENTITY, method="end", rates="body")
+    list(segments.attitudes(timeline.apply([series[:177], series[177:]])))
+    assert segments.sensitivity.next_method == "coning"
+    theta = rate * (steps / 1e9)[:, None]
+    pairs = np.concatenate([theta[1:-1:2] + theta[2::2], theta[-1:]])
+    ends = [attitudes(np.arange(len(t) + 1) * 1_000_000_000, np.concatenate([t, t[-1:]]))[-1]
+            for t in (theta[1:], pairs)]  # fmt: skip
+    sampling_rad = segments.sensitivity.angles(segments.final)[1]
+    assert sampling_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-13)
+
+
+def test_slow_sampling_is_not_reassured():
+    """Coning at 1.1 samples a turn: all methods agree to 1 deg, and all are far off."""
+    hz, seconds = 8, 60
+    t_ns = np.arange(hz * seconds + 1) * (1_000_000_000 // hz)
+    angle = 2 * np.pi * 7.3 * t_ns / 1e9
+    rate = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.05)], axis=1)
+    dense_ns = np.arange(hz * seconds * 128 + 1) * (1_000_000_000 // hz // 128)
+    angle = 2 * np.pi * 7.3 * dense_ns / 1e9
+    dense = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.05)], axis=1)
+    truth = attitudes(dense_ns, dense, method="cubic")[-1]
+    for method in ("start", "mean", "coning", "cubic"):
+        timeline = Timeline(Policy(), "log")
+        segments = Segments(timeline, IDENTITY, method=method, rates="body")
+        list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
+        _, sampling_rad = segments.sensitivity.angles(segments.final)
+        error_rad = geodesic_angle(segments.final, truth)
+        assert error_rad > np.radians(20)
+        assert sampling_rad > error_rad / 4
 
 
 def test_the_sensitivity_is_computed_where_it_is_read():
@@ -63,7 +125,7 @@ def test_the_sensitivity_is_computed_where_it_is_read():
     batch = GyroSeries(np.arange(9) * 10_000_000, np.ones((9, 3)))
     for _ in segments.attitudes(timeline.apply([batch]), sensitivity=False):
         pass
-    assert segments.method_sensitivity_rad is None
+    assert segments.sensitivity is None
 
 
 @pytest.mark.parametrize("on_gap", ["hold", "zero", "split"])
@@ -77,7 +139,7 @@ def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
     segments = Segments(timeline, IDENTITY, method="start", rates="body")
     list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
     ends = []
-    for method in ("start", "coning"):
+    for method in ("start", "mean"):
         if on_gap == "hold":
             ends.append(attitudes(t_ns, rate, method=method)[-1])
             continue
@@ -86,7 +148,7 @@ def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
         ends.append(attitudes(t_ns[120:], rate[120:], q0=q0, method=method)[-1])
     assert geodesic_angle(segments.final, ends[0]) < 1e-15
     expected = float(geodesic_angle(*ends))
-    assert segments.method_sensitivity_rad == pytest.approx(expected, abs=1e-15)
+    assert segments.sensitivity.angles(segments.final)[0] == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize("method", METHODS)

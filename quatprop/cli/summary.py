@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.conditioning.static_detection import Rest
-    from quatprop.pipeline.report import RunReport
+    from quatprop.pipeline.report import ResultReport, RunReport
     from quatprop.rendering import Row
 
 PROGRESS_EVERY_S = 0.2
@@ -77,11 +77,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
         yield "bias", _bias(bias, report.conditioning.rest)
     if convention.q0_from != "given":
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
-    other = "start" if convention.method == "coning" else "coning"
     if result.method_sensitivity_rad is not None:
-        # Rounding errors are no sensitivity.
-        difference = degrees_text(round(result.method_sensitivity_rad, 12), 3)
-        yield "sensitivity", f"{difference} between the final attitudes of this method and {other}"
+        yield "sensitivity", _sensitivity(result)
     yield "final", quaternion_text(result.final_wxyz)
     rotation = (
         f"{degrees_text(result.net_rotation_rad)} from q0 to the final attitude, "
@@ -89,6 +86,18 @@ def _facts(report: RunReport) -> Iterator[Row]:
         f"at most {degrees_text(counts.max_rate)}/s"
     )
     yield "rotation", rotation
+
+
+def _sensitivity(result: ResultReport) -> str:
+    # Rounding errors are no sensitivity.
+    by_method, by_sampling = (
+        degrees_text(round(angle or 0.0, 12), 3)
+        for angle in (result.method_sensitivity_rad, result.sampling_sensitivity_rad)
+    )
+    return (
+        f"the final attitude differs by {by_method} from method {result.next_method}, "
+        f"by {by_sampling} from every second sample"
+    )
 
 
 def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:

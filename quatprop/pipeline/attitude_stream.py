@@ -158,6 +158,10 @@ class AttitudeStream:
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
+        sensitivity = self._segments.sensitivity
+        method_rad, sampling_rad = (
+            (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
+        )
         findings: list[str | Text] = [
             *source.remarks,
             *source.method_remarks(settings.method),
@@ -202,7 +206,9 @@ class AttitudeStream:
                 rows=self._rows,
                 final_wxyz=self._segments.final,
                 net_rotation_rad=float(geodesic_angle(self._q0, self._segments.final)),
-                method_sensitivity_rad=self._segments.method_sensitivity_rad,
+                method_sensitivity_rad=method_rad,
+                next_method=None if sensitivity is None else sensitivity.next_method,
+                sampling_sensitivity_rad=sampling_rad,
                 path_angle_rad=counts.path_angle_rad,
             ),
         )

@@ -124,8 +124,12 @@ class ResultReport:
     net_rotation_rad
         Angle from the first to the last attitude, rad.
     method_sensitivity_rad
-        Angle between the final attitudes of this and another method, rad; None where it was not
-        computed.
+        Method sensitivity: the angle between the final attitudes of this and the next better
+        method, rad; None where it was not computed.
+    next_method
+        That method: for ``"cubic"`` the next lower one.
+    sampling_sensitivity_rad
+        Angle between the final attitudes from all samples and from every second one, rad.
     path_angle_rad
         Total angle traversed, rad.
     """
@@ -139,6 +143,8 @@ class ResultReport:
     final_wxyz: NDArray[np.float64]
     net_rotation_rad: float
     method_sensitivity_rad: float | None
+    next_method: str | None
+    sampling_sensitivity_rad: float | None
     path_angle_rad: float
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from quatprop.kinematics.propagate import FinalAttitude, Propagation
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.resample import at_times
+from quatprop.kinematics.sensitivity import Sensitivity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -42,6 +42,8 @@ class Segments:
     ----------
     final
         The attitude at the last sample so far, wxyz.
+    sensitivity
+        How far it depends on method and sampling; None where that was not asked for.
     """
 
     def __init__(
@@ -57,7 +59,7 @@ class Segments:
         self._q0 = self.final = q0
         self._method, self._rates = method, rates
         self._times = times
-        self._other_final: NDArray[np.float64] | None = None
+        self.sensitivity: Sensitivity | None = None
 
     def attitudes(
         self, samples: Iterable[GyroSeries], *, sensitivity: bool = True
@@ -69,9 +71,10 @@ class Segments:
         samples
             What the timeline's policy leaves of the log, in blocks.
         sensitivity
-            Whether to find out how much the final attitude depends on the method.
+            Whether to find out how much the final attitude depends on method and sampling.
         """
-        self._other_final = self._q0 if sensitivity else None
+        if sensitivity:
+            self.sensitivity = Sensitivity(self._q0, self._method, self._rates)
         segments = map(self._propagated, self._timeline.segments(samples))
         if self._times is None:
             return (series for _, series in chain.from_iterable(segments))
@@ -101,29 +104,12 @@ class Segments:
         """Yield samples with their attitudes; after a gap from q0, or from the one before it."""
         restart = self._timeline.policy.on_gap == "split"
         propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
-        other = None
-        if self._other_final is not None:
-            method = other_method(self._method)
-            other = FinalAttitude(self._q0 if restart else self._other_final, method, self._rates)
+        if self.sensitivity is not None:
+            self.sensitivity.begin(restart=restart)
         for block, attitudes in propagation.run(segment):
             self.final = attitudes.wxyz[-1]
-            if other is not None:
-                other.advance(block)
-                self._other_final = other.wxyz
+            if self.sensitivity is not None:
+                self.sensitivity.add(block)
             yield block, attitudes
-
-    @property
-    def method_sensitivity_rad(self) -> float | None:
-        """Angle between the final attitudes of the method and of :func:`other_method`, rad.
-
-        It shows what the samples leave open: how the body rotated between them. None where it was
-        not asked for.
-        """
-        if self._other_final is None:
-            return None
-        return float(geodesic_angle(self.final, self._other_final))
-
-
-def other_method(method: str) -> str:
-    """Return the method with which the final attitude of a method is compared."""
-    return "start" if method == "coning" else "coning"
+        if self.sensitivity is not None:
+            self.sensitivity.finish()

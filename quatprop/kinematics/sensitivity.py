@@ -1,0 +1,163 @@
+"""How far the final attitude depends on the integration rule, and on the sampling.
+
+Two propagations more, of which only the end is computed: by the next better rule, and by the same
+rule with every second sample. The first says what the rule leaves out. The second does not reassure
+where the samples are too far apart for every rule, so that all rules agree on a wrong attitude.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.kinematics.propagate import FinalAttitude
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.series import GyroSeries
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64 = NDArray[np.float64]
+
+NEXT_BETTER: Final = {
+    "start": "mean",
+    "end": "mean",
+    "mean": "coning",
+    "coning": "cubic",
+    "cubic": "coning",
+}
+"""The integration rule with which each is compared: of the next higher order, or the next lower."""
+
+
+class Sensitivity:
+    """The final attitudes that another method, and every second sample, lead to.
+
+    Parameters
+    ----------
+    q0, method, rates
+        As for :class:`quatprop.kinematics.propagate.Propagation`.
+
+    Attributes
+    ----------
+    next_method
+        The method that is compared; known when the first samples have passed.
+    """
+
+    def __init__(self, q0: Float64, method: str, rates: str) -> None:
+        self._q0, self._method, self._rates = q0, method, rates
+        self._ends = [q0, q0]
+        self.next_method: str | None = None
+
+    def begin(self, *, restart: bool) -> None:
+        """Begin a segment: at q0 again, or at the attitudes reached so far."""
+        self._starts = [self._q0, self._q0] if restart else self._ends
+        self._runs: list[_Run] | None = None
+        self._sparse = EverySecond()
+
+    def add(self, block: GyroSeries) -> None:
+        """Take the next samples: a block of :func:`quatprop.series.reblock`."""
+        if self._runs is None:
+            integrated = block.is_integrated(self._method)
+            end = integrated and self._method not in {"coning", "cubic"}
+            self.next_method = "coning" if end else NEXT_BETTER[self._method]
+            methods = (self.next_method, self._method)
+            self._runs = [
+                _Run(q0, method, self._rates)
+                for q0, method in zip(self._starts, methods, strict=True)
+            ]
+        other, sparse = self._runs
+        other.add(block)
+        sparse.add(self._sparse.of(block))
+
+    def finish(self) -> None:
+        """End the segment."""
+        if self._runs is not None:
+            self._runs[1].add(self._sparse.rest())
+            self._ends = [run.end() for run in self._runs]
+
+    def angles(self, final: ArrayLike) -> tuple[float, float]:
+        """Return how far the final attitude is from those of the others, rad.
+
+        Parameters
+        ----------
+        final
+            The attitude at the last sample by the method itself, wxyz, shape ``(4,)``.
+
+        Returns
+        -------
+        method_rad, sampling_rad : float
+            From that of the next better method, and from that of every second sample.
+        """
+        method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
+        return method_rad, sampling_rad
+
+
+class _Run:
+    """A final attitude in the making; the method cubic waits for the samples that come next."""
+
+    def __init__(self, q0: Float64, method: str, rates: str) -> None:
+        self._final = FinalAttitude(q0, method, rates)
+        self._waits = method == "cubic"
+        self._held: GyroSeries | None = None
+
+    def add(self, series: GyroSeries) -> None:
+        if not len(series):
+            return
+        if not self._waits:
+            self._final.advance(series)
+            return
+        if self._held is not None:
+            self._final.advance(self._held, series)
+        self._held = series
+
+    def end(self) -> Float64:
+        if self._held is not None:
+            self._final.advance(self._held)
+        return self._final.wxyz
+
+
+class EverySecond:
+    """Leaves out every second sample of a segment, but not the last.
+
+    Averages and increments over two intervals are joined: nothing of the motion is left out, but
+    how the axis turned within them.
+    """
+
+    def __init__(self) -> None:
+        self._held: GyroSeries | None = None
+
+    def of(self, block: GyroSeries) -> GyroSeries:
+        """Return the samples of the next block that remain."""
+        samples, first = block, 0
+        if self._held is not None:
+            # The first of these was returned before.
+            samples, first = GyroSeries.joined([self._held, block]), 2
+        last = (len(samples) - 1) // 2 * 2
+        self._held = samples[last:]
+        sparse = samples[first : last + 1 : 2]
+        if samples.span_ns is None and not samples.averages:
+            return sparse
+        return self._joined(samples[: last + 1], sparse)
+
+    def rest(self) -> GyroSeries:
+        """Return the last sample, where it was left out; at the end of the segment."""
+        if self._held is None:
+            return GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
+        return self._held[1:]
+
+    @staticmethod
+    def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:
+        """Return the sparse samples with the averages over both of their intervals."""
+        lengths = np.diff(samples.t_ns) if samples.span_ns is None else samples.span_ns[1:]
+        moves = np.diff(samples.t_ns) > 0
+        lengths = np.where(moves, lengths, 0)
+        both = lengths[0::2] + lengths[1::2]
+        weighted = samples.rate[1:] * lengths[:, None]
+        total = weighted[0::2] + weighted[1::2]
+        rate, span_ns = sparse.rate.copy(), sparse.span_ns
+        count = len(both)
+        np.divide(total, both[:, None], out=rate[len(rate) - count :], where=both[:, None] > 0)
+        if span_ns is not None:
+            span_ns = np.concatenate([span_ns[: len(span_ns) - count], both])
+        return GyroSeries(sparse.t_ns, rate, span_ns, sparse.averages)
