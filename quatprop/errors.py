@@ -34,7 +34,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.text import Setting, Text, listed, plain, quoted
+from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -282,8 +282,9 @@ class NoSuchTopicError(LogError):
     def __init__(
         self, path: Path | str, topic: str, available: Iterable[str], what: str = "body rates"
     ) -> None:
-        names = listed(available)
-        choices = f"choose one of {names}" if names else "no topic of this log does"
+        names = list(available)
+        choices = f"choose one of {listed(names)}" if names else "no topic of this log does"
+        choices += did_you_mean(topic, names) if len(names) > 1 else ""
         super().__init__(path, f"no topic {quoted(topic)} that carries {what}; {choices}")
 
 

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from into_logs import IMU, imu_message, moments
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli import cli
 from quatprop.cli.commands import COMMANDS
@@ -101,5 +104,37 @@ def test_the_examples_of_every_command_run(tmp_path):
 def test_the_name_that_was_meant_is_suggested(arguments, sentence):
     """Of commands, options and choices: the one that is nearest, or none."""
     result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1].endswith(sentence)
+
+
+def write_bag(path):
+    """Write a ROS 1 bag with two gyroscopes."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as writer:
+        for topic in ("/cam/imu", "/imu_raw"):
+            connection = writer.add_connection(topic, IMU, typestore=store)
+            for stamp, logged in moments(3):
+                writer.write(connection, logged, imu_message(store, stamp, ros1=True))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["log.bag", "-t", "imu"], "one of '/cam/imu', '/imu_raw'; did you mean '/cam/imu'?"),
+        (["log.bag", "-t", "/imuraw"], "did you mean '/imu_raw'?"),
+        (["log.csv", "--rate-cols", "gx,gy,gzz"], "'gx', 'gy', 'gz'; did you mean 'gz'?"),
+        (
+            ["log.bag", "-t", "/imu_raw", "--time-field", "header.stmp"],
+            "has 'seq', 'stamp', 'frame_id'; did you mean 'stamp'?",
+        ),
+    ],
+)
+def test_topics_columns_and_fields_are_suggested(tmp_path, monkeypatch, arguments, sentence):
+    """As they are in the log."""
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("t_ns,gx,gy,gz\n0,0,0,1\n1000000,0,0,1\n")
+    write_bag("log.bag")
+    result = run("propagate", *arguments, "--rate-unit", "rad/s", "-o", "x.csv")
     assert result.exit_code == 2
     assert result.stderr.splitlines()[-1].endswith(sentence)

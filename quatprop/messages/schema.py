@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from quatprop.errors import SchemaError
-from quatprop.text import listed, quoted
+from quatprop.text import did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -183,7 +183,7 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     for step in way:
         below = _below(here, step)
         if below is None:
-            raise SchemaError(path, _dead_end(root, here, field_path))
+            raise SchemaError(path, _dead_end(root, here, field_path, step))
         here = below
     return way, here
 
@@ -257,10 +257,12 @@ def _below(kind: Type, step: str | int) -> Type | None:
     return None
 
 
-def _dead_end(root: Struct, here: Type, field_path: str) -> str:
+def _dead_end(root: Struct, here: Type, field_path: str, step: str | int) -> str:
     no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):
-        return f"{no_field}; {quoted(here.name)} has {listed(name for name, _ in here.fields)}"
+        names = [name for name, _ in here.fields]
+        hint = did_you_mean(str(step), names)
+        return f"{no_field}; {quoted(here.name)} has {listed(names)}{hint}"
     if isinstance(here, Array):
         return f"{no_field}; the array there takes an index from [0] to [{here.length - 1}]"
     if isinstance(here, Sequence):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.tables.matching.column_names import parse_name
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -55,11 +55,12 @@ class TableColumns:
         if not positions and name.isdecimal() and int(name) < len(self.columns):
             return int(name)
         if not positions:
+            names = [column.text for column in self.columns]
             raise UsageError(
                 f"{plain(self.path)}: ",
                 Setting(setting),
-                f" asks for column {quoted(name)}; "
-                f"the columns are {listed(column.text for column in self.columns)}",
+                f" asks for column {quoted(name)}; the columns are {listed(names)}"
+                f"{did_you_mean(name, names)}",
             )
         return positions[0]
 
