@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 from collections import defaultdict
 
+import apsw
 import numpy as np
 import pytest
 import zstandard
@@ -292,6 +293,70 @@ def test_an_index_that_lacks_rows_hides_none(tmp_path):
     assert found["/imu", "sensor_msgs/msg/Imu"] == [(k, bytes([k % 251]) * 90) for k in range(900)]
     (loss,) = losses
     assert "its index 'timestamp_idx' does not list all messages" in loss.reason
+
+
+@pytest.mark.parametrize("lacking", [False, True])
+def test_deleted_messages_are_no_damage(tmp_path, lacking):
+    """Row numbers may have gaps; only rows that an index does not list are damage."""
+    path = old_bag(tmp_path / "a.db3", ((k, bytes([k % 251])) for k in range(900)))
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM messages WHERE id BETWEEN 100 AND 199")
+        if lacking:
+            database.execute("DROP INDEX timestamp_idx")
+            database.execute("CREATE INDEX timestamp_idx ON messages (timestamp) WHERE id <> 500")
+            database.execute("PRAGMA writable_schema=ON")
+            database.execute(
+                "UPDATE sqlite_master SET sql = replace(sql, 'WHERE id <> 500', '') "
+                "WHERE name = 'timestamp_idx'"
+            )
+    database.close()
+    found, losses = messages(path)
+    expected = [(k, bytes([k % 251])) for k in range(900) if not 99 <= k < 199]
+    assert found["/imu", "sensor_msgs/msg/Imu"] == expected
+    assert ["does not list all messages" in loss.reason for loss in losses] == [True] * lacking
+
+
+def test_an_intact_table_is_read_once(tmp_path, monkeypatch):
+    """Neither rows that are no messages nor rows that the index lacks cost another scan."""
+    path = write_bag(tmp_path / "bag")
+    statements = []
+
+    def traced(database):
+        database.exec_trace = lambda _, sql, __: statements.append(sql) or True
+
+    monkeypatch.setattr(apsw, "connection_hooks", [traced])
+    with Db3Log(path) as log:
+        channel, _ = log.channels()
+        assert len(rows_of(log, channel)) == 1500
+    assert ["timestamp, data" in sql or "NOT INDEXED" in sql for sql in statements].count(True) == 0
+    assert [sql.count("data") for sql in statements if "ORDER BY timestamp" in sql] == [1]
+
+
+def test_what_no_topic_has_is_counted_once_and_what_is_no_message_for_its_topic(tmp_path):
+    """However many topics are read, and wherever in a topic the odd rows are."""
+    path = old_bag(tmp_path / "a.db3", ())
+    kinds = [(4, b"a"), (5, b"b"), (4, "text"), (6, b"c"), (5, 1.5), (7, "d"), (4, None)]
+    with sqlite3.connect(path) as database:
+        database.execute("PRAGMA writable_schema=ON")
+        database.execute("UPDATE sqlite_master SET sql = replace(sql, 'BLOB NOT NULL', 'BLOB')")
+    database.close()
+    with sqlite3.connect(path) as database:
+        database.execute("INSERT INTO topics VALUES (5, '/other', 'std_msgs/Empty', 'cdr')")
+        for k in range(700):
+            row = k, *kinds[k % 7][:1], k, kinds[k % 7][1]
+            database.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", row)
+    database.close()
+    found, losses = messages(path)
+    assert found == {
+        ("/imu", "sensor_msgs/msg/Imu"): [(k, b"a") for k in range(0, 700, 7)],
+        ("/other", "std_msgs/msg/Empty"): [(k, b"b") for k in range(1, 700, 7)],
+    }
+    assert {(loss.place, loss.messages) for loss in losses} == {
+        ("topic '/imu'", 200),
+        ("topic '/other'", 100),
+        ("topic id 6", 100),
+        ("topic id 7", 100),
+    }
 
 
 def test_messages_without_a_topic_are_counted(tmp_path):

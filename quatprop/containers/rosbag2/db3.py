@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import apsw
 from rosbags.typesys.msg import normalize_msgtype
@@ -12,7 +11,7 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.containers.base import Channel, MessageBlock, MessageLog
 from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.rosbag2.fetches import BLOCK_BYTES, ROWS, combined, fetch_of, next_group
+from quatprop.containers.rosbag2.fetches import ROWS, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database, read_wal
 from quatprop.containers.rosbag2.sqlite_pages import open_pages
@@ -28,9 +27,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.msg_files import MsgFiles
     from quatprop.containers.rosbag2.fetches import Fetch
-
-
-_OTHER_TYPES = "their log times or contents are of other types"
 
 
 class Db3Log(MessageLog):
@@ -62,8 +58,6 @@ class Db3Log(MessageLog):
             )
         super().__init__(path)
         self._is_zstd = message_compression is not None
-        self._damage: str | None = None
-        self._invalid: dict[SQLiteValue, int] | None = None
         try:
             self._database = self._connect()
             try:
@@ -166,90 +160,91 @@ class Db3Log(MessageLog):
 
     def _fetches(self, channel: Channel) -> Iterator[Fetch]:
         """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
-        self._check()
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
-        if self._damage is None:
-            try:
-                for fetch in self._queried(ids):
-                    count += len(fetch.times)
-                    yield fetch
-            except apsw.Error as error:
-                self._damage = str(error)
-        if self._damage is not None:
-            yield from self._recovered(channel, ids, count)
-        lost = sum((self._invalid or {}).get(id_, 0) for id_ in ids)
-        if lost:
-            self._lose(channel, _OTHER_TYPES, lost)
-
-    def _check(self) -> None:
-        """Count rows that are no messages, and find out whether the index lists all rows."""
-        if self._invalid is not None:
-            return
-        self._invalid = {}
-        marks = ", ".join("?" * len(self._topics))
-        # Columns of SQLite hold values of any type.
-        query = (
-            "SELECT CASE typeof(topic_id) WHEN 'integer' THEN topic_id "  # noqa: S608  # only marks
-            "WHEN 'null' THEN NULL ELSE quote(CAST(topic_id AS BLOB)) END AS key_, count(*), "
-            f"topic_id IN ({marks}) AS known_ FROM messages NOT INDEXED WHERE known_ IS NOT 1 OR "
-            "typeof(timestamp) <> 'integer' OR typeof(data) <> 'blob' GROUP BY key_, known_"
-        )
         try:
-            total = self._count("NOT INDEXED")
-            for id_, count, is_known in self._database.execute(query, list(self._topics)):
-                if is_known and id_ in self._topics:
-                    self._invalid[id_] = count
-                else:
-                    reason = _OTHER_TYPES if is_known else "no topic has this id"
-                    self.losses.note(f"topic id {id_}", reason, count)
-            indexes = self._database.execute(
-                "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
-            ).fetchall()
-            for (name,) in indexes:
-                quoted_name = str(name).replace('"', '""')
-                if self._count(f'INDEXED BY "{quoted_name}"') != total:
-                    self._damage = f"its index {quoted(name)} does not list all messages"
+            self._check_indexes()
+            for fetch in self._queried(channel, ids):
+                count += len(fetch.times)
+                yield fetch
         except apsw.Error as error:
-            self._damage = str(error)
+            yield from self._recovered(channel, ids, count, str(error))
 
-    def _count(self, how: str) -> int:
-        rows = self._database.execute(f"SELECT count(*) FROM messages {how}")  # noqa: S608
+    def _check_indexes(self) -> None:
+        """Raise an error of SQLite where an index does not list all rows."""
+        indexes = self._database.execute(
+            "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
+        ).fetchall()
+        for (name,) in indexes:
+            quoted_name = str(name).replace('"', '""')
+            rows = self._number("count(*)", f'INDEXED BY "{quoted_name}"')
+            # Where no row number is left out these are all. Otherwise the whole table is counted.
+            is_complete = self._has_rowid() and rows == 1 + self._number(
+                "ifnull((SELECT max(rowid) FROM messages) - min(rowid), -1)"
+            )
+            if not is_complete and rows != self._number("count(*)", "NOT INDEXED"):
+                raise apsw.CorruptError(f"its index {quoted(name)} does not list all messages")
+
+    def _number(self, expression: str, how: str = "") -> int:
+        rows = self._database.execute(f"SELECT {expression} FROM messages {how}")  # noqa: S608
         return int(str(next(rows)[0]))
 
-    def _queried(self, ids: list[SQLiteValue]) -> Iterator[Fetch]:
-        """Fetch messages with a query.
+    def _queried(self, channel: Channel, ids: list[SQLiteValue]) -> Iterator[Fetch]:
+        """Fetch messages with a query, and count the rows that are no messages.
 
         Raises
         ------
         apsw.Error
             The database is damaged there.
         """
-        marks = ", ".join("?" * len(ids))
-        key = "rowid" if self._has_rowid() else "timestamp"
+        parameters = [*ids, *(id_ for id_ in self._topics if id_ not in ids)]
+        marks = [f"?{k + 1}" for k in range(len(parameters))]
+        this_topic = f"topic_id IN ({', '.join(marks[: len(ids)])})"
+        no_topic = f"topic_id IN ({', '.join(marks)}) IS NOT 1"
+        is_message = f"{this_topic} AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
+        order = f"ORDER BY timestamp, {'rowid' if self._has_rowid() else 'timestamp'}"
+        # Rows of no topic come without a time: another scan for them would take longer.
         query = (
-            "SELECT timestamp, data FROM messages "  # noqa: S608  # only question marks go in
-            f"WHERE topic_id IN ({marks}) AND typeof(timestamp) = 'integer' "
-            f"AND typeof(data) = 'blob' ORDER BY timestamp, {key}"
+            f"SELECT CASE WHEN {this_topic} THEN timestamp END, data FROM messages "  # noqa: S608  # only question marks go in
+            f"WHERE {this_topic} OR {no_topic} {order}"
         )
-        cursor = self._database.execute(query, ids)
-        rows = 64
-        damage = None
-        while damage is None:
-            fetched: list[Any] = []
-            try:
-                # What comes before an error stays in the list.
-                fetched.extend(islice(cursor, rows))
-            except apsw.Error as error:
-                damage = error
-            if not fetched:
-                break
-            fetch = fetch_of(*zip(*fetched, strict=True))
-            yield fetch
-            rows = min(ROWS, max(1, BLOCK_BYTES * len(fetched) // (len(fetch.data) + 1)))
-        if damage is not None:
-            raise damage
+        has_others = False
+        count = 0
+        try:
+            for rows, fetch in fetched(self._database.execute(query, parameters)):
+                has_others |= len(fetch.times) < rows
+                count += len(fetch.times)
+                yield fetch
+        except (TypeError, UnicodeDecodeError):
+            # Columns of SQLite hold values of any type; to ask for that of each takes time.
+            query = (
+                f"SELECT timestamp, data FROM messages WHERE {is_message} {order} "  # noqa: S608  # only question marks go in
+                f"LIMIT -1 OFFSET {count}"
+            )
+            for _, fetch in fetched(self._database.execute(query, ids)):
+                yield fetch
+            has_others = True
+        if has_others:
+            condition = f"({this_topic} OR {no_topic}) AND ({is_message}) IS NOT 1"
+            self._count_others(channel, this_topic, condition, parameters)
+
+    def _count_others(
+        self, channel: Channel, this_topic: str, condition: str, parameters: list[SQLiteValue]
+    ) -> None:
+        """Count rows that are no messages: of this topic, and by the topic id that none has."""
+        query = (
+            f"SELECT {this_topic} AS is_this_, CASE WHEN {this_topic} THEN NULL "  # noqa: S608  # no text of others
+            "WHEN typeof(topic_id) IN ('integer', 'null') THEN topic_id "
+            "ELSE quote(CAST(topic_id AS BLOB)) END AS key_, count(*) "
+            f"FROM messages WHERE {condition} GROUP BY is_this_, key_"
+        )
+        for is_this, key, count in self._database.execute(query, parameters):
+            if is_this:
+                reason = "their log times or contents are of other types"
+                self._lose(channel, reason, int(str(count)))
+            else:
+                self.losses.note(f"topic id {key}", "no topic has this id", int(str(count)))
 
     def _has_rowid(self) -> bool:
         with suppress(apsw.SQLError):  # WITHOUT ROWID
@@ -257,7 +252,9 @@ class Db3Log(MessageLog):
             return True
         return False
 
-    def _recovered(self, channel: Channel, ids: list[SQLiteValue], done: int) -> Iterator[Fetch]:
+    def _recovered(
+        self, channel: Channel, ids: list[SQLiteValue], done: int, damage: str
+    ) -> Iterator[Fetch]:
         """Fetch messages after the first `done` from the pages of the file, in time order."""
         names = list(self._columns("messages"))
         topic, time, data = (names.index(name) for name in ("topic_id", "timestamp", "data"))
@@ -270,11 +267,11 @@ class Db3Log(MessageLog):
             mine = [cell for cell in cells if cell.group in ids][done:]
             for first in range(0, len(mine), ROWS):
                 group = [(c.log_ns, pages.blob(c)) for c in mine[first : first + ROWS]]
-                whole = [row for row in group if row[1] is not None]
+                whole = [(log_ns, data) for log_ns, data in group if data is not None]
                 lost += len(group) - len(whole)
                 if whole:
-                    yield fetch_of(*zip(*whole, strict=True))
-        reason = f"its database is damaged ({self._damage}); what intact pages hold is read"
+                    yield fetch_of(whole)
+        reason = f"its database is damaged ({damage}); what intact pages hold is read"
         if lost > 0:
             reason += f", and {lost} messages of any topic between them are missing"
         self._lose(channel, reason)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from array import array
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import apsw
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
@@ -31,13 +34,52 @@ class Fetch(NamedTuple):
     data: bytes
 
 
-def fetch_of(stamps: Sequence[int], messages: Sequence[bytes]) -> Fetch:
-    """Return rows as arrays."""
+def fetch_of(rows: Sequence[tuple[int | None, bytes]]) -> Fetch:
+    """Return rows of log time and bytes as arrays, without those that have no time.
+
+    Raises
+    ------
+    TypeError
+        A time is no integer, or a message no bytes.
+    """
+    times, messages = zip(*rows, strict=True)
+    if None in times:
+        timed = [row for row in rows if row[0] is not None]
+        times, messages = zip(*timed, strict=True) if timed else ((), ())
     return Fetch(
-        np.fromiter(stamps, np.int64, len(stamps)),
+        # Not numpy's conversion, which takes fractions.
+        np.frombuffer(array("q", times), np.int64),
         np.fromiter(map(len, messages), np.int64, len(messages)),
         b"".join(messages),
     )
+
+
+def fetched(cursor: Iterator[tuple[Any, ...]]) -> Iterator[tuple[int, Fetch]]:
+    """Yield what a query gives in groups: how many rows, and those that have a time.
+
+    Raises
+    ------
+    apsw.Error
+        The database is damaged there.
+    TypeError, UnicodeDecodeError
+        A value is of another type.
+    """
+    size = 64
+    damage = None
+    while damage is None:
+        rows: list[Any] = []
+        try:
+            # What comes before an error stays in the list.
+            rows.extend(islice(cursor, size))
+        except apsw.Error as error:
+            damage = error
+        if not rows:
+            break
+        fetch = fetch_of(rows)
+        yield len(rows), fetch
+        size = min(ROWS, max(1, BLOCK_BYTES * len(rows) // (len(fetch.data) + 1)))
+    if damage is not None:
+        raise damage
 
 
 def next_group(fetches: Iterator[Fetch]) -> list[Fetch]:
