@@ -3,7 +3,8 @@
 Each seed is one damaged log, which goes through ``info``, ``propagate`` and, in turn, one of
 ``convert``, ``compare``, ``plot`` and ``propagate --into``, in a process of its
 own with bounded memory and time. Whatever is not a sentence and an exit code of 0, 2 or 3 is told
-with its seed; ``--keep FOLDER`` keeps the log.
+with its seed, and so are samples that are neither read nor reported as lost; ``--keep FOLDER``
+keeps the log.
 """
 
 import argparse
@@ -71,7 +72,7 @@ class Worker:
         try:
             if self.pipe.poll((len(COMMANDS) + 2) * SECONDS):
                 return self.pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):
             self.process.join()
             died = self.process.exitcode
             self.process = None
@@ -90,6 +91,7 @@ class Worker:
 def _serve(pipe, intact):
     """Read damaged logs as seeds come in."""
     from fuzz_logs import write_damaged
+    from fuzz_losses import unexplained_loss
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.environ["QUATPROP_TRACEBACK"] = "1"
@@ -108,7 +110,8 @@ def _serve(pipe, intact):
             with tempfile.TemporaryDirectory(dir=room) as folder:
                 log = write_damaged(seed, intact, Path(folder))
                 began = time.perf_counter()
-                found, codes = problem(log, Path(folder), seed)
+                found, codes = problem(log.path, Path(folder), seed)
+                found = found or unexplained_loss(log, intact, codes)
                 seconds = time.perf_counter() - began
                 memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
                 pipe.send(Found(found, codes, seconds, memory))
@@ -241,7 +244,7 @@ def main():
             for seed in seeds:
                 target = chosen.keep / str(seed)
                 target.mkdir(parents=True)
-                print(write_damaged(seed, Path(folder), target))
+                print(write_damaged(seed, Path(folder), target).path)
         return
     done, failed, codes, worst = count(1), [], Counter(), {"seconds": (0,), "memory": (0,)}
 

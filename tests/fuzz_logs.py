@@ -9,6 +9,7 @@ import sqlite3
 from contextlib import closing
 from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -171,10 +172,15 @@ def _write_wal_bag(target, bag):
     shutil.copytree(bag, target / "open")
     file = target / "open" / "small_ros2.db3"
     with closing(sqlite3.connect(file)) as database:
+        rows = database.execute("SELECT * FROM messages WHERE id > 100 ORDER BY id").fetchall()
+        database.execute("DELETE FROM messages WHERE id > 100")
+        database.commit()
+        database.execute("VACUUM")
         database.execute("PRAGMA journal_mode=WAL")
         database.execute("PRAGMA wal_autocheckpoint=0")
-        for _ in range(3):
-            database.execute("UPDATE messages SET timestamp = timestamp + 1 WHERE id % 2 = 0")
+        for first in range(0, len(rows), 20):
+            statement = "INSERT INTO messages VALUES (?, ?, ?, ?)"
+            database.executemany(statement, rows[first : first + 20])
             database.commit()
         for part in (target / "open").iterdir():
             if part.suffix != ".db3-shm":
@@ -256,7 +262,9 @@ def _randomise(data, rng):
 
 
 def _truncate(data, rng):
-    del data[_place(data, rng) :]
+    # Also where blocks of a file system, pages and batches end.
+    step = rng.choice((1, 1, 8, 64, 512, 4096))
+    del data[_place(data, rng) // step * step :]
 
 
 def _overwrite(data, rng):
@@ -328,29 +336,120 @@ DAMAGES = (
 )
 
 
+PAGE = 4096
+"""Bytes of a page of the small databases."""
+
+
+def damaged_pages(data, rng):
+    """Return a database, or its write-ahead log, with one to four damages of its structure."""
+    data = bytearray(data)
+    head, step = (0, PAGE) if data.startswith(b"SQLite") else (32, 24 + PAGE)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        begin = head + step * rng.randrange(max(1, (len(data) - head) // step))
+        rng.choice(PAGE_DAMAGES)(data, rng, begin, step)
+    return bytes(data)
+
+
+def _edit_page_head(data, rng, begin, step):
+    """Change the kind of a page, its number of cells, or where they are."""
+    at = begin + step - PAGE + (100 if begin == 0 else 0)
+    place, size = rng.choice(((0, 1), (1, 2), (3, 2), (5, 2), (7, 1), (8, 4), (8, 2), (10, 2)))
+    before = int.from_bytes(data[at + place : at + place + size], "big")
+    value = rng.choice((0, 1, before + 1, max(0, before - 1), rng.randrange(1 << 8 * size)))
+    data[at + place : at + place + size] = (value % (1 << 8 * size)).to_bytes(size, "big")
+
+
+def _edit_frame(data, rng, begin, _step):
+    """Change the head of the file or of a frame."""
+    begin = rng.choice((0, begin))
+    at = begin + 4 * rng.randrange(25)
+    data[at : at + 4] = rng.choice([value for value in EXTREMES if len(value) == 4])
+
+
+def _remove_page(data, _rng, begin, step):
+    del data[begin : begin + step]
+
+
+def _exchange_pages(data, rng, begin, step):
+    other = rng.randrange(max(1, len(data) // step)) * step + begin % step
+    first, second = data[begin : begin + step], data[other : other + step]
+    if len(first) == len(second):
+        data[begin : begin + step], data[other : other + step] = second, first
+
+
+def _truncate_pages(data, _rng, begin, _step):
+    del data[begin:]
+
+
+def _edit_schema(data, rng, _begin, _step):
+    """Change a word of the schema, whose length stays."""
+    words = (b"messages", b"timestamp", b"topic_id", b"topics", b"INTEGER", b"TABLE", b"INDEX",
+             b"PRIMARY KEY", b"BLOB", b"NOT NULL", b"id", b"data")  # fmt: skip
+    word = rng.choice(words)
+    places = [at for at in range(len(data)) if data[at : at + len(word)] == word]
+    if places:
+        at = rng.choice(places)
+        data[at : at + len(word)] = rng.choice(words)[: len(word)].ljust(len(word))
+
+
+PAGE_DAMAGES = (
+    _edit_page_head,
+    _edit_page_head,
+    _edit_frame,
+    _remove_page,
+    _exchange_pages,
+    _truncate_pages,
+    _edit_schema,
+)
+
+
+def _damaged_file(file, rng):
+    is_database = file.suffix == ".db3" or file.name.endswith("-wal")
+    damage = damaged_pages if is_database and rng.random() < 0.5 else damaged
+    return damage(file.read_bytes(), rng)
+
+
+class DamagedLog(NamedTuple):
+    """A damaged log.
+
+    Parameters
+    ----------
+    path
+        Where it is.
+    origins
+        Names of the intact logs whose samples were in it.
+    """
+
+    path: Path
+    origins: tuple[str, ...]
+
+
 def write_damaged(seed, intact, folder):
-    """Write the damaged log of a seed into a folder; return its path."""
+    """Write the damaged log of a seed into a folder."""
     rng = random.Random(seed)
     names = sorted(path.name for path in intact.iterdir())
     name = names[seed % len(names)]
-    target = folder / name
+    target, origins = folder / name, (name,)
     if (intact / name).is_dir():
         shutil.copytree(intact / name, target)
         files = sorted(target.iterdir())
-        if rng.random() < 0.05:
-            rng.choice(files).unlink()
-            return target
         file = rng.choice(files)
-        file.write_bytes(damaged(file.read_bytes(), rng))
-        return target
+        if rng.random() < 0.05:
+            file.unlink()
+        else:
+            file.write_bytes(_damaged_file(file, rng))
+        return DamagedLog(target, origins)
     suffix = name.rpartition(".")[2]
     if suffix in PACK and rng.random() < 0.5:
         inside = (intact / name.removesuffix(f".{suffix}")).read_bytes()
         target.write_bytes(PACK[suffix](damaged(inside, rng)))
     elif rng.random() < 0.05:
-        other = rng.choice([other for other in names if (intact / other).is_file()])
-        both = [(intact / name).read_bytes(), (intact / rng.choice((name, other))).read_bytes()]
+        files = [other for other in names if (intact / other).is_file()]
+        other = rng.choice((name, rng.choice(files)))
+        both = [(intact / name).read_bytes(), (intact / other).read_bytes()]
         target.write_bytes(b"".join(rng.choice((both, [both[0], damaged(both[1], rng)]))))
+        if (intact / other).suffix == (intact / name).suffix:
+            origins = (name, other)
     else:
-        target.write_bytes(damaged((intact / name).read_bytes(), rng))
-    return target
+        target.write_bytes(_damaged_file(intact / name, rng))
+    return DamagedLog(target, origins)

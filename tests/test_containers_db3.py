@@ -375,6 +375,19 @@ def test_messages_without_a_topic_are_counted(tmp_path):
     assert {loss.reason for loss in losses} == {reason}
 
 
+def test_what_follows_a_database_is_reported(tmp_path):
+    """SQLite passes over another database behind the first; zeros there are reserved space."""
+    path = old_bag(tmp_path / "a.db3", [(k, b"a") for k in range(9)])
+    data = path.read_bytes()
+    path.write_bytes(data + data)
+    found, losses = messages(path)
+    assert len(found["/imu", "sensor_msgs/msg/Imu"]) == 9
+    reason = f"{len(data)} bytes follow the database and are not read; was another joined to it?"
+    assert losses == [Loss(f"byte {len(data)}", reason)]
+    path.write_bytes(data + bytes(5000))
+    assert messages(path) == (found, [])
+
+
 def test_topic_ids_of_text_are_read(tmp_path):
     """SQLite compares texts and numbers by the type of the column, and so do we."""
     path = tmp_path / "a.db3"
@@ -455,13 +468,47 @@ def test_a_write_ahead_log_that_ends_in_a_transaction_says_so(tmp_path, damage):
     assert "pages of a transaction that was not finished are not read" in loss.reason
 
 
-def test_reading_a_write_ahead_log_leaves_nothing_beside_it(tmp_path):
-    """SQLite's shared memory is neither needed nor left."""
-    path = live_copy(tmp_path)
+@pytest.mark.parametrize(("flip", "count"), [(None, 4), (9000, 1), (-100, 3), (40, 1), (5, 1)])
+def test_reading_a_write_ahead_log_leaves_the_folder_as_it_is(tmp_path, flip, count):
+    """SQLite's shared memory is not left, and a log that is all damaged is not deleted."""
+    path = live_copy(tmp_path, flip=flip)
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    assert len(before) == 2
     found, losses = messages(path)
-    assert (len(found["/imu", "sensor_msgs/msg/Imu"]), losses) == (4, [])
+    assert len(found["/imu", "sensor_msgs/msg/Imu"]) == count
+    assert bool(losses) == (count < 4)
     assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("flip", [1, 9, 17, 25, 31, 33, 40, 44, 50, 4200, 4200 + 8, 4200 + 4120])
+def test_a_damaged_write_ahead_log_is_reported(tmp_path, flip):
+    """What SQLite does not apply is a loss: the head is damaged, that of a frame, or its page."""
+    path = live_copy(tmp_path, flip=flip)
+    found, losses = messages(path)
+    assert len(found["/imu", "sensor_msgs/msg/Imu"]) < 4
+    assert [loss.place for loss in losses] == ["log.db3-wal"]
+
+
+def test_frames_of_an_earlier_use_of_a_write_ahead_log_are_none(tmp_path):
+    """What SQLite has moved to the database stays in the log until it is overwritten."""
+    path = old_bag(tmp_path / "a.db3", [(0, b"a")])
+    insert = "INSERT INTO messages (topic_id, timestamp, data) VALUES (4, ?, ?)"
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode=WAL")
+    for k in range(1, 9):
+        database.execute(insert, (k, b"b" * 3000))
+        database.commit()
+    database.execute("PRAGMA wal_checkpoint(RESTART)")
+    database.execute(insert, (9, b"c"))
+    database.commit()
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for name in ("a.db3", "a.db3-wal"):
+        shutil.copy(tmp_path / name, folder)
+    database.close()
+    found, losses = messages(folder / "a.db3")
+    assert [k for k, _ in found["/imu", "sensor_msgs/msg/Imu"]] == list(range(10))
+    assert losses == []
 
 
 def test_damaged_pages_beside_a_write_ahead_log(tmp_path):

@@ -226,7 +226,7 @@ def test_what_is_not_yet_inside_a_database_is_copied_but_not_its_log(tmp_path):
         opened.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (2, 7, x'07')")
         opened.commit()
         taken = shutil.copytree(log, tmp_path / "taken")
-    assert any(path.name.endswith("-wal") for path in taken.iterdir())
+    (wal,) = (path for path in taken.iterdir() if path.name.endswith("-wal"))
     out = tmp_path / "copy"
     assert run("propagate", taken, "--into", out, "-q").exit_code in {0, 3}
     names = ["metadata.yaml", "note.txt", database.name]
@@ -235,6 +235,12 @@ def test_what_is_not_yet_inside_a_database_is_copied_but_not_its_log(tmp_path):
         assert opened.execute("SELECT COUNT(*) FROM messages WHERE timestamp = 7").fetchone() == (
             1,
         )
+    # Where nothing in it is intact, SQLite itself would delete it.
+    for shared in taken.glob("*-shm"):
+        shared.unlink()
+    wal.write_bytes(bytes(len(wal.read_bytes())))
+    assert run("propagate", taken, "--into", tmp_path / "other", "-q").exit_code == 3
+    assert wal.exists()
 
 
 @pytest.mark.parametrize("version", [8, 9])

@@ -1,5 +1,6 @@
 """Parquet and Feather tables: types, units, nested columns, damage."""
 
+import re
 from datetime import UTC, datetime
 from decimal import Decimal
 
@@ -204,8 +205,39 @@ def test_a_parquet_file_without_its_footer_is_refused(tmp_path):
     path = tmp_path / "log.parquet"
     parquet.write_table(pa.table({"t_ns": [1, 2], **RATES}), path)
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.raises(DamagedLogError, match="was it written to the end"):
+    size = path.stat().st_size
+    message = (
+        "only there does a Parquet file say what its columns are, so none of its "
+        f"{size} bytes can be read; was it closed?"
+    )
+    with pytest.raises(DamagedLogError, match=re.escape(message)):
         ParquetLog(path)
+
+
+@pytest.mark.parametrize("kind", ["parquet", "indexed.parquet", "feather", "dictionary.feather"])
+def test_joined_files_are_refused(tmp_path, kind):
+    """Of two files in one, pyarrow sees the last only, and takes the bytes of the first for it."""
+    paths = [tmp_path / f"{name}.{kind}" for name in ("first", "second", "both")]
+    for path, rows in zip(paths, (40, 30_000), strict=False):
+        columns = {"t_ns": np.arange(rows), **{f"w{axis}": np.ones(rows) for axis in "xyz"}}
+        table = pa.table(
+            {**columns, "note": pa.array(["a", "b"] * (rows // 2)).dictionary_encode()}
+        )
+        if "parquet" in kind:
+            parquet.write_table(table, path, write_page_index="indexed" in kind)
+        elif "dictionary" in kind:
+            feather.write_feather(table, path)
+        else:
+            feather.write_feather(table.drop_columns("note"), path, compression="uncompressed")
+    first, second, both = paths
+    open_log = ParquetLog if "parquet" in kind else FeatherLog
+    for one, other in ((first, second), (second, first), (first, first)):
+        both.write_bytes(one.read_bytes() + other.read_bytes())
+        place = f"another file begins in it at byte {one.stat().st_size}; split it there into two"
+        with pytest.raises(UnsupportedLogError, match=place):
+            open_log(both)
+        with open_log(one) as log:
+            assert len(log.columns()) >= 4
 
 
 def test_damaged_row_groups_are_lost_alone(tmp_path):
@@ -236,6 +268,29 @@ def test_a_feather_file_without_its_footer_is_read_to_its_end(tmp_path):
     assert t_ns == list(range(len(t_ns)))
     assert 300 <= len(t_ns) <= 500
     assert [loss.place for loss in losses] == ["end of the file"]
+
+
+@pytest.mark.parametrize("compression", ["uncompressed", "lz4", "zstd"])
+def test_a_feather_file_cut_between_batches_is_reported_as_cut(tmp_path, compression):
+    """Where a file ends behind a whole batch, all before is read, and that it is cut is said."""
+    path = tmp_path / "log.feather"
+    values = np.random.default_rng(2).normal(size=3_000)
+    table = pa.table({"t_ns": np.arange(3_000), "wx": values, "wy": values, "wz": values})
+    feather.write_feather(table, path, compression=compression, chunksize=100)
+    data = path.read_bytes()
+    # A message begins with this mark; the first is the schema, and each other one a batch.
+    begins = [at for at in range(0, len(data), 8) if data[at : at + 4] == b"\xff\xff\xff\xff"]
+    assert len(begins) == 32
+    for rows, at in zip(range(0, 3_100, 300), begins[1::3], strict=True):
+        path.write_bytes(data[:at])
+        with FeatherLog(path) as log:
+            batches = list(rate_batches(log))
+            assert sum(len(batch.t_ns) for batch in batches) == rows
+            (loss,) = log.losses
+            assert loss.place == "end of the file"
+            assert loss.reason == (
+                "it is damaged: its footer is damaged or missing, so more batches may have followed"
+            )
 
 
 def test_feather_version_1_is_refused(tmp_path):

@@ -280,6 +280,17 @@ def test_columns_of_different_lengths_are_no_table(tmp_path):
         read(path)
 
 
+def test_joined_archives_are_refused(tmp_path):
+    """Of two archives in one file, zipfile opens the last and passes over the first."""
+    path = tmp_path / "log.npz"
+    np.savez(path, t_ns=T_NS, rates=RATES)
+    size = path.stat().st_size
+    path.write_bytes(2 * path.read_bytes())
+    message = f"another file begins in it at byte {size}; split it there into two"
+    with pytest.raises(UnsupportedLogError, match=message):
+        read(path)
+
+
 def test_an_archive_of_something_else_is_refused(tmp_path):
     """Any zip file begins like an archive of arrays."""
     path = tmp_path / "log.npz"

@@ -7,6 +7,7 @@ import sqlite3
 from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol
 
+import apsw
 import numpy as np
 
 from quatprop.containers.mcap.log import McapLog
@@ -176,7 +177,7 @@ class Rosbag2CopyWriter(MessageWriter):
         with output_errors(self._target):
             try:
                 yield
-            except sqlite3.Error as error:
+            except (sqlite3.Error, apsw.Error) as error:
                 raise OutputError(
                     self._target,
                     f"{plain(self._source)} cannot be copied: {error}; write the attitudes to a "

@@ -6,7 +6,9 @@ import sqlite3
 from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING
 
-from quatprop.containers.rosbag2.sqlite_files import files_beside, has_shared_memory, read_only
+import apsw
+
+from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database
 from quatprop.into.rosbag2_metadata import Added
 
 if TYPE_CHECKING:
@@ -24,18 +26,20 @@ _STEP = 1 << 12
 
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 where there is none."""
-    with closing(_original(path)) as database:
+    with closing(open_database(path, files_beside(path))) as database:
         ((earliest,),) = database.execute("SELECT MIN(timestamp) FROM messages")
-    return earliest or 0
+    return int(str(earliest)) if earliest else 0
 
 
-def _original(path: Path) -> sqlite3.Connection:
-    """Open a database to be copied, with its write-ahead log."""
-    beside = files_beside(path)
-    database = sqlite3.connect(read_only(path, beside), uri=True)
-    if beside and not has_shared_memory(path):
-        database.execute("PRAGMA locking_mode=EXCLUSIVE")
-    return database
+def _copy(source: Path, place: Path) -> None:
+    """Copy a database with its write-ahead log."""
+    with (
+        closing(open_database(source, files_beside(source))) as original,
+        closing(apsw.Connection(str(place))) as copy,
+        copy.backup("main", original, "main") as backup,
+    ):
+        while not backup.done:
+            backup.step(_STEP)
 
 
 class SqlitePart:
@@ -58,10 +62,9 @@ class SqlitePart:
 
     def __init__(self, source: Path, place: Path, topic: Topic) -> None:
         self.added = Added()
+        _copy(source, place)
         with ExitStack() as resources:
             self._database = resources.enter_context(closing(sqlite3.connect(place)))
-            with closing(_original(source)) as original:
-                original.backup(self._database, pages=_STEP)
             self._topic_id = self._declare(topic)
             resources.pop_all()
 

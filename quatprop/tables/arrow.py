@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import struct
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import JsonObject, provenance_in
-from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, Leaf, RowGroup, TypedTable
+from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, Leaf, RowGroup, TypedTable
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -16,6 +18,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.tables.base import TimedColumns
+
+
+_PARQUET_TAIL = 8
+_FEATHER_TAIL, _FEATHER_MAGIC = 10, b"ARROW1"
+_BLOCK = struct.Struct("<qi4xq")
+_WINDOW = 1 << 24
 
 
 class _ArrowLog(TypedTable):
@@ -32,12 +40,17 @@ class _ArrowLog(TypedTable):
             self._schema_metadata: Mapping[bytes, bytes] = schema.metadata or {}
             self._leaves = list(_leaves(schema))
         except DAMAGE as error:
+            size = self._file.size()
             self._file.close()
-            raise DamagedLogError(
-                path,
-                f"its end or its schema is damaged ({plain(error)}), so its rows cannot be "
-                "found; was it written to the end?",
-            ) from error
+            raise DamagedLogError(path, self._unreadable(size, plain(error))) from error
+        second = None
+        with suppress(struct.error, *DAMAGE):
+            second = self._second_file()
+        if second is not None:
+            self._file.close()
+            raise UnsupportedLogError(
+                path, f"another file begins in it at byte {second}; split it there into two"
+            )
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as the metadata of the file say it."""
@@ -49,6 +62,26 @@ class _ArrowLog(TypedTable):
 
     def _schema(self) -> pa.Schema:
         raise NotImplementedError
+
+    def _unreadable(self, size: int, reason: str) -> str:
+        """Return why nothing of a file of some bytes can be read."""
+        return (
+            f"its schema is damaged ({reason}), so none of its {size} bytes can be read; "
+            "was it written to the end?"
+        )
+
+    def _second_file(self) -> int | None:
+        """Return where another file begins, which was joined to the first; None if none was."""
+        raise NotImplementedError
+
+    def _magic_in(self, magic: bytes, end: int) -> int | None:
+        """Return where `magic` begins, which must be before `end`."""
+        for begin in range(1, end, _WINDOW):
+            size = min(_WINDOW, end - begin) + len(magic) - 1
+            at = self._file.read_at(size, begin).find(magic)
+            if at >= 0:
+                return int(begin + at)
+        return None
 
     def _metadata(self) -> Mapping[bytes, bytes]:
         return self._schema_metadata
@@ -77,6 +110,29 @@ class ParquetLog(_ArrowLog):
 
         self._parquet = ParquetFile(self._file)
         return self._parquet.schema_arrow
+
+    def _unreadable(self, size: int, reason: str) -> str:
+        return (
+            f"its end is damaged or missing ({reason}), and only there does a Parquet file say "
+            f"what its columns are, so none of its {size} bytes can be read; was it closed?"
+        )
+
+    def _second_file(self) -> int | None:
+        metadata = self._parquet.metadata
+        if not metadata.num_row_groups:
+            return None
+        last = metadata.row_group(metadata.num_row_groups - 1)
+        columns = [last.column(k) for k in range(last.num_columns)]
+        pages_end = max(
+            min(filter(None, (c.dictionary_page_offset, c.data_page_offset)), default=0)
+            + c.total_compressed_size
+            for c in columns
+        )
+        # Places are counted from the beginning of the last file, so they are too small by the size
+        # of what precedes it. Page indexes and Bloom filters lie in between, too.
+        footer = self._file.size() - metadata.serialized_size - _PARQUET_TAIL
+        at = self._magic_in(b"PAR1PAR1", footer - pages_end)
+        return None if at is None else at + len(b"PAR1")
 
     def _metadata(self) -> Mapping[bytes, bytes]:
         return self._parquet.metadata.metadata or {}
@@ -121,6 +177,19 @@ class FeatherLog(_ArrowLog):
             # Without its footer the file is still a stream of batches.
             return self._stream().schema
 
+    def _second_file(self) -> int | None:
+        tail = self._file.size() - _FEATHER_TAIL
+        (length,) = struct.unpack_from("<I", self._file.read_at(_FEATHER_TAIL, tail))
+        footer = tail - length
+        batches_end = _batches_end(self._file.read_at(length, footer))
+        at = self._magic_in(_FEATHER_MAGIC + _FEATHER_MAGIC, footer - batches_end)
+        return None if at is None else at + len(_FEATHER_MAGIC)
+
+    def _streamed(self) -> Iterator[pa.RecordBatch]:
+        """Yield the batches of a file without footer, which ends where nobody knows."""
+        yield from self._stream()
+        raise DamageError("its footer is damaged or missing, so more batches may have followed")
+
     def _stream(self) -> Any:
         self._file.seek(len(b"ARROW1\0\0"))
         return pa.ipc.open_stream(self._file)
@@ -129,13 +198,37 @@ class FeatherLog(_ArrowLog):
         try:
             file = pa.ipc.open_file(self._file)
         except pa.ArrowInvalid:
-            yield RowGroup("end of the file", 0, self._stream())
+            yield RowGroup("end of the file", 0, self._streamed())
             return
         names = {leaf.path[0] for leaf in self._wanted(columns)}
         fields = sorted(map(file.schema.get_field_index, names))
         file = pa.ipc.open_file(self._file, options=pa.ipc.IpcReadOptions(included_fields=fields))
         for number in range(file.num_record_batches):
             yield RowGroup(f"record batch {number}", 0, map(file.get_batch, [number]))
+
+
+def _batches_end(footer: bytes) -> int:
+    """Return where the last batch of an Arrow IPC file ends, by its footer.
+
+    Read by hand, since pyarrow does not say where batches are.
+
+    References
+    ----------
+    Apache Arrow, "File.fbs" (tables ``Footer`` and ``Block``); FlatBuffers, "Internals".
+    """
+    (root,) = struct.unpack_from("<I", footer)
+    table = root - struct.unpack_from("<i", footer, root)[0]
+    (table_size,) = struct.unpack_from("<H", footer, table)
+    end = 0
+    for slot in (8, 10):  # dictionaries and record batches
+        (at,) = struct.unpack_from("<H", footer, table + slot) if slot < table_size else (0,)
+        if at:
+            vector = root + at + struct.unpack_from("<I", footer, root + at)[0]
+            (count,) = struct.unpack_from("<I", footer, vector)
+            blocks = footer[vector + 4 : vector + 4 + _BLOCK.size * count]
+            ends = (sum(block) for block in _BLOCK.iter_unpack(blocks))
+            end = max(end, *ends, 0)
+    return end
 
 
 def _leaves(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator[Leaf]:

@@ -58,6 +58,7 @@ class NpzLog(NumpyTable):
                 "end of the file", "its directory is damaged: more arrays may be missing"
             )
         try:
+            self._refuse_second_file()
             self._describe()
         except BaseException:
             self._archive.close()
@@ -83,6 +84,16 @@ class NpzLog(NumpyTable):
     def close(self) -> None:
         """Close the file."""
         self._archive.close()
+
+    def _refuse_second_file(self) -> None:
+        """Refuse an archive behind other bytes, which the library passes over."""
+        if isinstance(self._archive, zipfile.ZipFile):
+            second = min((info.header_offset for info in self._archive.infolist()), default=0)
+            if second:
+                raise UnsupportedLogError(
+                    self.path,
+                    f"another file begins in it at byte {second}; split it there into two",
+                )
 
     def _open_array(self, member: str) -> BinaryIO:
         return cast("BinaryIO", self._archive.open(member))

@@ -13,7 +13,12 @@ from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.fetches import ROWS, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
-from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database, read_wal
+from quatprop.containers.rosbag2.sqlite_files import (
+    files_beside,
+    note_joined_bytes,
+    open_database,
+    read_wal,
+)
 from quatprop.containers.rosbag2.sqlite_pages import open_pages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
@@ -83,7 +88,9 @@ class Db3Log(MessageLog):
             else:
                 self._note_unfinished(beside)
                 return database
-        return open_database(self.path)
+        database = open_database(self.path)
+        note_joined_bytes(database, self.path, self.losses)
+        return database
 
     def _note_unfinished(self, beside: list[str]) -> None:
         """Note the end of a write-ahead log that SQLite does not apply."""

@@ -10,13 +10,15 @@ from urllib.parse import quote
 import apsw
 import numpy as np
 
+from quatprop.containers.file_source import FileSource
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.base import Losses
 
 _WAL_HEAD = struct.Struct(">8I")
 _FRAME_HEAD = struct.Struct(">6I")
@@ -24,6 +26,11 @@ _WAL_MAGIC = 0x377F0682
 """The last bit says whether checksums are of big-endian words."""
 NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's file system without locks and shared memory."""
+
+
+_USUAL_PAGE = 4096
+_MOST_REST = 1 << 16
+"""Bytes behind a database that are looked at: SQLite may reserve space, which is zero."""
 
 
 def files_beside(path: Path) -> list[str]:
@@ -68,6 +75,8 @@ def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
     database = apsw.Connection(read_only(path, beside), flags=flags)
     if beside and not has_shared_memory(path):
         database.execute("PRAGMA locking_mode=EXCLUSIVE")
+    # Where nothing in a write-ahead log is intact, SQLite would delete it when it closes the file.
+    database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
     database.execute("PRAGMA writable_schema=ON")
     return database
 
@@ -80,7 +89,8 @@ class WalPages(NamedTuple):
     offsets
         Where in the log the newest committed content of each page is, by page number.
     unfinished
-        Pages of a transaction that was not finished, or that is damaged.
+        Pages of a transaction that was not finished, or that is damaged; of a log whose head is
+        damaged, about how many it has.
     """
 
     offsets: dict[int, int]
@@ -89,29 +99,28 @@ class WalPages(NamedTuple):
 
 def read_wal(source: FileSource) -> WalPages:
     """Return which pages of a write-ahead log SQLite applies, and how many it does not."""
-    head = source.read(0, _WAL_HEAD.size)
-    if len(head) < _WAL_HEAD.size:
-        return WalPages({}, 0)
+    head = source.read(0, _WAL_HEAD.size).ljust(_WAL_HEAD.size, b"\0")
     magic, _, page_size, _, *salts_and_sums = _WAL_HEAD.unpack(head)
     salts, sums = tuple(salts_and_sums[:2]), tuple(salts_and_sums[2:])
-    if magic & ~1 != _WAL_MAGIC or not page_size:
-        return WalPages({}, 0)
     words = ">u4" if magic & 1 else "<u4"
+    first = np.frombuffer(head, np.uint8, _WAL_HEAD.size - 8).view(words)
+    if magic & ~1 != _WAL_MAGIC or not page_size or _checksum(first, (0, 0)) != sums:
+        return WalPages({}, 1 + max(0, source.size - _WAL_HEAD.size) // _USUAL_PAGE)
     stride = _FRAME_HEAD.size + page_size
     committed: dict[int, int] = {}
     pending: dict[int, int] = {}
     frames = applied = 0
     is_valid = True
-    for start in range(_WAL_HEAD.size, source.size, stride):
+    for count, start in enumerate(range(_WAL_HEAD.size, source.size, stride), 1):
         frame = source.read(start, stride)
-        if len(frame) < _FRAME_HEAD.size:
-            break
-        number, database_size, *rest = _FRAME_HEAD.unpack_from(frame)
-        if tuple(rest[:2]) != salts:
-            break  # of an earlier use of the log
-        frames += 1
+        number, database_size, *rest = _FRAME_HEAD.unpack(
+            frame[: _FRAME_HEAD.size].ljust(24, b"\0")
+        )
+        # Frames of an earlier use of the log may follow; both their salts are others.
+        if len(frame) < stride or rest[0] == salts[0] or rest[1] == salts[1]:
+            frames = count
         checked = np.frombuffer(frame[:8] + frame[_FRAME_HEAD.size :], np.uint8)
-        is_valid = is_valid and len(frame) == stride
+        is_valid = is_valid and len(frame) == stride and tuple(rest[:2]) == salts
         if is_valid:
             sums = _checksum(checked.view(words), sums)
             is_valid = sums == tuple(rest[2:])
@@ -120,7 +129,7 @@ def read_wal(source: FileSource) -> WalPages:
         if is_valid and database_size:
             committed.update(pending)
             pending.clear()
-            applied = frames
+            applied = count
     return WalPages(committed, frames - applied)
 
 
@@ -131,3 +140,14 @@ def _checksum(words: NDArray[np.uint32], sums: tuple[int, ...]) -> tuple[int, in
         first = (first + even + second) & 0xFFFFFFFF
         second = (second + odd + first) & 0xFFFFFFFF
     return first, second
+
+
+def note_joined_bytes(database: apsw.Connection, path: Path, losses: Losses) -> None:
+    """Note bytes behind the last page of a database, which SQLite passes over."""
+    query = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
+    end = int(str(database.execute(query).fetchall()[0][0]))
+    with FileSource(path) as file:
+        rest = file.size - end
+        if rest > 0 and any(file.read(end, _MOST_REST)):
+            reason = f"{rest} bytes follow the database and are not read; was another joined to it?"
+            losses.note(f"byte {end}", reason)
