@@ -21,6 +21,7 @@
     │   ├── AmbiguousTopicError        several topics carry rates and none was chosen
     │   ├── UndeclaredError            unit, column or time that only the user can know
     │   └── TimelineError              stamps or rates that the chosen policy refuses
+    ├── StoreError                     an object store does not give what is asked of it
     ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
@@ -108,6 +109,21 @@ class SuiteError(UsageError):
 
 class SeriesError(QuatpropError, ValueError):
     """Arrays that are not the series they claim to be (shape, dtype, length)."""
+
+
+class StoreError(QuatpropError):
+    """An object store does not give what is asked of it: no damage of a log, but of the way to it.
+
+    Parameters
+    ----------
+    address
+        The object.
+    reason
+        What is wrong and, after a semicolon, the way out.
+    """
+
+    def __init__(self, address: str, reason: str) -> None:
+        super().__init__(f"{plain(address)}: {reason}")
 
 
 class LogError(QuatpropError):

@@ -10,15 +10,16 @@ import sys
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from quatprop.containers.base import MessageLog
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource, os_reason
 from quatprop.containers.msg_files import MsgFiles
-from quatprop.containers.remote import is_address, local_copy, without_secret
+from quatprop.containers.remote import RemoteSource, bag_files, local_copy
+from quatprop.containers.stores import find, is_address, without_secret
 from quatprop.errors import (
     DamagedLogError,
     LogError,
@@ -73,9 +74,9 @@ READERS: dict[str, Reader] = {
     "db3": Reader("quatprop.containers.rosbag2.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
     "rosbag2": Reader("quatprop.containers.rosbag2.log:Rosbag2Log", (), ()),
     "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
-    "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",)),
+    "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
     "feather": Reader(
-        "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow")
+        "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow"), True
     ),
     "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
@@ -89,10 +90,17 @@ READERS: dict[str, Reader] = {
 
 _TEXT_KINDS = ("csv", "tum")
 
+_INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
+"""Kinds of which only a part is read from an object store: they say where everything is."""
+
 
 @contextmanager
 def open_log(
-    path: str | Path, kind: str | None = None, *, msg_path: str | Path | None = None
+    path: str | Path,
+    kind: str | None = None,
+    *,
+    msg_path: str | Path | None = None,
+    copied: bool = False,
 ) -> Iterator[MessageLog | TableLog]:
     """Open a log of any kind for the length of a ``with`` block.
 
@@ -108,6 +116,9 @@ def open_log(
     msg_path
         A ``.msg`` file, a package or a folder of packages with the definitions that a bag lacks;
         None for files that lie beside it.
+    copied
+        Whether all of a log in an object store is copied to this machine; otherwise only what is
+        read, where its kind permits.
 
     Yields
     ------
@@ -129,27 +140,83 @@ def open_log(
                 raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
             yield _enter(kind or "csv", sys.stdin.buffer, stack)
         elif is_address(path):
-            copied = stack.enter_context(local_copy(str(path)))
-            with _renamed_errors(without_secret(path)):
-                yield stack.enter_context(open_log(copied, kind, msg_path=msg_path))
+            stack.enter_context(_renamed_errors(without_secret(path)))
+            yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
         elif Path(path).is_dir():
-            if kind not in (None, "rosbag2"):
-                raise _other_kind(path, "folder", kind)
-            if kind is None:
-                _refuse_several_logs(Path(path))
-            log = _enter("rosbag2", Path(path), stack)
-            _complete(log, Path(path), msg_path)
+            log = _open_folder(Path(path), kind, stack)
+            _complete(log, [Path(path), Path(path).parent], msg_path)
             yield log
         elif kind == "rosbag2":
             raise _other_kind(path, "file", kind)
         else:
             log = _open_file(Path(path), kind, stack)
-            _complete(log, Path(path), msg_path)
+            _complete(log, [Path(path).parent], msg_path)
             yield log
 
 
-def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | None) -> None:
-    """Look for definitions that channels lack; remark on their origin and on types of a topic."""
+def _open_folder(
+    folder: Path, kind: str | None, stack: ExitStack, **options: Any
+) -> MessageLog | TableLog:
+    """Open a ROS 2 bag; `stack` closes it."""
+    if kind not in (None, "rosbag2"):
+        raise _other_kind(folder, "folder", kind)
+    if kind is None:
+        _refuse_several_logs(folder)
+    return _enter("rosbag2", folder, stack, **options)
+
+
+def _open_remote(
+    address: str,
+    kind: str | None,
+    msg_path: str | Path | None,
+    stack: ExitStack,
+    *,
+    copied: bool,
+) -> MessageLog | TableLog:
+    """Open a log in an object store; `stack` closes it, and removes what was copied."""
+    _, found = find(address)
+    if copied or (kind == "rosbag2" and found.is_file):
+        copy = stack.enter_context(local_copy(address))
+        return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
+    if not found.is_file:
+        files = {PurePosixPath(info.path).name for info in bag_files(address, found)}
+        indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
+        copy = stack.enter_context(local_copy(address, files - indexed))
+
+        def source_of_part(part: Path) -> FileSource:
+            is_there = part.name in indexed
+            return (
+                RemoteSource(f"{base}/{part.name}{query}", part) if is_there else FileSource(part)
+            )
+
+        base, mark, parameters = address.partition("?")
+        base, query = base.rstrip("/"), mark + parameters
+        log = _open_folder(copy, kind, stack, source_of_part=source_of_part)
+    else:
+        name = Path(PurePosixPath(found.path).name)
+        source = stack.enter_context(RemoteSource(address, name))
+        head = _head(source)
+        told = kind or ("" if file_compression(head) else _kind(name, head))
+        if told not in _INDEXED_KINDS:
+            source.close()
+            return _open_remote(address, kind, msg_path, stack, copied=True)
+        log = _open_source(source, told, stack)
+    _complete(log, [], msg_path)
+    return log
+
+
+def _complete(log: MessageLog | TableLog, folders: list[Path], msg_path: str | Path | None) -> None:
+    """Look for definitions that channels lack; remark on their origin and on types of a topic.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folders
+        Where they are looked for if the user does not say where.
+    msg_path
+        Where the user says they are.
+    """
     if not isinstance(log, MessageLog):
         return
     if msg_path is not None:
@@ -159,7 +226,7 @@ def _complete(log: MessageLog | TableLog, path: Path, msg_path: str | Path | Non
             )
         files = MsgFiles([Path(msg_path)], is_given=True)
     else:
-        files = MsgFiles([path, path.parent] if path.is_dir() else [path.parent])
+        files = MsgFiles(folders)
     log.complete(files)
     types: defaultdict[str, set[str]] = defaultdict(set)
     for channel in log.channels():
@@ -232,12 +299,12 @@ def _open_source(source: FileSource, kind: str, stack: ExitStack) -> MessageLog 
 
 
 def _enter(
-    kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack
+    kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack, **options: Any
 ) -> MessageLog | TableLog:
     """Import the reader of a kind of log and open a log with it; `stack` closes it."""
     module, _, name = READERS[kind].load.partition(":")
     try:
-        log: MessageLog | TableLog = getattr(import_module(module), name)(source)
+        log: MessageLog | TableLog = getattr(import_module(module), name)(source, **options)
     except OSError as error:
         path = source if isinstance(source, Path) else getattr(source, "path", "-")
         raise UnreadableLogError(path, os_reason(error)) from error

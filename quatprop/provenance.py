@@ -144,15 +144,20 @@ class Digest:
         not computed.
     files
         The files of a folder, by name; None for a file.
+    etag
+        By what an object store recognises its content; None for a file of this machine.
     """
 
     bytes: int | None = None
     sha256: str | None = None
     files: Mapping[str, Digest] | None = None
+    etag: str | None = None
 
     def as_json(self) -> JsonObject:
         """Return the digest as it stands in reports."""
         digest: JsonObject = {"bytes": self.bytes, "sha256": self.sha256}
+        if self.etag is not None:
+            digest["etag"] = self.etag
         if self.files is not None:
             digest["files"] = {name: file.as_json() for name, file in self.files.items()}
         return digest

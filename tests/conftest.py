@@ -36,3 +36,24 @@ def shared_logs() -> Path:
     if not SHARED_LOGS.is_dir():
         pytest.skip(f"no real recordings at {SHARED_LOGS}; set QUATPROP_SHARED_LOGS")
     return Recordings(SHARED_LOGS)
+
+
+@pytest.fixture(scope="session")
+def store_server():
+    """Return an object store on this machine, for all tests; the environment names it."""
+    pytest.importorskip("moto")
+    from store_server import StoreServer
+
+    before = dict(os.environ)
+    server = StoreServer()
+    yield server
+    server.stop()
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@pytest.fixture
+def bucket(store_server, request):
+    """Return the address of a new bucket."""
+    store_server.drop_after = None
+    return store_server.bucket(f"b{abs(hash(request.node.nodeid)):x}")

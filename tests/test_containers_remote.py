@@ -7,16 +7,22 @@ import signal
 import tempfile
 import threading
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
+from mcap.writer import CompressionType
+from pyarrow import feather
 
 from quatprop.cli import cli
 from quatprop.containers import remote
-from quatprop.containers.remote import _with_retry_limit, local_copy, without_secret
-from quatprop.errors import LogError, UnreadableLogError
+from quatprop.containers.file_source import FileSource
+from quatprop.containers.remote import local_copy
+from quatprop.containers.stores import _with_retry_limit, put, upload, without_secret
+from quatprop.errors import LogError, StoreError
 from quatprop.formats import open_log
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -45,6 +51,106 @@ def test_a_log_at_an_address_is_the_log(tmp_path, temporary, name):
     assert list(temporary.iterdir()) == []
 
 
+LOGS = [
+    "tumbling.bag", "tumbling_ros2", "coning.mcap", "spin.csv", "spin.parquet", "spin.feather",
+]  # fmt: skip
+
+
+@pytest.fixture
+def uploaded(bucket, tmp_path):
+    """Return a function that puts a log, and a copy of it in another format, into a bucket."""
+
+    def put_log(name):
+        path = SAMPLES / name
+        if path.suffix in {".parquet", ".feather"}:
+            path = tmp_path / name
+            table = pyarrow.csv.read_csv(SAMPLES / "spin.csv")
+            write = pyarrow.parquet.write_table if name.endswith("t") else feather.write_feather
+            write(table, path)
+        upload(path, f"{bucket}/logs/{name}")
+        return path, f"{bucket}/logs/{name}"
+
+    return put_log
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_a_log_in_a_store_is_the_log(tmp_path, temporary, uploaded, name):
+    """The series is the same to the byte; what the store says of its content is recorded."""
+    near, far, report = tmp_path / "near.csv", tmp_path / "far.csv", tmp_path / "report.json"
+    path, address = uploaded(name)
+    runner = CliRunner()
+    runner.invoke(cli, ["propagate", str(path), "-o", str(near)])
+    done = runner.invoke(cli, ["propagate", address, "-o", str(far), "--report", str(report)])
+    assert done.exit_code == 0, done.output
+    assert far.read_bytes() == near.read_bytes()
+    source = json.loads(report.read_text())["source"]
+    sizes = [file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())]
+    assert (source["path"], source["bytes"], source["sha256"]) == (address, sum(sizes), None)
+    tags = [source] if path.is_file() else list(source["files"].values())
+    assert [len(tag["etag"]) > 10 for tag in tags] == [True] * len(sizes)
+    assert list(temporary.iterdir()) == []
+
+
+def beside_images(path, compression, seconds=20):
+    """Write an MCAP of which body rates are 5 %, beside images."""
+    from mcap.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 20, compression=compression)
+        writer.start()
+        schema = writer.register_schema("", "", b"")
+        image = writer.register_channel("/camera", "json", schema)
+        schema = writer.register_schema(
+            "imu",
+            "jsonschema",
+            b'{"type": "object", "properties": {"angular_velocity": {"type": "object", '
+            b'"properties": {"x": {"type": "number"}, "y": {"type": "number"}, "z": '
+            b'{"type": "number"}}}}}',
+        )
+        imu = writer.register_channel("/imu", "json", schema)
+        noise = np.random.default_rng(1)
+        for k in range(100 * seconds):
+            ns = 10_000_000 * k
+            if k % 5 == 0:
+                writer.add_message(image, ns, noise.bytes(50_000), ns)
+            rate = {"x": 0.1, "y": 0.2, "z": np.sin(k)}
+            message = {"angular_velocity": rate, "pad": "." * 400}
+            writer.add_message(imu, ns, json.dumps(message).encode(), ns)
+        writer.finish()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_only_what_is_needed_of_a_log_is_read(
+    tmp_path, bucket, store_server, monkeypatch, compression
+):
+    """Of a store hardly more bytes come than a file of this machine is read of."""
+    path = tmp_path / "ride.mcap"
+    beside_images(path, compression)
+    upload(path, f"{bucket}/ride.mcap")
+    read = 0
+    read_file = FileSource._read  # noqa: SLF001
+
+    def counting(self, length, start):
+        nonlocal read
+        read += length
+        return read_file(self, length, start)
+
+    outputs = [tmp_path / "near.csv", tmp_path / "far.csv"]
+    options = ["--topic", "/imu", "--rate-field", "angular_velocity", "--rate-unit", "rad/s", "-o"]
+    with monkeypatch.context() as patched:
+        patched.setattr(FileSource, "_read", counting)
+        done = CliRunner().invoke(cli, ["propagate", str(path), *options, str(outputs[0])])
+    assert done.exit_code == 0, done.output
+    before, requests = store_server.sent, len(store_server.requests)
+    done = CliRunner().invoke(cli, ["propagate", f"{bucket}/ride.mcap", *options, str(outputs[1])])
+    assert done.exit_code == 0, done.output
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    print(
+        path.stat().st_size, read, store_server.sent - before, len(store_server.requests) - requests
+    )
+    assert store_server.sent - before <= 1.3 * read
+
+
 def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
     """What tools keep beside the files of a bag does not hinder its reading."""
     bag = shutil.copytree(SAMPLES / "tumbling_ros2", tmp_path / "bag")
@@ -58,14 +164,14 @@ def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
 def test_what_is_not_there_is_said(tmp_path):
     """An address that the store does not know is one sentence."""
     address = (tmp_path / "none.bag").as_uri()
-    with pytest.raises(UnreadableLogError) as caught, local_copy(address):
+    with pytest.raises(StoreError) as caught, local_copy(address):
         pass
     assert str(caught.value) == f"{address}: there is no such object; check the address"
 
 
 def test_a_store_that_is_not_known_is_said():
     """As is one that does not answer."""
-    known = pytest.raises(UnreadableLogError, match=r"^nowhere://log.bag: it cannot be read")
+    known = pytest.raises(StoreError, match=r"^nowhere://log.bag: its store cannot be used")
     with known, local_copy("nowhere://log.bag"):
         pass
 
@@ -93,21 +199,15 @@ def test_errors_name_the_address(tmp_path):
         ("convert", "LOG", "converted.csv"),
     ],
 )
-def test_no_command_shows_a_key(words, tmp_path, monkeypatch):
+def test_no_command_shows_a_key(words, tmp_path, monkeypatch, bucket):
     """Neither on the terminal nor in what is written is what an address carries."""
-
-    @contextmanager
-    def copied(address):
-        assert "secret" in address
-        yield near
-
     log = "t_ns,wx,wy,wz,qw,qx,qy,qz\n0,0,0,1,1,0,0,0\n1000,0,0,1,1,0,0,0\n2000,0,0,1,1,0,0,0\n"
-    near, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
-    for path in (near, truth):
-        path.write_text(log)
-    monkeypatch.setattr("quatprop.formats.local_copy", copied)
+    truth = tmp_path / "truth.csv"
+    truth.write_text(log)
+    put(f"{bucket}/a.csv", log.encode())
     monkeypatch.chdir(tmp_path / "temporary")
-    known = {"LOG": "s3://key:secret@logs/a.csv", "TRUTH": str(truth)}
+    address = f"{bucket}/a.csv".replace("://", "://key:secret@")
+    known = {"LOG": address, "TRUTH": str(truth)}
     result = CliRunner().invoke(cli, [known.get(word, word) for word in words])
     assert result.exit_code == 0, result.output
     assert "secret" not in result.output

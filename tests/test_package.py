@@ -62,6 +62,7 @@ LAYERS = (
         "parallel",
         "provenance",
         "threads",
+        "temp_files",
     },
     {"series", "selection", "settings", "parsers", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},

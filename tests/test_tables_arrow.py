@@ -303,5 +303,5 @@ def test_feather_version_1_is_refused(tmp_path):
 
 def test_a_missing_file_is_told(tmp_path):
     """A path that leads nowhere is told in one line."""
-    with pytest.raises(UnreadableLogError, match="it cannot be read"):
+    with pytest.raises(UnreadableLogError, match=r"no such file or folder; check the path$"):
         ParquetLog(tmp_path / "none.parquet")

@@ -15,9 +15,9 @@ from click.testing import CliRunner
 from quatprop.cli import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
+from quatprop.temp_files import LockedTemp
 from quatprop.writers import WRITERS, kind_of, open_writer
 from quatprop.writers.atomic import OutputPath, open_atomic
-from quatprop.writers.temp_files import LockedTemp
 
 FOLDERS = ("rosbag2", "rosbag2-mcap")
 KINDS = tuple(kind for kind in WRITERS if kind not in FOLDERS)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.containers.remote import is_address, without_secret
+from quatprop.containers.stores import is_address, without_secret
 from quatprop.errors import UnreadableLogError, UsageError
 from quatprop.formats import READERS
 from quatprop.text import Setting, Text, quoted

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.containers.remote import is_address, without_secret
+from quatprop.containers.stores import is_address, without_secret
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from quatprop import __version__
 from quatprop.batch.logs import OTHER_OUTPUT, output_paths
 from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
-from quatprop.containers.remote import is_address, without_secret
+from quatprop.containers.stores import is_address, without_secret
 from quatprop.errors import NoRatesError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.parallel import KILLED, map_processes
 from quatprop.pipeline.job import Job, run

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-import weakref
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +11,7 @@ from quatprop.containers.compression import (
     decompression_errors,
 )
 from quatprop.containers.limits import decompressed_limit, too_large
+from quatprop.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,11 +67,8 @@ class DecompressedCopy:
             if not compression:
                 raise CompressionError("it is not compressed with zstd, lz4, bz2 or gzip")
             compressed.seek(0)
-            handle, name = tempfile.mkstemp(prefix="quatprop-", suffix=Path(path.stem).suffix)
-            os.close(handle)
-            self.path = Path(name)
-            # Also runs when the interpreter ends and nobody has closed the copy.
-            self._remove = weakref.finalize(self, self.path.unlink, missing_ok=True)
+            self._temp = temp_folder()
+            self.path = self._temp.path / f"copy{Path(path.stem).suffix}"
             limit = decompressed_limit(path.stat().st_size)
             try:
                 self._fill(decompressed_pieces(compressed, compression), compression, limit)
@@ -107,7 +102,7 @@ class DecompressedCopy:
 
     def close(self) -> None:
         """Remove the temporary file."""
-        self._remove()
+        self._temp.remove()
 
     def __enter__(self) -> Self:
         return self

@@ -12,8 +12,11 @@ from quatprop.errors import UnreadableLogError
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
     from typing import Self
+
+    from pyarrow import NativeFile
 
 
 class FileSource:
@@ -30,12 +33,16 @@ class FileSource:
         The file.
     size
         Its length when it was opened, bytes; a recorder may still append to it.
+    is_remote
+        Whether it takes long until reading begins.
 
     Raises
     ------
     UnreadableLogError
         It is missing, not permitted, or no file.
     """
+
+    is_remote = False
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -69,6 +76,26 @@ class FileSource:
                 break
             data += more
         return data
+
+    def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
+        """Return the bytes of some ranges, one after another.
+
+        Raises
+        ------
+        OSError
+            The medium is damaged there.
+        """
+        places = zip(begins, ends, strict=True)
+        return b"".join([self.read(begin, end - begin) for begin, end in places])
+
+    def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
+        """Announce which ranges will be read next; of use where reading takes long to begin."""
+
+    def as_arrow(self) -> NativeFile:
+        """Return the file as Arrow reads it."""
+        import pyarrow as pa
+
+        return pa.OSFile(str(self.path))
 
     def _read(self, length: int, start: int) -> bytes:
         if hasattr(os, "pread"):

@@ -1,60 +1,247 @@
-"""Logs in object stores, copied to this machine for the time they are read."""
+"""Logs in object stores: read in ranges, or copied to this machine for the time they are read."""
 
 from __future__ import annotations
 
-import re
+import io
 import shutil
-import tempfile
 import threading
-from concurrent.futures import Future, wait
+from bisect import bisect_right
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from textwrap import shorten
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UnreadableLogError
+from quatprop.containers.file_source import FileSource
+from quatprop.containers.stores import etag_of, find, interruptible, list_objects, locate, reading
+from quatprop.temp_files import temp_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Collection, Iterator, Sequence
+    from concurrent.futures import Future
 
-    from pyarrow.fs import FileSystem
+    from pyarrow import NativeFile
+    from pyarrow.fs import FileInfo, FileSystem
 
 BLOCK_BYTES = 1 << 24
 """Bytes that are copied at a time."""
 
-RETRY_S = 10
-"""Seconds for which a store that does not answer is retried."""
+SMALL_BYTES = 1 << 20
+"""Size of an object up to which it is read at once."""
 
-MAX_REASON = 240
-"""Characters of a store library's message that are shown; the rest repeats itself."""
+HEAD_BYTES, TAIL_BYTES = 1 << 12, 1 << 16
+"""Bytes at the beginning and the end that are read first: formats have their indexes there."""
+
+FIRST_REQUEST_BYTES, REQUEST_BYTES = 1 << 18, 1 << 23
+"""Bytes of the first request in which ranges are put together, and of later ones, which double.
+
+Often only the beginning of a log is looked at.
+"""
+
+GAP_BYTES = 1 << 16
+"""Bytes between two ranges that are sooner read than asked for separately."""
+
+AHEAD_BYTES = 1 << 24
+"""Bytes that are read ahead of their use."""
+
+KEPT_BYTES = 1 << 26
+"""Bytes that are kept of what was read ahead."""
+
+REQUESTS = 16
+"""Requests at a time."""
+
+SINGLE_READS = 64
+"""Small reads that were not announced, after which the rest is copied: it has no usable index."""
 
 
-def is_address(path: Path | str) -> bool:
-    """Tell whether a path is an address such as ``s3://bucket/log.mcap``."""
-    return "://" in str(path)
+class RemoteSource(FileSource):
+    """An object of a store, read in ranges by several threads; errors are exceptions of the log.
+
+    Parameters
+    ----------
+    address
+        The object.
+    path
+        What errors and readers take for its path.
+
+    Attributes
+    ----------
+    path, size
+        As for :class:`~quatprop.containers.file_source.FileSource`.
+    etag
+        By what the store recognises its content; None if it does not say.
+
+    Raises
+    ------
+    StoreError
+        It cannot be read.
+    """
+
+    is_remote = True
+
+    def __init__(self, address: str, path: Path) -> None:
+        self.path = path
+        self._address = address
+        self._pool = ThreadPoolExecutor(REQUESTS)
+        self._lock = threading.Lock()
+        self._copy: FileSource | None = None
+        with reading(address):
+            store, place = locate(address)
+            self._object = store.open_input_file(place)
+            self.size = self._object.size()
+            self.etag = etag_of(self._object)
+        ends = [self.size] if self.size <= SMALL_BYTES else [HEAD_BYTES, self.size]
+        self._announce([0, self.size - TAIL_BYTES][: len(ends)], ends)
+
+    def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
+        """Announce which ranges will be read next, as a rule in this order."""
+        if self.size > SMALL_BYTES and self._copy is None:
+            self._announce(*_requests(begins, ends))
+
+    def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
+        """Return the bytes of some ranges, one after another."""
+        if self._copy is not None or self.size <= SMALL_BYTES:
+            return super().read_ranges(begins, ends)
+        self._single_reads = 0
+        parts = [
+            self._pool.submit(self._fetch, begin, end - begin)
+            for begin, end in zip(begins, ends, strict=True)
+        ]
+        return b"".join([part.result() for part in parts])
+
+    def as_arrow(self) -> NativeFile:
+        """Return the object as Arrow reads it."""
+        import pyarrow as pa
+
+        # Not the object itself: errors of the store would look like damage of the log.
+        return pa.PythonFile(_Stream(self), mode="r")
+
+    def _announce(self, begins: Sequence[int], ends: Sequence[int]) -> None:
+        with self._lock:
+            self._begins, self._ends = list(begins), list(ends)
+            self._parts: OrderedDict[int, Future[bytes]] = OrderedDict()
+            self._single_reads = 0
+
+    def _read(self, length: int, start: int) -> bytes:
+        if self._copy is not None:
+            return self._copy.read(start, length)
+        with self._lock:
+            number = bisect_right(self._begins, start) - 1
+            if number >= 0 and start + length <= self._ends[number]:
+                begin, part = self._begins[number], self._requested(number)
+            else:
+                self._single_reads += length <= GAP_BYTES
+                begin, part = start, None
+        if part is None and self._single_reads > SINGLE_READS:
+            return self._local().read(start, length)
+        if part is None:
+            part = self._pool.submit(self._fetch, start, length)
+        return part.result()[start - begin : start - begin + length]
+
+    def _requested(self, number: int) -> Future[bytes]:
+        """Return a range that was announced, and request those after it."""
+        ahead = 0
+        # The more has been read, the more is expected to be.
+        for following in range(number, min(len(self._begins), 2 * number + 1)):
+            if ahead > AHEAD_BYTES:
+                break
+            ahead += self._ends[following] - self._begins[following]
+            if following not in self._parts:
+                begin, end = self._begins[following], self._ends[following]
+                self._parts[following] = self._pool.submit(self._fetch, begin, end - begin)
+        part = self._parts[number]
+        self._parts.move_to_end(number)
+        kept = sum(self._ends[each] - self._begins[each] for each in self._parts)
+        while kept > KEPT_BYTES and (oldest := next(iter(self._parts))) < number:
+            self._parts.pop(oldest).cancel()
+            kept -= self._ends[oldest] - self._begins[oldest]
+        return part
+
+    def _fetch(self, begin: int, length: int) -> bytes:
+        with reading(self._address):
+            return bytes(self._object.read_at(length, begin))
+
+    def _local(self) -> FileSource:
+        """Return a temporary copy of the whole object."""
+        with self._lock:
+            if self._copy is None:
+                self._temp = temp_folder()
+                path = self._temp.path / self.path.name
+                with reading(self._address):
+                    store, place = locate(self._address)
+                    interruptible(lambda: _copy_file(store, place, path))
+                self._copy = FileSource(path)
+        return self._copy
+
+    def close(self) -> None:
+        """Close the object, and remove what was copied."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._copy is not None:
+            self._copy.close()
+            self._temp.remove()
 
 
-def without_secret(path: Path | str) -> str:
-    """Return a path or an address as it may be recorded: without credentials in it.
+class _Stream(io.RawIOBase):
+    """A source as a stream."""
+
+    def __init__(self, source: RemoteSource) -> None:
+        self._source = source
+        self._position = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        origin = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._source.size}
+        self._position = origin[whence] + offset
+        return self._position
+
+    def tell(self) -> int:
+        return self._position
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._source.read(self._position, self._source.size if size < 0 else size)
+        self._position += len(data)
+        return data
+
+
+def _requests(begins: Sequence[int], ends: Sequence[int]) -> tuple[list[int], list[int]]:
+    """Return the ranges of the requests for some ranges: close ones together.
 
     Examples
     --------
-    >>> without_secret("s3://key:secret@bucket/log.mcap")
-    's3://bucket/log.mcap'
+    >>> _requests([0, 200_000, 9_000_000, 150_000], [150_000, 300_000, 9_000_001, 200_000])
+    ([0, 9000000], [300000, 9000001])
     """
-    return re.sub(r"(?<=://)[^/?#]*@", "", str(path)) if is_address(path) else str(path)
+    together: tuple[list[int], list[int]] = ([], [])
+    for begin, end in sorted(zip(begins, ends, strict=True)):
+        if not together[0] or begin > together[1][-1] + GAP_BYTES:
+            is_new = True
+        else:
+            overlaps = begin < together[1][-1]
+            most = min(REQUEST_BYTES, FIRST_REQUEST_BYTES << min(len(together[0]), 9))
+            is_new = not overlaps and end - together[0][-1] > most
+        if is_new:
+            together[0].append(begin)
+            together[1].append(end)
+        else:
+            together[1][-1] = max(together[1][-1], end)
+    return together
 
 
 @contextmanager
-def local_copy(address: str) -> Iterator[Path]:
+def local_copy(address: str, names: Collection[str] | None = None) -> Iterator[Path]:
     """Copy a log from an object store into a temporary folder, removed when the block ends.
 
     Parameters
     ----------
     address
-        Of a file, or of a folder with a ROS 2 bag, in a file system that Arrow knows: ``s3://``,
-        ``gs://``, ``abfs://``, ``hdfs://``, ``file://``. Credentials are looked up as
-        the store's own tools do.
+        Of a file, or of a folder with a ROS 2 bag.
+    names
+        The files of a folder to copy; others are there, but empty. None is all.
 
     Yields
     ------
@@ -63,70 +250,42 @@ def local_copy(address: str) -> Iterator[Path]:
 
     Raises
     ------
-    UnreadableLogError
+    StoreError
         There is no such object, or it may not be read.
     """
-    name = without_secret(address)
-    with tempfile.TemporaryDirectory(prefix="quatprop-") as folder:
-        try:
-            target = _interruptible(lambda: _copied(address, Path(folder)))
-        except (OSError, ValueError) as error:
-            reason = shorten(str(error).replace(address, name), MAX_REASON, placeholder="...")
-            raise UnreadableLogError(
-                name,
-                f"it cannot be read from its store ({reason}); check the address and access",
-            ) from error
+    temp = temp_folder()
+    try:
+        with reading(address):
+            target = interruptible(lambda: _copied(address, temp.path, names))
         yield target
+    finally:
+        temp.remove()
 
 
-def _copied(address: str, folder: Path) -> Path:
+def _copied(address: str, folder: Path, names: Collection[str] | None) -> Path:
     """Copy the object at an address into a folder, and return the copy."""
-    from pyarrow.fs import FileSystem, FileType
-
-    store, place = FileSystem.from_uri(_with_retry_limit(address))
-    found = store.get_file_info(place)
-    target = folder / PurePosixPath(place).name
-    if found.type == FileType.NotFound:
-        name = without_secret(address)
-        raise UnreadableLogError(name, "there is no such object; check the address")
-    if found.type == FileType.Directory:
-        _copy_folder(store, place, target)
-    else:
-        _copy_file(store, place, target)
+    store, found = find(address)
+    target = folder / PurePosixPath(found.path).name
+    if found.is_file:
+        _copy_file(store, found.path, target)
+        return target
+    target.mkdir()
+    for info in bag_files(address, found):
+        copy = target / PurePosixPath(info.path).name
+        if names is None or copy.name in names:
+            _copy_file(store, info.path, copy)
+        else:
+            copy.touch()
     return target
 
 
-def _with_retry_limit(address: str) -> str:
-    """Return an address with a limit of retries: gs:// goes on for a quarter of an hour."""
-    if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
-        return address
-    return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
-
-
-def _interruptible(work: Callable[[], Path]) -> Path:
-    """Run `work` in a thread and wait for it, so that Ctrl-C is noticed."""
-    done: Future[Path] = Future()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:  # noqa: BLE001  # raised in the thread that waits
-            done.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    while not done.done():
-        wait([done], timeout=0.1)
-    return done.result()
-
-
-def _copy_folder(store: FileSystem, place: str, target: Path) -> None:
-    """Copy the files of a folder; a bag has no folders inside."""
-    from pyarrow.fs import FileSelector
-
-    target.mkdir()
-    for found in store.get_file_info(FileSelector(place)):
-        if found.is_file:
-            _copy_file(store, found.path, target / PurePosixPath(found.path).name)
+def bag_files(address: str, folder: FileInfo) -> list[FileInfo]:
+    """Return the files of a bag in a store, without those of folders inside."""
+    return [
+        info
+        for info in list_objects(address)
+        if PurePosixPath(info.path).parent == PurePosixPath(folder.path)
+    ]
 
 
 def _copy_file(store: FileSystem, place: str, target: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.containers.remote import without_secret
+from quatprop.containers.stores import without_secret
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.provenance import Digest, as_json
 from quatprop.writers import kind_of, layout_of

@@ -6,7 +6,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import clipping_remarks, condition
-from quatprop.containers.remote import without_secret
+from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every

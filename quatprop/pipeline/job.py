@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.into import copy_kind, open_into
@@ -96,7 +97,10 @@ def run(
     if not output.into:
         layout = layout_of(kind_of(output.path, output.to), output.layout).name
         output = replace(output, layout=layout)
-    with open_log(job.log, settings.kind, msg_path=settings.selection.msg_path) as log:
+    stored = digest_of_object(job.log) if is_address(job.log) else None
+    with open_log(
+        job.log, settings.kind, msg_path=settings.selection.msg_path, copied=output.into
+    ) as log:
         if output.into:
             kind = copy_kind(log, output.path, output.to)
             output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)
@@ -116,7 +120,7 @@ def run(
             for series in stream:
                 writer.write(series)
                 tick(stream.samples)
-            report = stream.report(layout=output.layout, digest=digest.result())
+            report = stream.report(layout=output.layout, digest=stored or digest.result())
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
-from quatprop.containers.remote import without_secret
+from quatprop.containers.stores import without_secret
 from quatprop.errors import (
     LogError,
     NoAttitudesError,

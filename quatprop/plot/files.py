@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning import Conditioning, condition
-from quatprop.containers.remote import without_secret
+from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
     LogError,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.remote import without_secret
+from quatprop.containers.stores import without_secret
 from quatprop.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import JsonObject, provenance_in
 from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, Leaf, RowGroup, TypedTable
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
+    from quatprop.containers.file_source import FileSource
     from quatprop.tables.base import TimedColumns
 
 
@@ -29,11 +31,14 @@ _WINDOW = 1 << 24
 class _ArrowLog(TypedTable):
     """What Parquet and Feather have in common: a schema, with metadata."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, log: Path | FileSource) -> None:
+        self._source = source_of(log)
+        path = self._source.path
         super().__init__(path)
         try:
-            self._file = pa.OSFile(str(path))
+            self._file = self._source.as_arrow()
         except OSError as error:
+            self._source.close()
             raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
         try:
             schema = self._schema()
@@ -41,13 +46,13 @@ class _ArrowLog(TypedTable):
             self._leaves = list(_leaves(schema))
         except DAMAGE as error:
             size = self._file.size()
-            self._file.close()
+            self.close()
             raise DamagedLogError(path, self._unreadable(size, plain(error))) from error
         second = None
         with suppress(struct.error, *DAMAGE):
             second = self._second_file()
         if second is not None:
-            self._file.close()
+            self.close()
             raise UnsupportedLogError(
                 path, f"another file begins in it at byte {second}; split it there into two"
             )
@@ -59,6 +64,7 @@ class _ArrowLog(TypedTable):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+        self._source.close()
 
     def _schema(self) -> pa.Schema:
         raise NotImplementedError
@@ -92,7 +98,7 @@ class ParquetLog(_ArrowLog):
 
     Parameters
     ----------
-    path
+    log
         The file.
 
     Raises
@@ -108,7 +114,8 @@ class ParquetLog(_ArrowLog):
     def _schema(self) -> pa.Schema:
         from pyarrow.parquet import ParquetFile
 
-        self._parquet = ParquetFile(self._file)
+        # Ahead and in large requests, where reading takes long to begin.
+        self._parquet = ParquetFile(self._file, pre_buffer=self._source.is_remote)
         return self._parquet.schema_arrow
 
     def _unreadable(self, size: int, reason: str) -> str:
@@ -150,7 +157,7 @@ class FeatherLog(_ArrowLog):
 
     Parameters
     ----------
-    path
+    log
         The file.
 
     Raises
@@ -167,7 +174,7 @@ class FeatherLog(_ArrowLog):
 
     def _schema(self) -> pa.Schema:
         if self._file.read(4) == b"FEA1":
-            self._file.close()
+            self.close()
             raise UnsupportedLogError(
                 self.path, "it is of Feather version 1; save it again as version 2 or as Parquet"
             )

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError
+from quatprop.temp_files import LockedTemp
 from quatprop.writers.targets import checked_place, is_stdout, is_stream
-from quatprop.writers.temp_files import LockedTemp
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

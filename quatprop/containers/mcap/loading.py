@@ -16,7 +16,7 @@ from quatprop.containers.mcap.regions import (
     is_uncompressed,
     load,
 )
-from quatprop.containers.mcap.selected import selected_messages
+from quatprop.containers.mcap.selected import expected_ranges, selected_messages
 from quatprop.threads import Deferred, prefetch
 
 if TYPE_CHECKING:
@@ -56,7 +56,9 @@ def load_regions(
         buffer while they fit.
     """
     load_one = partial(_load, source, DecompressionBudget(source.size), ids)
-    if not regions or is_uncompressed(source, regions[0]):
+    uncompressed = bool(regions) and is_uncompressed(source, regions[0])
+    source.expect(*expected_ranges(regions, ids, uncompressed=uncompressed))
+    if uncompressed or not regions:
         yield from (load_one(region, None) for region in regions)
         return
     calls = _calls(source, load_one, regions)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 MAGIC = b"#ROSBAG V"
 
+MAX_INDEX = 1 << 24
+"""Bytes of an index that are read at once."""
+
 
 @dataclass(slots=True)
 class BagChunk:
@@ -178,6 +181,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
         # Messages before the index that are in no chunk can only be found by walking.
         if not header.end <= at <= file.size or (at > header.end and chunk_count == 0):
             return None
+        file.source.expect([at], [min(file.size, at + MAX_INDEX)])
         while any(remaining.values()):
             record = file.record(at)
             if record.end > file.size or not remaining.get(record.op):

@@ -32,7 +32,7 @@ from quatprop.containers.rosbag1.records import (
     RecordFile,
     surviving_records,
 )
-from quatprop.containers.rosbag1.selected import selected_messages
+from quatprop.containers.rosbag1.selected import expected_ranges, selected_messages
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
@@ -167,6 +167,7 @@ class Rosbag1Log(MessageLog):
         load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
         # Decompression is worth threads; uncompressed chunks are read sooner than handed over.
         is_compressed = bool(chunks) and self._is_compressed(chunks[0])
+        self.source.expect(*expected_ranges(chunks, wanted, compressed=is_compressed))
         loaded = prefetch(load, chunks) if is_compressed else (load(chunk) for chunk in chunks)
         with closing(loaded):
             for chunk, bound, (data, messages, damage) in zip(chunks, bounds, loaded, strict=False):

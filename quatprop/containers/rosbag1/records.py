@@ -20,7 +20,7 @@ import numpy as np
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -38,7 +38,7 @@ OP_CONNECTION = 7
 MAX_HEADER = 1 << 20
 """Bytes that a record header may have; real ones have less than a thousand."""
 
-_HEAD = 512
+HEAD = 512
 """Bytes that are read for a header whose length is unknown."""
 
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
@@ -92,18 +92,32 @@ class RecordFile:
     ----------
     source
         The open bag.
+
+    Attributes
+    ----------
+    source
+        The open bag.
+    size
+        Its length, bytes.
     """
 
     def __init__(self, source: FileSource) -> None:
-        self._source = source
+        self.source = source
         self.size = source.size
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer at the end of the file."""
         try:
-            return self._source.read(start, size)
+            return self.source.read(start, size)
         except OSError as error:
             # A worn memory card fails at one place; the rest of the bag is still good.
+            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+
+    def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
+        """Return the bytes of some ranges, one after another."""
+        try:
+            return self.source.read_ranges(begins, ends)
+        except OSError as error:
             raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
 
     def record(self, start: int) -> Record:
@@ -114,7 +128,7 @@ class RecordFile:
         MalformedRecordError
             There is none.
         """
-        head = self.at(start, _HEAD)
+        head = self.at(start, HEAD)
         size = int.from_bytes(head[:4], "little") + 8
         if size > MAX_HEADER:
             raise MalformedRecordError("there is no record")

@@ -11,9 +11,10 @@ import numpy as np
 
 from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.rosbag1.index import ChunkRecords
-from quatprop.containers.rosbag1.records import OP_CHUNK, MalformedRecordError, index_offsets
+from quatprop.containers.rosbag1.records import HEAD, OP_CHUNK, MalformedRecordError, index_offsets
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
@@ -62,13 +63,40 @@ def selected_messages(
     ranges = ranges_worth_reading(begins, indexed, size)
     if ranges is None:
         return None
-    places = zip(ranges.begins.tolist(), ranges.ends.tolist(), strict=True)
-    data = b"".join(file.at(record.data + begin, end - begin) for begin, end in places)
+    places = record.data + ranges.begins, record.data + ranges.ends
+    data = file.at_ranges(*(each.tolist() for each in places))
     for conn, rows in selected.items():
         moved = rows.copy()
         moved["offset"] = rows["offset"] - ranges.moved[np.searchsorted(begins, rows["offset"])]
         selected[conn] = moved
     return ChunkRecords(np.frombuffer(data, np.uint8), selected)
+
+
+def expected_ranges(
+    chunks: Sequence[BagChunk], connections: AbstractSet[int], *, compressed: bool
+) -> tuple[list[int], list[int]]:
+    """Return where the reading of the messages of some connections begins: byte ranges of the file.
+
+    Parameters
+    ----------
+    chunks
+        Chunks with messages of the connections.
+    connections
+        Numbers of the connections.
+    compressed
+        Whether chunks are compressed, and so read whole.
+
+    Returns
+    -------
+    begins, ends
+        The ranges, bytes.
+    """
+    ends = []
+    for chunk in chunks:
+        is_large = chunk.end - chunk.start >= LARGE
+        in_part = is_large and not compressed and not chunk.counts.keys() <= connections
+        ends.append(chunk.start + HEAD if in_part else max(chunk.end, chunk.start + HEAD))
+    return [chunk.start for chunk in chunks], ends
 
 
 def _offsets(entries: dict[int, NDArray[np.void]]) -> NDArray[np.int64]:

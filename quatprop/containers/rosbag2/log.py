@@ -12,13 +12,14 @@ from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, Mess
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.compression import CompressionError
+from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
     from quatprop.containers.msg_files import MsgFiles
@@ -50,6 +51,8 @@ class Rosbag2Log(MessageLog):
     ----------
     path
         The folder.
+    source_of_part
+        Opens a part that is not compressed.
 
     Raises
     ------
@@ -63,8 +66,11 @@ class Rosbag2Log(MessageLog):
 
     kind = "rosbag2"
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, path: Path, source_of_part: Callable[[Path], FileSource] = FileSource
+    ) -> None:
         super().__init__(path)
+        self._source_of_part = source_of_part
         try:
             found = folder(path)
         except OSError as error:
@@ -96,8 +102,8 @@ class Rosbag2Log(MessageLog):
         """Add a part, or note why it cannot be opened."""
         part = _Part(file, None, {})
         try:
-            with file.open("rb") as opened:
-                head = opened.read(16)
+            with self._source_of_part(file) as source:
+                head = source.read(0, 16)
             if file_compression(head):
                 part.copy = DecompressedCopy(file)
                 if part.copy.damage:
@@ -116,16 +122,15 @@ class Rosbag2Log(MessageLog):
 
     def _open(self, part: _Part) -> MessageLog:
         """Open a part, whose content tells its storage."""
-        path = part.copy.path if part.copy else part.path
-        with path.open("rb") as file:
-            is_database = file.read(6) == b"SQLite"
-        if is_database:
+        source = FileSource(part.copy.path) if part.copy else self._source_of_part(part.path)
+        if source.read(0, 6) == b"SQLite":
             from quatprop.containers.rosbag2.db3 import Db3Log
 
-            return Db3Log(path, self._message_compression)
+            source.close()
+            return Db3Log(source.path, self._message_compression)
         from quatprop.containers.mcap.log import McapLog
 
-        return McapLog(path)
+        return McapLog(source)
 
     def _note(self, part: _Part, losses: Iterable[Loss], topic: str = "") -> None:
         """Note losses of a part; `topic` where they are of one topic only."""

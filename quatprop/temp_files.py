@@ -11,14 +11,15 @@ import math
 import os
 import secrets
 import shutil
+import tempfile
 import time
 import weakref
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 T = TypeVar("T")
 
@@ -70,6 +71,11 @@ class LockedTemp(Generic[T]):
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+
+def temp_folder() -> LockedTemp[None]:
+    """Return a new folder for copies of logs; those that killed runs have left are removed."""
+    return LockedTemp(Path(tempfile.gettempdir(), "copies"), lambda path: path.mkdir(0o700))
 
 
 def _prefix(place: Path) -> str:

@@ -1,0 +1,292 @@
+"""Object stores: their files by address, and what goes wrong with them in one sentence.
+
+A store is any file system that Arrow knows by its address: ``s3://``, ``gs://``, ``abfs://``,
+``hdfs://``, ``file://``.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from concurrent.futures import Future, wait
+from contextlib import contextmanager
+from functools import lru_cache
+from textwrap import shorten
+from typing import TYPE_CHECKING, TypeVar
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from quatprop.errors import OutputError, StoreError
+from quatprop.provenance import Digest
+from quatprop.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from pyarrow import NativeFile
+    from pyarrow.fs import FileInfo, FileSystem
+
+    from quatprop.containers.compression import Buffer
+
+Result = TypeVar("Result")
+
+RETRY_S = 10
+"""Seconds for which a store that does not answer is retried."""
+
+MAX_REASON = 240
+"""Characters of a store library's message that are shown; the rest repeats itself."""
+
+S3_PARAMETERS = {"endpoint_override", "region", "scheme", "tls_ca_file_path"}
+"""Parameters that an address of S3 may have."""
+
+_REASONS = (
+    (r"NO_SUCH_BUCKET|Bucket '.*' not found", "there is no such bucket; check the address"),
+    (
+        r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|\b40[13]\b|[Pp]ermission",
+        "its store does not permit that; check the credentials and their rights",
+    ),
+    (
+        r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host",
+        "its store does not answer; check the network and the address of the store",
+    ),
+)
+"""What the messages of stores' libraries contain -> what that means to the user."""
+
+
+def is_address(path: Path | str) -> bool:
+    """Tell whether a path is an address such as ``s3://bucket/log.mcap``."""
+    return "://" in str(path)
+
+
+def without_secret(path: Path | str) -> str:
+    """Return a path or an address as it may be recorded: without credentials in it.
+
+    Examples
+    --------
+    >>> without_secret("s3://key:secret@bucket/log.mcap")
+    's3://bucket/log.mcap'
+    """
+    return re.sub(r"(?<=://)[^/?#]*@", "", str(path)) if is_address(path) else str(path)
+
+
+def below(address: str, name: str) -> str:
+    """Return the address of an object below another one, with the same parameters.
+
+    Examples
+    --------
+    >>> below("s3://bucket/logs/?region=eu-west-1", "a.mcap")
+    's3://bucket/logs/a.mcap?region=eu-west-1'
+    """
+    base, mark, parameters = address.partition("?")
+    return f"{base.rstrip('/')}/{name}{mark}{parameters}"
+
+
+def locate(address: str) -> tuple[FileSystem, str]:
+    """Return the store of an address, and the path of the object in it.
+
+    Credentials that the address does not carry are looked up as the store's own tools do.
+    """
+    if address.startswith("s3://"):
+        base, _, query = address.partition("?")
+        host, slash, path = base.removeprefix("s3://").partition("/")
+        user, _, bucket = host.rpartition("@")
+        return _s3(user, bucket, query), f"{bucket}{slash}{path}".rstrip("/")
+    from pyarrow.fs import FileSystem
+
+    store, place = FileSystem.from_uri(_with_retry_limit(address))
+    return store, place
+
+
+@lru_cache(maxsize=16)
+def _s3(user: str, bucket: str, query: str) -> FileSystem:
+    """Return the store of a bucket, whose requests are not tried for minutes."""
+    from pyarrow.fs import S3FileSystem, resolve_s3_region
+
+    options: dict[str, str] = {name: values[-1] for name, values in parse_qs(query).items()}
+    if unknown := options.keys() - S3_PARAMETERS:
+        raise ValueError(f"s3:// has no parameter {min(unknown)}")
+    if user:
+        key, _, secret = user.partition(":")
+        options |= {"access_key": unquote(key), "secret_key": unquote(secret)}
+    endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
+    if endpoint and "endpoint_override" not in options:
+        parts = urlsplit(endpoint)
+        options |= {"endpoint_override": parts.netloc, "scheme": parts.scheme}
+    region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
+    if "region" not in options and (region or "endpoint_override" not in options):
+        options["region"] = region or resolve_s3_region(bucket)
+    return S3FileSystem(
+        connect_timeout=RETRY_S, request_timeout=RETRY_S, allow_delayed_open=True, **options
+    )
+
+
+def _with_retry_limit(address: str) -> str:
+    """Return an address with a limit of retries: gs:// goes on for a quarter of an hour."""
+    if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
+        return address
+    return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
+
+
+def store_reason(error: Exception, address: str) -> str:
+    """Return why a store does not do what is asked, and the way out."""
+    if isinstance(error, FileNotFoundError):
+        return "there is no such object; check the address"
+    said = str(error)
+    detail = shorten(
+        plain(said.replace(address, without_secret(address))), MAX_REASON, placeholder="..."
+    )
+    for pattern, reason in _REASONS:
+        if re.search(pattern, said):
+            what, _, way_out = reason.partition("; ")
+            return f"{what} ({detail}); {way_out}"
+    return f"its store cannot be used ({detail}); check the address and access"
+
+
+@contextmanager
+def reading(address: str) -> Iterator[None]:
+    """Turn errors of a store into one that names the object that is read."""
+    try:
+        yield
+    except StoreError:
+        raise
+    except (OSError, ValueError) as error:
+        raise StoreError(without_secret(address), store_reason(error, address)) from error
+
+
+@contextmanager
+def writing(address: str) -> Iterator[None]:
+    """Turn errors of a store into one that names the object that is written."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise OutputError(without_secret(address), store_reason(error, address)) from error
+
+
+def find(address: str) -> tuple[FileSystem, FileInfo]:
+    """Return a store, and the object or the prefix at an address.
+
+    Raises
+    ------
+    StoreError
+        There is none, or it may not be read.
+    """
+    from pyarrow.fs import FileType
+
+    with reading(address):
+        store, place = locate(address)
+        found = store.get_file_info(place)
+        if found.type == FileType.NotFound:
+            raise FileNotFoundError(address)
+    return store, found
+
+
+def list_objects(address: str, *, missing_ok: bool = False) -> list[FileInfo]:
+    """Return all objects below an address, in order of their paths.
+
+    Parameters
+    ----------
+    address
+        Of a prefix.
+    missing_ok
+        Whether a prefix that is not there has no objects; otherwise it is an error.
+
+    Raises
+    ------
+    StoreError
+        It cannot be listed.
+    """
+    from pyarrow.fs import FileSelector
+
+    with reading(address):
+        store, place = locate(address)
+        selector = FileSelector(place, allow_not_found=missing_ok, recursive=True)
+        found = [info for info in store.get_file_info(selector) if info.is_file]
+    return sorted(found, key=lambda info: str(info.path))
+
+
+def etag_of(file: NativeFile) -> str | None:
+    """Return by what a store recognises the content of an open object; None if it does not say."""
+    metadata = file.metadata() or {}
+    tag = metadata.get("ETag") or metadata.get(b"ETag")
+    return tag.decode().strip('"') if tag else None
+
+
+def digest_of_object(address: str) -> Digest:
+    """Return size and ETag of an object, and those of each object of a prefix.
+
+    Raises
+    ------
+    StoreError
+        It cannot be read.
+    """
+    store, found = find(address)
+    with reading(address):
+        if found.is_file:
+            with store.open_input_file(found.path) as file:
+                return Digest(file.size(), etag=etag_of(file))
+        digests = {}
+        for info in list_objects(address):
+            with store.open_input_file(info.path) as file:
+                name = info.path[len(found.path) + 1 :]
+                digests[name] = Digest(file.size(), etag=etag_of(file))
+    return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+
+
+def upload(source: Path, address: str) -> None:
+    """Copy a file, or the files of a folder, to a store; an object is visible when it is complete.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    import pyarrow as pa
+
+    files = [source]
+    if source.is_dir():
+        files = sorted(file for file in source.rglob("*") if file.is_file())
+        # What tells that there is a bag comes last.
+        files.sort(key=lambda file: file.name == "metadata.yaml")
+    for file in files:
+        target = address
+        if source.is_dir():
+            target = below(address, file.relative_to(source).as_posix())
+        with file.open("rb") as stream:
+            is_empty = not stream.read(1)
+        put(target, b"" if is_empty else pa.memory_map(str(file)).read_buffer())
+
+
+def put(address: str, data: Buffer) -> None:
+    """Write an object.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+
+    def write() -> None:
+        store, place = locate(address)
+        with store.open_output_stream(place) as stream:
+            stream.write(data)
+
+    with writing(address):
+        # A stream that an interruption ends would be closed, and half an object visible.
+        interruptible(write)
+
+
+def interruptible(work: Callable[[], Result]) -> Result:
+    """Run `work` in a thread and wait for it, so that Ctrl-C is noticed, and ends the waiting."""
+    done: Future[Result] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:  # noqa: BLE001  # raised in the thread that waits
+            done.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    while not done.done():
+        wait([done], timeout=0.1)
+    return done.result()

@@ -1,0 +1,72 @@
+"""An object store on this machine, for tests: moto's S3 behind a layer that counts and refuses."""
+
+import os
+import socket
+import threading
+
+ENVIRONMENT = {
+    "AWS_ACCESS_KEY_ID": "key",
+    "AWS_SECRET_ACCESS_KEY": "secret",
+    "AWS_REGION": "us-east-1",
+    "AWS_EC2_METADATA_DISABLED": "true",
+}
+
+DENIED = (
+    b'<?xml version="1.0" encoding="UTF-8"?><Error><Code>AccessDenied</Code>'
+    b"<Message>Access Denied</Message></Error>"
+)
+
+
+class StoreServer:
+    """S3 on loopback.
+
+    Attributes
+    ----------
+    address
+        Where it listens, ``http://127.0.0.1:PORT``.
+    sent
+        Bytes of all answers so far.
+    requests
+        Method and path of all requests so far.
+    drop_after
+        Connections are dropped after this many bytes of answers; None is never.
+    """
+
+    def __init__(self):
+        """Start it."""
+        from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
+        from werkzeug.serving import make_server
+
+        self._application = DomainDispatcherApplication(create_backend_app)
+        self.sent, self.requests, self.drop_after = 0, [], None
+        self._server = make_server("127.0.0.1", 0, self._answer, threaded=True)
+        self._server.log_startup = lambda: None
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        self.address = f"http://127.0.0.1:{self._server.server_port}"
+        os.environ.update(ENVIRONMENT, AWS_ENDPOINT_URL=self.address)
+
+    def bucket(self, name):
+        """Make a bucket; those whose names begin with "denied" refuse everything."""
+        from pyarrow.fs import S3FileSystem
+
+        place = self.address.removeprefix("http://")
+        store = S3FileSystem(endpoint_override=place, scheme="http", allow_bucket_creation=True)
+        store.create_dir(name)
+        return f"s3://{name}"
+
+    def _answer(self, environment, start_response):
+        path = environment["PATH_INFO"]
+        self.requests.append((environment["REQUEST_METHOD"], path))
+        if path.startswith("/denied"):
+            start_response("403 Forbidden", [("Content-Type", "application/xml")])
+            return [DENIED]
+        answer = list(self._application(environment, start_response))
+        self.sent += sum(map(len, answer))
+        if self.drop_after is not None and self.sent > self.drop_after:
+            environment["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
+        return answer
+
+    def stop(self):
+        """Stop it."""
+        self._server.shutdown()
+        self._server.server_close()
