@@ -61,7 +61,8 @@ class StoreServer:
             start_response("403 Forbidden", [("Content-Type", "application/xml")])
             return [DENIED]
         answer = list(self._application(environment, start_response))
-        self.sent += sum(map(len, answer))
+        if environment["REQUEST_METHOD"] == "GET":
+            self.sent += sum(map(len, answer))
         if self.drop_after is not None and self.sent > self.drop_after:
             environment["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
         return answer
