@@ -16,7 +16,7 @@ import click
 from quatprop.cli import propagate
 from quatprop.cli.help import Command
 from quatprop.cli.options import quiet_option
-from quatprop.cli.types import OneOf
+from quatprop.cli.types import PATH, OneOf
 from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
@@ -41,11 +41,12 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("names", metavar="LOG|DIR|GLOB...", nargs=-1)
+@click.argument("names", type=PATH, metavar="LOG|DIR|GLOB...", nargs=-1)
 @click.option(
     "-o",
     "--output",
     "folder",
+    type=PATH,
     metavar="DIR",
     required=True,
     help="Where the attitude series go: each under the name of its log, and the manifest.",
@@ -60,11 +61,13 @@ EXAMPLES = (
 @click.option(
     "--list",
     "list_file",
+    type=PATH,
     metavar="FILE|-",
     help="Also take names from FILE or stdin, one a line.  [default: none]",
 )
 @click.option(
     "--root",
+    type=PATH,
     metavar="DIR",
     help="Outputs keep the path of their log below DIR.  [default: the folder that is searched, "
     "the fixed part of a GLOB, and for a LOG its own folder]",

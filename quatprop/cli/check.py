@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
+from quatprop.cli.types import PATH
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -31,8 +32,8 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
-@click.argument("suite", metavar="SUITE.toml")
-@click.argument("logs", metavar="[LOG...]", nargs=-1)
+@click.argument("suite", type=PATH, metavar="SUITE.toml")
+@click.argument("logs", type=PATH, metavar="[LOG...]", nargs=-1)
 @click.option(
     "-k",
     "patterns",
@@ -68,6 +69,7 @@ EXAMPLES = (
 )
 @click.option(
     "--artifacts",
+    type=PATH,
     metavar="DIR",
     help="Keep the attitudes, a page with the error, and the commands of each case that fails in "
     "DIR/CASE.  [default: none]",
@@ -79,7 +81,10 @@ EXAMPLES = (
     "known to fail.",
 )
 @click.option(
-    "--junit", metavar="FILE", help="Also write the results as JUnit XML.  [default: none]"
+    "--junit",
+    type=PATH,
+    metavar="FILE",
+    help="Also write the results as JUnit XML.  [default: none]",
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @click.option("-q", "--quiet", is_flag=True, help="Only failures and the totals.")

@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
@@ -20,6 +21,7 @@ COMMANDS = {
     "plot": "Draw rates, attitudes, or the error against a reference.",
     "check": "Compare recorded logs with references, as a regression test.",
     "simulate": "Write a log whose true attitude is known.",
+    "completion": "Print the script that completes names in bash, zsh or fish.",
 }
 """Every command with its one-line help, so that ``--help`` imports none of them."""
 
@@ -56,6 +58,13 @@ class Commands(click.Group):
             hint = did_you_mean(name, COMMANDS, "quatprop --help lists the commands")
             raise click.UsageError(f"No such command {name!r}{hint}", ctx)
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+        """Return the commands from the table, without importing them."""
+        if incomplete.startswith("-"):
+            return click.Command.shell_complete(self, ctx, incomplete)
+        found = ((name, text) for name, text in COMMANDS.items() if name.startswith(incomplete))
+        return [CompletionItem(name, help=text) for name, text in found]
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error becomes a sentence and an exit code here, and only here."""

@@ -16,6 +16,7 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
+from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import CHECK_ATTITUDES, ONE_SERIES
 
@@ -34,8 +35,8 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("a", metavar="A")
-@click.argument("b", metavar="B")
+@click.argument("a", type=PATH, metavar="A")
+@click.argument("b", type=PATH, metavar="B")
 @with_options(setting_options(COMPARE, log="B"))
 @with_options(setting_options(CHECK_ATTITUDES))
 @plot_option

@@ -16,7 +16,7 @@ from quatprop.cli.options import (
 )
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
 from quatprop.cli.spelling import spelled
-from quatprop.cli.types import OneOf
+from quatprop.cli.types import PATH, OneOf
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
 from quatprop.text import plain
 
@@ -37,8 +37,8 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("log", metavar="IN")
-@click.argument("output", metavar="[OUT]", required=False)
+@click.argument("log", type=PATH, metavar="IN")
+@click.argument("output", type=PATH, metavar="[OUT]", required=False)
 @into_option
 @with_options(setting_options(READ_ATTITUDES, log="IN", signal="attitudes"))
 @with_options(OUTPUT_OPTIONS)

@@ -10,6 +10,7 @@ import click
 from quatprop.cli.help import Command
 from quatprop.cli.options import setting_options, with_options
 from quatprop.cli.spelling import sentence, spelled
+from quatprop.cli.types import PATH
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
 from quatprop.settings import READ_RATES
@@ -46,7 +47,7 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True)
+@click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
 @with_options(setting_options(READ_RATES))
 def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:

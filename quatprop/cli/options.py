@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import click
 
 from quatprop.cli.spelling import option as option_name
-from quatprop.cli.types import OneOf, Parsed
+from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.parsers import Choice, flag
 from quatprop.text import Setting
 
@@ -198,11 +198,13 @@ def _setting_option(name: str, parser: Parser, text: str, side: str) -> Option:
 
 report_option = click.option(
     "--report",
+    type=PATH,
     metavar="PATH|-",
     help="Write a JSON report: source, conventions, counts, policies, version.  [default: none]",
 )
 plot_option = click.option(
     "--plot",
+    type=PATH,
     metavar="PIC",
     help="Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.  "
     "[default: none]",

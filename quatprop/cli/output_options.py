@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.types import OneOf
+from quatprop.cli.types import PATH, OneOf
 from quatprop.settings import LAYOUTS
 from quatprop.writers import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
@@ -36,6 +36,7 @@ comment_option = click.option(
 )
 into_option = click.option(
     "--into",
+    type=PATH,
     metavar="PATH",
     help="Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
     "else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "

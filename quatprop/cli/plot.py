@@ -16,7 +16,7 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.spelling import option, spelled
-from quatprop.cli.types import OneOf
+from quatprop.cli.types import PATH, OneOf
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
 from quatprop.text import Setting, plain
@@ -39,10 +39,11 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("files", metavar="FILE...", nargs=-1, required=True)
+@click.argument("files", type=PATH, metavar="FILE...", nargs=-1, required=True)
 @click.option(
     "-o",
     "--output",
+    type=PATH,
     metavar="PIC",
     required=True,
     help="Where the picture goes: .png, .svg, .pdf, or .html for a report with the picture in it.",
@@ -61,6 +62,7 @@ EXAMPLES = (
 @with_options(setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"))
 @click.option(
     "--reference",
+    type=PATH,
     metavar="REF",
     help="Draw the geodesic error of each FILE against this attitude series; holds both in "
     "memory.  [default: what is in FILE]",

@@ -16,6 +16,7 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
+from quatprop.cli.types import PATH
 from quatprop.settings import PROPAGATE
 
 if TYPE_CHECKING:
@@ -34,10 +35,11 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("log")
+@click.argument("log", type=PATH)
 @click.option(
     "-o",
     "--output",
+    type=PATH,
     metavar="PATH|-",
     help="Where the attitudes go; - is CSV on stdout.  [default: none, required without --into]",
 )

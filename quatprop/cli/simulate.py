@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.types import OneOf, Parsed
+from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.parsers import MAX_FREQUENCY, duration, numbers
 from quatprop.writers import GENERAL_KINDS
 
@@ -63,7 +63,7 @@ EXAMPLES = (
     short_help="Write a log whose true attitude is known.",
     epilog="Rates are in rad/s, body frame.",
 )
-@click.argument("out")
+@click.argument("out", type=PATH)
 @click.option(
     "--to",
     "kind",
@@ -77,6 +77,7 @@ EXAMPLES = (
 )
 @click.option(
     "--truth",
+    type=PATH,
     metavar="PATH",
     help="Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
     "Parquet .truth.parquet, beside - none]",

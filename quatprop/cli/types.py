@@ -10,6 +10,8 @@ from quatprop.cli.spelling import sentence
 from quatprop.text import did_you_mean
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from quatprop.parsers import Parser
 
     ParamType = click.ParamType[Any]
@@ -18,6 +20,10 @@ else:
     # Older versions of click cannot be subscripted.
     ParamType = click.ParamType
     Choice = click.Choice
+
+
+PATH = click.Path(readable=False)
+"""A file, a folder, or an address; what is wrong with it is found when it is opened."""
 
 
 class Parsed(ParamType):
@@ -43,6 +49,14 @@ class Parsed(ParamType):
             return self.parser(value)
         except UsageError as error:
             self.fail(sentence(error), param, ctx)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """Return what could be the value, such as the topics of the log on the line."""
+        from quatprop.cli.completion import values
+
+        return values(str(param.name), ctx, incomplete)
 
 
 class OneOf(Choice):

@@ -1,0 +1,133 @@
+"""``quatprop completion``: the script of a shell, and the names that a log holds."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import click
+from click.shell_completion import CompletionItem, get_completion_class
+
+from quatprop.cli.help import SIDES, Command
+from quatprop.cli.types import OneOf
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.containers.base import MessageLog
+    from quatprop.tables.base import TableLog
+
+NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
+"""Settings whose value is a name in the log."""
+
+PATHS = {"msg_path", "q0", "at"}
+"""Settings whose value may be a file."""
+
+EXAMPLES = (
+    "quatprop completion bash",
+    "quatprop completion zsh",
+    "quatprop completion fish",
+)
+
+
+@click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
+@click.argument("shell", type=OneOf(("bash", "zsh", "fish")))
+def command(shell: str) -> None:
+    """Print the script that completes commands, options, files, topics and columns in a shell.
+
+    \b
+    bash  quatprop completion bash > ~/.local/share/bash-completion/completions/quatprop
+    zsh   quatprop completion zsh > ~/.zfunc/_quatprop    (with ~/.zfunc in fpath)
+    fish  quatprop completion fish > ~/.config/fish/completions/quatprop.fish
+
+    bash needs its package bash-completion for that; without it, put this into ~/.bashrc:
+    source <(quatprop completion bash)
+    """
+    from quatprop.cli.commands import cli
+
+    script = get_completion_class(shell)
+    if script is None:  # pragma: no cover  # click has all three
+        raise click.UsageError(f"there is no completion for {shell}")
+    click.echo(script(cli, {}, "quatprop", "_QUATPROP_COMPLETE").source())
+
+
+def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+    """Return what could be the value of a setting: files, or names from the log on the line.
+
+    Parameters
+    ----------
+    name
+        The parameter.
+    ctx
+        The command, with what was given so far.
+    incomplete
+        The beginning of the value.
+    """
+    base, _, side = name.rpartition("_")
+    setting = base if side in SIDES else name
+    if setting in PATHS:
+        return [CompletionItem(incomplete, type="file")]
+    log = _log(ctx, side) if setting in NAMED else None
+    if log is None:
+        return []
+    # Of columns that are listed, the last is completed.
+    done, comma, begun = incomplete.rpartition(",") if setting.endswith("_cols") else ("", "", "")
+    begun = begun if comma else incomplete
+    names = (found for found in _names_in(log, setting, ctx) if found not in done.split(","))
+    return [CompletionItem(done + comma + found) for found in names if found.startswith(begun)]
+
+
+def _log(ctx: click.Context, side: str) -> str | None:
+    """Return the log that options of a side are about; of several the first."""
+    # Where the value of the last option is missing, click has not parsed what has no option.
+    logs = list(ctx.args)
+    for parameter in ctx.command.params:
+        given = ctx.params.get(str(parameter.name))
+        if isinstance(parameter, click.Argument) and given:
+            logs += given if isinstance(given, tuple) else [given]
+    if side == "ref":
+        logs = [ctx.params.get("reference") or "-"]
+    place = 1 if side == "b" else 0
+    return logs[place] if len(logs) > place and logs[place] != "-" else None
+
+
+def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
+    """Return topics, fields or columns of a log; none where it cannot be read."""
+    from quatprop.containers.remote import is_address
+    from quatprop.errors import QuatpropError
+    from quatprop.formats import open_log
+    from quatprop.tables.base import is_table
+
+    if is_address(path):
+        return []
+    try:
+        with open_log(path, ctx.params.get("kind")) as log:
+            if is_table(log):
+                return log.columns() if setting.endswith(("_cols", "_col")) else []
+            return list(dict.fromkeys(_in_messages(log, setting, ctx)))
+    except (QuatpropError, OSError):
+        return []
+
+
+def _in_messages(log: MessageLog | TableLog, setting: str, ctx: click.Context) -> Iterator[str]:
+    """Yield topics, or fields, of what the command reads."""
+    from quatprop.errors import LogError
+    from quatprop.selection import AttitudeSelection, RateSelection
+    from quatprop.signals.attitudes import attitude_candidates
+    from quatprop.signals.rates import rate_candidates
+
+    options = {str(option.name) for option in ctx.command.params}
+    fields = {"rate_field", "quat_field"}
+    topic = ctx.params.get("topic") if setting in fields else None
+    for field in {setting} & fields or fields:
+        if not any(name.startswith(field) for name in options):
+            continue
+        with suppress(LogError):
+            if field == "rate_field":
+                found = [
+                    (c.topic, c.field) for c in rate_candidates(log, RateSelection(topic=topic))
+                ]
+            else:
+                wanted = AttitudeSelection(topic=topic)
+                found = [(c.topic, c.field) for c in attitude_candidates(log, wanted)]
+            yield from (pair[setting in fields] for pair in found)
