@@ -93,7 +93,7 @@ def _log(ctx: click.Context, side: str) -> str | None:
 
 def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     """Return topics, fields or columns of a log; none where it cannot be read."""
-    from quatprop.containers.remote import is_address
+    from quatprop.containers.stores import is_address
     from quatprop.errors import QuatpropError
     from quatprop.formats import open_log
     from quatprop.tables.base import is_table
