@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quatprop.containers.base import Loss
+from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
@@ -196,6 +197,29 @@ def test_blocks_of_overlapping_parts_alternate(tmp_path, monkeypatch):
         (imu, _) = log.channels()
         ahead = [int(block.log_ns.max()) - block.not_before_ns for block in log.blocks(imu)]
     assert max(ahead) < 256 * 1_000_000
+
+
+@pytest.mark.parametrize("overlap", [0, 280])
+def test_few_parts_stay_open_and_more_are_opened_again(tmp_path, monkeypatch, overlap):
+    """A part is opened once, and however many stay open the messages are the same."""
+    path, expected = split_bag(tmp_path / "bag", overlap=overlap)
+    expected = {name: sorted(rows) for name, rows in expected.items()}
+    opened = []
+
+    def source_of(part):
+        opened.append(part.name)
+        return FileSource(part)
+
+    parts = sorted(part.name for part in path.glob("*.db3"))
+    for count in (len(parts), 1):
+        monkeypatch.setattr("quatprop.containers.rosbag2.log.MAX_OPEN", count)
+        with Rosbag2Log(path, source_of) as log:
+            found = {
+                (channel.topic, channel.type_name): sorted(rows_of(log, channel))
+                for channel in log.channels()
+            }
+        assert (found, log.losses) == (expected, [])
+        assert (sorted(opened) == parts) == (count == len(parts))
 
 
 def test_a_folder_without_metadata_is_read_by_the_names_of_its_parts(tmp_path):

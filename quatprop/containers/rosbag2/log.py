@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from contextlib import closing
-from dataclasses import dataclass, replace
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from quatprop.containers.msg_files import MsgFiles
 
 
+MAX_OPEN = 16
+"""So many parts are kept open; an open database takes some megabytes. Others are opened again."""
+
+
 @dataclass(slots=True)
 class _Part:
     """A file of the bag.
@@ -37,11 +41,14 @@ class _Part:
         Its decompressed copy, if it is compressed.
     channels
         Its channels, each with the channel of the bag that it belongs to.
+    log
+        The part, as long as it is kept open.
     """
 
     path: Path
-    copy: DecompressedCopy | None
-    channels: dict[Channel, Channel]
+    copy: DecompressedCopy | None = None
+    channels: dict[Channel, Channel] = field(default_factory=dict)
+    log: MessageLog | None = None
 
 
 class Rosbag2Log(MessageLog):
@@ -100,43 +107,46 @@ class Rosbag2Log(MessageLog):
 
     def _add(self, file: Path) -> None:
         """Add a part, or note why it cannot be opened."""
-        part = _Part(file, None, {})
+        part = _Part(file)
         try:
-            with self._source_of_part(file) as source:
-                head = source.read(0, 16)
-            if file_compression(head):
-                part.copy = DecompressedCopy(file)
-                if part.copy.damage:
-                    self._note(part, [Loss("end of the file", part.copy.damage)])
-            with self._open(part) as log:
-                part.channels = {channel: channel for channel in log.channels()}
-                has_publish_time = log.has_publish_time
-                self._note(part, log.losses)
+            log = self._open(part)
+            part.channels = {channel: channel for channel in log.channels()}
         except (LogError, CompressionError, OSError) as error:
             self._give_up(part, error)
             if part.copy:
                 part.copy.close()
+            return
+        self.has_publish_time = log.has_publish_time and (self.has_publish_time or not self._parts)
+        self._note(part, log.losses)
+        self._parts.append(part)
+        if len(self._parts) <= MAX_OPEN:
+            part.log = log
         else:
-            self.has_publish_time = has_publish_time and (self.has_publish_time or not self._parts)
-            self._parts.append(part)
+            log.close()
 
     def _open(self, part: _Part) -> MessageLog:
-        """Open a part, whose content tells its storage."""
+        """Open a part, whose content tells its compression and storage."""
         source = FileSource(part.copy.path) if part.copy else self._source_of_part(part.path)
+        if part.copy is None and file_compression(source.read(0, 4)):
+            source.close()
+            part.copy = DecompressedCopy(part.path)
+            if part.copy.damage:
+                self._note(part, [Loss("end of the file", part.copy.damage)])
+            source = FileSource(part.copy.path)
         if source.read(0, 6) == b"SQLite":
+            source.close()
             from quatprop.containers.rosbag2.db3 import Db3Log
 
-            source.close()
             return Db3Log(source.path, self._message_compression)
         from quatprop.containers.mcap.log import McapLog
 
         return McapLog(source)
 
-    def _note(self, part: _Part, losses: Iterable[Loss], topic: str = "") -> None:
-        """Note losses of a part; `topic` where they are of one topic only."""
+    def _note(self, part: _Part, losses: Iterable[Loss]) -> None:
+        """Note losses of a part."""
         for loss in losses:
             place = f"{plain(part.path.name)}: {loss.place}"
-            self.losses.note(place, loss.reason, loss.messages, topic)
+            self.losses.note(place, loss.reason, loss.messages)
 
     def _give_up(self, part: _Part, error: Exception) -> None:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
@@ -219,13 +229,12 @@ class Rosbag2Log(MessageLog):
     def _stream(self, part: _Part, own: Channel) -> Generator[MessageBlock, None, None]:
         """Yield the messages of one channel of one part."""
         try:
-            log = self._open(part)
+            log = part.log or self._open(part)
         except (LogError, OSError) as error:
             self._give_up(part, error)
             return
         damaged = 0
-        with log:
-            opened = len(log.losses)
+        with nullcontext() if part.log else log:
             for block in log.blocks(own):
                 whole, lost = (
                     decompressed(block) if self._is_compressed(log, own, block) else (block, 0)
@@ -233,7 +242,7 @@ class Rosbag2Log(MessageLog):
                 damaged += lost
                 if len(whole):
                     yield whole
-            self._note(part, log.losses[opened:], own.topic)
+            self._note(part, log.losses)
         if damaged:
             place = f"topic {quoted(own.topic)}"
             self._note(part, [Loss(place, "their zstd data is damaged", damaged)])
@@ -257,8 +266,10 @@ class Rosbag2Log(MessageLog):
         )
 
     def close(self) -> None:
-        """Remove the decompressed copies."""
+        """Close the parts and remove the decompressed copies."""
         for part in self._parts:
+            if part.log:
+                part.log.close()
             if part.copy:
                 part.copy.close()
 
