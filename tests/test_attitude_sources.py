@@ -570,7 +570,8 @@ def test_a_series_without_rotations_has_no_attitude(tmp_path):
 def own_orientation(path, topic, t_ns=None):
     """Return the orientation beside the rates of a topic."""
     with open_log(path) as log:
-        return first_orientation(log, choose_rates(log, RateSelection(topic=topic)), t_ns)
+        selection = RateSelection(topic=topic)
+        return first_orientation(log, choose_rates(log, selection), selection, t_ns)
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs):

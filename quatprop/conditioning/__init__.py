@@ -40,6 +40,9 @@ class Conditioning:
         Take the mean over the log's rest as the bias; shorter than this, ns, is no rest.
     mount
         Sensor axes to body axes, as :func:`mounting` reads it.
+    rates
+        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
+        reference frame are not turned by the mounting.
     start, end
         The part of the log to use, ends included.
     """
@@ -47,6 +50,7 @@ class Conditioning:
     bias: tuple[float, ...] | None = None
     static_ns: int | None = None
     mount: str | None = None
+    rates: str = "body"
     start: Instant | None = None
     end: Instant | None = None
 
@@ -144,8 +148,9 @@ def condition(
     batches = iter(read())
     if start_ns is not None or end_ns is not None:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    if bias is not None or mount is not None:
-        batches = conditioned(batches, bias=bias, mount=mount)
+    turned = mount if settings.rates == "body" else None
+    if bias is not None or turned is not None:
+        batches = conditioned(batches, bias=bias, mount=turned)
     return batches, report
 
 

@@ -129,7 +129,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     if log is None:
         raise UsageError(Setting("q0", wanted.source), " needs a log, not rates in memory")
     if wanted.source == "log":
-        wxyz = unit_q0(first_orientation(log, recording.source, first_ns))
+        wxyz = unit_q0(first_orientation(log, recording.source, recording.selection, first_ns))
         # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
         return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
     _refuse_motion(first, log)

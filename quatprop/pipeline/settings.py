@@ -75,6 +75,18 @@ class PropagationSettings:
                 *(Setting("every"), ", ", Setting("rate"), " and ", Setting("at")),
                 " each say which attitudes to write; choose one",
             )
+        if (
+            self.rates == "inertial"
+            and self.conditioning.mount is not None
+            and self.q0.source not in FROM_THE_LOG
+        ):
+            raise UsageError(
+                "rates resolved in the reference frame are not turned by ",
+                Setting("mount"),
+                "; it turns what ",
+                Setting("q0", "level|log"),
+                " take from the log, or leave it out",
+            )
 
     @property
     def needs_second_read(self) -> bool:
@@ -155,6 +167,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         conditioning=Conditioning(
             bias=None if isinstance(bias, StaticBias) else bias,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
+            rates=values.get("rates", "body"),
             **{name: values.get(name) for name in ("mount", "start", "end")},
         ),
         **{

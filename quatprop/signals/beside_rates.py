@@ -80,12 +80,14 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
     return rows
 
 
-def own_orientation(log: MessageLog | TableLog, source: RateSignal) -> AttitudeSignal:
+def own_orientation(
+    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection
+) -> AttitudeSignal:
     """Return the orientation that is in the same messages or rows as the rates, on their clock.
 
     Parameters
     ----------
-    log, source
+    log, source, selection
         As for :func:`specific_forces`.
 
     Raises
@@ -93,13 +95,13 @@ def own_orientation(log: MessageLog | TableLog, source: RateSignal) -> AttitudeS
     LogError, UsageError
         There is none, or it cannot be read.
     """
-    selection = AttitudeSelection()
+    wanted = AttitudeSelection.like(selection)
     if not is_table(log):
-        messages = cast("MessageLog", log)
-        selection = AttitudeSelection(topic=source.name, quat_field=_beside(messages, source))
+        beside = _beside(cast("MessageLog", log), source)
+        wanted = replace(wanted, topic=source.name, quat_field=beside)
         if source.clock in {"header", "log", "publish"}:
-            selection = replace(selection, clock=source.clock)
-    return choose_attitudes(log, selection)
+            wanted = replace(wanted, clock=source.clock)
+    return choose_attitudes(log, wanted)
 
 
 def signals_beside(
@@ -112,7 +114,7 @@ def signals_beside(
 
     def orientation() -> Rows:
         try:
-            own = own_orientation(log, source)
+            own = own_orientation(log, source, selection)
         except (LogError, UsageError):
             return
         if not own.placeholder:

@@ -118,7 +118,10 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
 
 
 def first_orientation(
-    log: MessageLog | TableLog, source: RateSignal, t_ns: int | None = None
+    log: MessageLog | TableLog,
+    source: RateSignal,
+    selection: RateSelection,
+    t_ns: int | None = None,
 ) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 
@@ -126,9 +129,9 @@ def first_orientation(
     ----------
     log
         An open log that can be read again.
-    source
-        Its rates, as :func:`quatprop.signals.rates.choose_rates` gives them: the orientation is
-        that of the same messages or rows, on the same clock.
+    source, selection
+        Its rates, as :func:`quatprop.signals.rates.choose_rates` gives them, and how they were
+        chosen: the orientation is that of the same messages or rows, on the same clock.
     t_ns
         The stamp of the first sample that is used; None for the first of the log.
 
@@ -147,7 +150,7 @@ def first_orientation(
         The log cannot be used as asked.
     """
     with _about("q0"):
-        signal = own_orientation(log, source)
+        signal = own_orientation(log, source, selection)
     if signal.placeholder:
         raise LogError(
             log.path,

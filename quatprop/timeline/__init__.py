@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from itertools import groupby, pairwise
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    Places: TypeAlias = NDArray[np.intp]
+    Kept: TypeAlias = tuple[GyroSeries, Places | None]
+    """A batch, and which samples of what was read it holds; None: all."""
 
 __all__ = ["OBSERVE", "Policy", "StampChecks", "Timeline"]
 
@@ -70,7 +74,7 @@ class Timeline:
         if self.policy.on_backwards == "sort":
             ordered: Iterable[GyroSeries] = self._sorted(finite)
         else:
-            ordered = (self._in_order(batch) for batch in finite)
+            ordered = (self._in_order(batch, kept) for batch, kept in finite)
         ordered = self._stamps.with_gap_limit(ordered, attrgetter("t_ns"))
         # Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
         for batch in reblock(ordered):
@@ -120,14 +124,14 @@ class Timeline:
                 yield batch
                 self.counts.read += len(batch)
 
-    def _finite(self, batch: GyroSeries) -> GyroSeries:
+    def _finite(self, batch: GyroSeries) -> Kept:
         """Find rates that are not finite, and drop or replace them."""
         # Where the sum is finite all are: one pass for the common case.
         with np.errstate(over="ignore", invalid="ignore"):
             total = batch.rate.sum()
         if np.isfinite(total):
             self._last_finite = batch.rate[-1]
-            return batch
+            return batch, None
         good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
         event = self.counts.nonfinite
         event.add(np.flatnonzero(~good), self.counts.read, batch.t_ns)
@@ -139,10 +143,10 @@ class Timeline:
                 Setting("on_nonfinite", "drop|hold"),
             )
         if self.policy.on_nonfinite == "drop":
-            return batch[good]
+            return batch[good], np.flatnonzero(good)
         if self.policy.on_nonfinite == "hold":
-            return self._hold(batch, good)
-        return batch
+            return self._hold(batch, good), None
+        return batch, None
 
     def _hold(self, batch: GyroSeries, good: NDArray[np.bool_]) -> GyroSeries:
         """Replace each rate that is not finite by the last one before it that is."""
@@ -162,18 +166,21 @@ class Timeline:
         self._last_finite = rate[-1]
         return batch.with_rate(rate)
 
-    def _in_order(self, batch: GyroSeries) -> GyroSeries:
+    def _in_order(self, batch: GyroSeries, kept: Places | None) -> GyroSeries:
         """Find stamps that are earlier than one before, and drop them."""
-        back = self._stamps.backward(batch.t_ns) if len(batch) else None
+        back = self._stamps.backward(batch.t_ns, kept) if len(batch) else None
         return batch if back is None or self.policy.on_backwards == "keep" else batch[~back]
 
-    def _sorted(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        whole = list(batches)
+    def _sorted(self, batches: Iterable[Kept]) -> Iterator[GyroSeries]:
+        whole, places = [], []
+        for batch, kept in batches:
+            whole.append(batch)
+            places.append(self.counts.read + (np.arange(len(batch)) if kept is None else kept))
         if not whole:
             return
         log = GyroSeries.joined(whole)
         back = np.flatnonzero(log.t_ns < np.maximum.accumulate(log.t_ns))
-        self.counts.backwards.add(back, 0, log.t_ns)
+        self.counts.backwards.add(back, 0, log.t_ns, np.concatenate(places))
         yield log[np.argsort(log.t_ns, kind="stable")]
 
     def _measure(self, batch: GyroSeries, intervals: NDArray[np.int64]) -> None:

@@ -32,7 +32,8 @@ class Event:
     count
         Occurrences.
     first_index
-        Index of the first sample concerned, counted from 0 as read.
+        Index of the first sample concerned, counted from 0: of rates that are not finite and stamps
+        that go backwards as read, of repeated stamps and gaps among the samples used.
     first_ns
         Its time stamp, ns.
     """
@@ -41,10 +42,19 @@ class Event:
     first_index: int | None = None
     first_ns: int | None = None
 
-    def add(self, where: NDArray[np.intp], start: int, t_ns: NDArray[np.int64]) -> None:
-        """Count the sample positions `where` of a batch that starts at index `start`."""
+    def add(
+        self,
+        where: NDArray[np.intp],
+        start: int,
+        t_ns: NDArray[np.int64],
+        kept: NDArray[np.intp] | None = None,
+    ) -> None:
+        """Count the sample positions `where` of a batch that starts at index `start`.
+
+        Where samples of the batch were dropped, `kept` holds the positions of those that are left.
+        """
         if len(where) and self.first_index is None:
-            self.first_index = start + int(where[0])
+            self.first_index = start + int(where[0] if kept is None else kept[where[0]])
             self.first_ns = int(t_ns[where[0]])
         self.count += len(where)
 

@@ -73,8 +73,17 @@ class StampChecks:
                 yield t_ns
                 self.counts.read += len(t_ns)
 
-    def backward(self, t_ns: Int64) -> NDArray[np.bool_] | None:
+    def backward(
+        self, t_ns: Int64, kept: NDArray[np.intp] | None = None
+    ) -> NDArray[np.bool_] | None:
         """Return which stamps are earlier than one before, or None where none is.
+
+        Parameters
+        ----------
+        t_ns
+            The next stamps, shape ``(N,)``, int64 ns.
+        kept
+            Their positions in the batch that was read; None where none of it was dropped.
 
         Raises
         ------
@@ -95,7 +104,7 @@ class StampChecks:
             back = t_ns < reached
             self._latest = int(reached[-1])
         event = self.counts.backwards
-        event.add(np.flatnonzero(back), self.counts.read, t_ns)
+        event.add(np.flatnonzero(back), self.counts.read, t_ns, kept)
         if self.policy.on_backwards == "error":
             first = int(np.flatnonzero(back)[0])
             raise TimelineError(

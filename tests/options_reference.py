@@ -1,0 +1,212 @@
+"""What every option of propagate means, computed again in the plainest way: for tests.
+
+Written from the documentation, with SciPy's rotations, sample by sample. Nothing of quatprop is
+used.
+"""
+
+from fractions import Fraction
+from itertools import pairwise
+from math import radians
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+NS = 1_000_000_000
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def propagated(raw, options):
+    """Return the stamps and the rotations that options lead to.
+
+    Parameters
+    ----------
+    raw : dict
+        Of every row in the order of the log: ``t`` in int ns, ``w`` in rad/s, ``f``, the specific
+        force, and ``q``, the orientation of the sensor as a Rotation.
+    options : dict
+        As `quatprop.propagate` takes them; those that say where the numbers are in the file are
+        passed over. ``bias`` is in rad/s. Series in files are given as ``(t, Rotation)``.
+
+    Returns
+    -------
+    tuple of ndarray and Rotation
+        Stamps and attitudes body -> reference.
+    """
+    mount = mounting(options.get("mount"))
+    rate = raw["w"] - np.array(options.get("bias", (0, 0, 0)))
+    if options.get("rates", "body") == "body":
+        rate = mount.apply(rate)
+    t, rate = used(raw["t"], rate, options)
+    q0 = initial(raw, options, int(t[0]), mount).as_matrix()
+    steps = np.diff(t)
+    limit = options.get("max_gap", 10 * int(np.median(steps[steps > 0])))
+    on_gap = options.get("on_gap", "hold")
+    cuts = np.flatnonzero(steps > limit) + 1 if on_gap in {"zero", "split"} else []
+    wanted = times(t, options)
+    stamps, attitudes, q = [], [], q0
+    edges = [0, *cuts, len(t)]
+    for first, last in pairwise(edges):
+        q = q0 if on_gap == "split" else q
+        piece = slice(first, last)
+        at = t[piece] if wanted is None else wanted[(wanted >= t[first]) & (wanted <= t[last - 1])]
+        rows, q = segment(t[piece], rate[piece], q, at, options)
+        stamps += at.tolist()
+        attitudes += rows
+        if on_gap == "zero" and wanted is not None and last < len(t):
+            inside = wanted[(wanted > t[last - 1]) & (wanted < t[last])].tolist()
+            stamps += inside
+            attitudes += [q] * len(inside)
+    keep = slice(None, None, options.get("every", 1))
+    return np.array(stamps[keep]), Rotation.from_matrix(np.array(attitudes[keep]))
+
+
+def mounting(text):
+    """Return the rotation from sensor to body axes."""
+    if text is None:
+        return Rotation.identity()
+    parts = text.split(",")
+    if len(parts) == 4:
+        return Rotation.from_quat([float(part) for part in parts], scalar_first=True)
+    matrix = np.zeros((3, 3))
+    for row, part in enumerate(parts):
+        matrix[row, AXES[part[-1]]] = -1 if part[0] == "-" else 1
+    return Rotation.from_matrix(matrix)
+
+
+def used(t, rate, options):
+    """Return the samples that the part and the policies leave."""
+    inside = np.ones(len(t), dtype=bool)
+    for name, sign in (("start", 1), ("end", -1)):
+        if name in options:
+            inside &= sign * (t - instant(options[name], t)) >= 0
+    t, rate = t[inside], rate[inside].copy()
+    finite = np.isfinite(rate).all(axis=1)
+    if options.get("on_nonfinite") == "drop":
+        t, rate = t[finite], rate[finite]
+    elif options.get("on_nonfinite") == "hold":
+        for k in np.flatnonzero(~finite):
+            rate[k] = rate[k - 1]
+    if options.get("on_backwards") == "sort":
+        order = np.argsort(t, kind="stable")
+    else:
+        order, latest = [], t[0]
+        for k, stamp in enumerate(t):
+            if stamp >= latest:
+                order.append(k)
+                latest = stamp
+    return t[order], rate[order]
+
+
+def instant(value, t):
+    """Return an instant on the clock of the log: ns, or from an end of the log such as +200ms."""
+    if isinstance(value, int):
+        return value
+    return (t.min() if value[0] == "+" else t.max()) + int(value.removesuffix("ms")) * NS // 1000
+
+
+def initial(raw, options, t0, mount):
+    """Return the attitude at the first sample used."""
+    q0 = options.get("q0", (1, 0, 0, 0))
+    if q0 == "log":
+        row = np.flatnonzero(raw["t"] == t0)[0]
+        return raw["q"][row] * mount.inv()
+    if q0 == "level":
+        first = (raw["t"] >= t0) & (raw["t"] <= t0 + NS)
+        down = options.get("reference_z") == "down"
+        # The shortest turn that brings the force upright, and the heading that then remains.
+        x, y, z = mount.apply(raw["f"][first].mean(axis=0)) * (-1 if down else 1)
+        roll, pitch = np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
+        return Rotation.from_euler("ZYX", [radians(options.get("heading", 0)), pitch, roll])
+    if isinstance(q0[1], Rotation):
+        # As floats, stamps of today would be 256 ns apart.
+        return Slerp((q0[0] - t0) / NS, q0[1])(0.0)
+    return Rotation.from_quat(
+        q0, scalar_first=options.get("q0_layout", "wxyz") in {"wxyz", "scalar-first"}
+    )
+
+
+def times(t, options):
+    """Return the stamps at which attitudes are wanted; None for those of the samples."""
+    if "rate" in options:
+        rate = Fraction(str(options["rate"]))
+        count = int((int(t[-1] - t[0]) + 1) * rate / NS) + 2
+        wanted = np.array([int(t[0]) + round(k * NS / rate) for k in range(count)])
+        return wanted[wanted <= t[-1]]
+    if "at" in options:
+        return np.sort(options["at"][0])
+    return None
+
+
+def segment(t, rate, q, at, options):
+    """Return the attitudes at some stamps within samples without gaps, and the last attitude."""
+    body = options.get("rates", "body") == "body"
+    whole = matrices(
+        [rotation(t, rate, k, (t[k + 1] - t[k]) / NS, options) for k in range(len(t) - 1)]
+    )
+    if "rate" in options or "at" in options:
+        before = np.searchsorted(t, at, side="right") - 1
+        part = matrices(
+            [
+                rotation(t, rate, k, (stamp - t[k]) / NS, options) if stamp > t[k] else np.zeros(3)
+                for k, stamp in zip(before, at, strict=True)
+            ]
+        )
+    else:
+        before, part = np.arange(len(t)), np.tile(np.eye(3), (len(t), 1, 1))
+    attitudes = [q]
+    for step in whole:
+        attitudes.append(attitudes[-1] @ step if body else step @ attitudes[-1])
+    rows = [
+        attitudes[k] @ step if body else step @ attitudes[k]
+        for k, step in zip(before, part, strict=True)
+    ]
+    return rows, attitudes[-1]
+
+
+def matrices(rotvecs):
+    """Return rotation matrices of rotation vectors."""
+    return Rotation.from_rotvec(np.reshape(rotvecs, (-1, 3))).as_matrix() if len(rotvecs) else []
+
+
+def rotation(t, rate, k, s, options):
+    """Return the rotation vector from sample k over s seconds, at most to the next sample."""
+    u, v = rate[k], rate[k + 1]
+    method = options.get("method", "start")
+    if method in {"start", "end", "mean"}:
+        return {"start": u, "end": v, "mean": (u + v) / 2}[method] * s
+    # Exact for a polynomial of third degree.
+    at = np.append(s / 2 * (1 + GAUSS[0]), s)
+    rates = rates_after(t, rate, k, at, cubic=method == "cubic")
+    integral = GAUSS[1] @ rates[:-1] * s / 2
+    # The commutator of rotations that multiply on the left has the other sign.
+    sign = 1 if options.get("rates", "body") == "body" else -1
+    return integral + sign * s**2 / 12 * np.cross(u, rates[-1])
+
+
+GAUSS = np.polynomial.legendre.leggauss(4)
+
+
+def rates_after(t, rate, k, at, *, cubic):
+    """Return rates at times after sample k, s, on the polynomial through two to four samples."""
+    step = np.diff(t)
+
+    def ratio(j):
+        """Return by what factor the intervals around a sample differ."""
+        if not 0 < j < len(t) - 1 or 0 in step[j - 1 : j + 1]:
+            return np.inf
+        return max(step[j - 1 : j + 1]) / min(step[j - 1 : j + 1])
+
+    left, right = ratio(k), ratio(k + 1)
+    through = [k, k + 1]
+    if cubic and max(left, right) <= 4:
+        through = [k - 1, k, k + 1, k + 2]
+    elif cubic and min(left, right) <= 2:
+        through = [k - 1, k, k + 1] if left <= right else [k, k + 1, k + 2]
+    if step[k] == 0:
+        return np.tile(rate[k], (len(at), 1))
+    nodes, rates = (t[through] - t[k]) / NS, np.zeros((len(at), 3))
+    for j, node in enumerate(nodes):
+        others = np.delete(nodes, j)
+        share = np.prod((at[:, None] - others) / (node - others), axis=1)
+        rates += share[:, None] * rate[through[j]]
+    return rates
