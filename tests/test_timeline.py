@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from quatprop.errors import TimelineError
@@ -273,6 +273,8 @@ def test_time_that_does_not_pass_is_remarked():
     )
 
 
+# A busy machine makes lists slowly.
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(st.integers(-50, 50), max_size=60),
     st.lists(st.integers(0, 60), max_size=6),
