@@ -211,6 +211,9 @@ sample_rate, clock
         Attitudes at this rate, Hz, exact at those times under the method.
     at : path
         Attitudes at the stamps of this series, exact at those times.
+    threads : int
+        How many threads compute at a time, by default as many as there are cores; the result is
+        the same.
 
     Returns
     -------
@@ -242,6 +245,7 @@ sample_rate, clock
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
     from quatprop.signals.rates import choose_rates, signal_of_series
+    from quatprop.threads import use_threads
 
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
@@ -252,7 +256,10 @@ sample_rate, clock
         result = _collect(AttitudeStream(path, signal_of_series(log), settings, None))
         return _with_warnings(path, result)
     path = _path("log", log)
-    with open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened:
+    with (
+        use_threads(settings.threads),
+        open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
+    ):
         signal = choose_rates(opened, settings.selection)
         result = _collect(AttitudeStream(path, signal, settings, opened))
     return _with_warnings(path, result)

@@ -6,6 +6,7 @@ Series: a fifth of a second for every command.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,7 +31,19 @@ _TYPES = {
         ("u1", pa.uint8()),
     )
 }
+_held: deque[pa.Buffer] = deque(maxlen=2)
 _DTYPES = {kind: dtype for dtype, kind in _TYPES.items()}
+
+
+def readable(data: bytes | memoryview) -> pa.BufferReader:
+    """Return bytes as a file that Arrow reads.
+
+    A thread of Arrow may be the last to let go of them. If the interpreter is shutting down then,
+    as after an interruption, the process would abort: so they are held here until others come.
+    """
+    buffer = pa.py_buffer(data)
+    _held.append(buffer)
+    return pa.BufferReader(buffer)
 
 
 def to_arrow(values: NDArray[Any]) -> pa.Array:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.threads import thread_count
 
 if TYPE_CHECKING:
     from typing import Self
@@ -187,7 +188,8 @@ class DigestThread:
         self._digest = Digest()
         self._error: OSError | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        if thread_count() > 1:
+            self._thread.start()
 
     def result(self) -> Digest:
         """Wait for the digest and return it.
@@ -197,7 +199,10 @@ class DigestThread:
         UnreadableLogError
             The source cannot be read to its end.
         """
-        self._thread.join()
+        if self._thread.ident is None:
+            self._run()
+        else:
+            self._thread.join()
         if self._error is not None:
             raise UnreadableLogError(
                 self._path, f"it cannot be read: {self._error.strerror}"
@@ -209,7 +214,8 @@ class DigestThread:
 
     def __exit__(self, *_error: object) -> None:
         self._stopped.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
 
     def _run(self) -> None:
         try:

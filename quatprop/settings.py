@@ -107,6 +107,7 @@ class PropagateOptions(RateOptions, total=False):
     every: int
     rate: float | Fraction | str
     at: str | PathLike[str]
+    threads: int
 
 
 def parse(name: str, value: object) -> Any:
@@ -224,5 +225,7 @@ PROPAGATE: Mapping[str, Parser] = {
     "every": count,
     "rate": frequency,
     "at": path,
+    "threads": count,
 }
-"""Everything that determines the attitudes of a log: setting -> its parser."""
+"""Everything that determines the attitudes of a log, and how many threads compute them: setting
+-> its parser."""

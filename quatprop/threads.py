@@ -7,6 +7,7 @@ same to the byte.
 from __future__ import annotations
 
 import os
+import signal
 import threading
 from collections import deque
 from contextlib import contextmanager
@@ -163,8 +164,9 @@ def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, 
             results.put(last)
 
     thread = threading.Thread(target=copy_context().run, args=(compute,), daemon=True)
-    thread.start()
     try:
+        with _signals_held():
+            thread.start()
         while isinstance(result := results.get(), tuple):
             room.release()
             yield result[0]
@@ -175,6 +177,22 @@ def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, 
         stopped.set()
         room.release()
         thread.join()
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Hold signals back while a thread starts: whoever is interrupted has to know that it runs.
+
+    The thread keeps holding them back, so that they reach the main thread.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class OrderedThreadPool(Generic[Result]):

@@ -550,11 +550,11 @@ WITH = {
 def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     """Whoever adds an option to propagate has to decide here which it is."""
     names = {name for option in propagate.params for name in option.opts if name.startswith("--")}
-    assert names == EVERY_LOG.keys() | {f"--{name}" for name in ONE_LOG}
+    assert names == EVERY_LOG.keys() | {f"--{name}" for name in ONE_LOG} | {"--threads"}
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--output", "--to", "--quiet", "--json", "--dask",
                                       "--skip-existing", "--list", "--root", "--shard",
-                                      "--retries"}  # fmt: skip
+                                      "--retries", "--threads"}  # fmt: skip
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)
@@ -580,6 +580,19 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
     assert alone == among
     assert plain == plain_among
     assert alone != plain
+
+
+def test_the_number_of_threads_makes_no_other_output(tmp_path):
+    """The cores are shared among the logs unless it is said how many; nothing is done again."""
+    path = log(tmp_path / "a.csv")
+    assert run(path, "-o", tmp_path / "out", "--threads", "3", "-q").exit_code == 0
+    first = (tmp_path / "out" / "a.parquet").read_bytes()
+    assert "up to date" in run(path, "-o", tmp_path / "out", "--skip-existing").stderr
+    assert run(path, "-o", tmp_path / "out", "--threads", "1", "-q").exit_code == 0
+    assert (tmp_path / "out" / "a.parquet").read_bytes() == first
+    one = task(path, tmp_path / "out" / "a.parquet", "a.parquet")
+    assert one.with_threads(4).job.settings.threads == 4
+    assert one.with_threads(2).with_threads(4).job.settings.threads == 2
 
 
 def test_the_installed_command_runs_processes(tmp_path):

@@ -20,6 +20,7 @@ from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
+from quatprop.threads import available_cores
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -52,6 +53,12 @@ class BatchTask:
     job: Job
     name: str
     maybe: bool = False
+
+    def with_threads(self, count: int) -> BatchTask:
+        """Return the task with so many threads, unless its settings say how many."""
+        settings = self.job.settings
+        settings = replace(settings, threads=settings.threads or count)
+        return replace(self, job=replace(self.job, settings=settings))
 
     @property
     def log(self) -> str:
@@ -225,6 +232,8 @@ def on_this_machine(
         manifest.append(result.entry)
         return result
 
+    threads = max(1, available_cores() // max(1, min(processes, len(tasks))))
+    tasks = [task.with_threads(threads) for task in tasks]
     work = partial(propagate_and_record, manifest=manifest)
     return map_processes(work, tasks, processes, on_killed, isolated=True, retries=retries)
 
@@ -271,7 +280,11 @@ def on_a_cluster(
         def submit(count: int) -> None:
             for index, task in islice(waiting, count):
                 futures[index] = client.submit(
-                    propagate_on_worker, _absolute(task), __version__, pure=False, retries=retries
+                    propagate_on_worker,
+                    _absolute(task).with_threads(1),
+                    __version__,
+                    pure=False,
+                    retries=retries,
                 )
 
         submit(AHEAD)

@@ -52,6 +52,7 @@ VALUES = {
     "every": "N",
     "rate": "HZ",
     "at": "FILE",
+    "threads": "N",
     "tol": "ANGLE",
     "rms_tol": "ANGLE",
     "final_tol": "ANGLE",
@@ -130,6 +131,8 @@ HELP = {
     "the samples]",
     "at": "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
     "method; times outside the log are left out.  [default: at the samples]",
+    "threads": "Threads that compute at a time; the output is the same for any number.  [default: "
+    "the cores of this machine]",
     "tol": "Largest error that passes, such as 1e-9rad or 0.1deg.  [default: none, all pass]",
     "rms_tol": "Largest RMS error that passes.  [default: none]",
     "final_tol": "Largest final error that passes.  [default: none]",

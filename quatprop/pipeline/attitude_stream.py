@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
+from quatprop.parsers import FROM_THE_LOG
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
@@ -19,6 +21,7 @@ from quatprop.signals.beside_rates import signals_beside
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.text import Setting
+from quatprop.threads import in_background
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -102,7 +105,24 @@ class AttitudeStream:
         NoSamplesError
             There are none.
         """
-        rates = self._checks.observe(self._batches)
+        if not self._reads_ahead():
+            yield from self._attitudes(self._batches)
+            return
+        with closing(in_background(self._batches)) as batches:
+            yield from self._attitudes(batches)
+
+    def _reads_ahead(self) -> bool:
+        """Return whether the log is read in another thread.
+
+        Not where it is read again for the first attitude, and not from a pipe: waiting for what
+        it gives next could not be interrupted.
+        """
+        if self._log is None or self._settings.q0.source in FROM_THE_LOG:
+            return False
+        return self._log.path.is_file() or self._log.path.is_dir()
+
+    def _attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
+        rates = self._checks.observe(batches)
         if self._observer is not None:
             rates = self._observer.rates(rates)
         used = self._timeline.apply(rates)

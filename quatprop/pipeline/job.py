@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
+from quatprop.threads import in_background, use_threads
 from quatprop.writers import keeps_provenance, kind_of, layout_of, open_writer
 from quatprop.writers.targets import refuse_overlap
 
@@ -98,9 +100,12 @@ def run(
         layout = layout_of(kind_of(output.path, output.to), output.layout).name
         output = replace(output, layout=layout)
     stored = digest_of_object(job.log) if is_address(job.log) else None
-    with open_log(
-        job.log, settings.kind, msg_path=settings.selection.msg_path, copied=output.into
-    ) as log:
+    with (
+        use_threads(settings.threads),
+        open_log(
+            job.log, settings.kind, msg_path=settings.selection.msg_path, copied=output.into
+        ) as log,
+    ):
         if output.into:
             kind = copy_kind(log, output.path, output.to)
             output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)
@@ -116,8 +121,9 @@ def run(
             ReportFile(output.report) as report_file,
             _open_output(output, settings, log) as writer,
             DigestThread(job.log, hashed=kept) as digest,
+            closing(in_background(stream)) as attitudes,
         ):
-            for series in stream:
+            for series in attitudes:
                 writer.write(series)
                 tick(stream.samples)
             report = stream.report(layout=output.layout, digest=stored or digest.result())

@@ -56,6 +56,9 @@ class PropagationSettings:
         Attitudes at this rate, Hz, exact at those times; None is at the samples.
     at
         Attitudes at the stamps of this series, exact at those times; None is at the samples.
+    threads
+        How many threads compute at a time; None is as many as there are cores. The result is the
+        same, so that settings that differ in it alone are equal.
     """
 
     kind: str | None = None
@@ -68,6 +71,7 @@ class PropagationSettings:
     every: int | None = None
     rate: Fraction | None = None
     at: str | None = None
+    threads: int | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if [self.every, self.rate, self.at].count(None) < 2:  # noqa: PLR2004  # two of three
@@ -172,7 +176,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         ),
         **{
             name: values[name]
-            for name in ("method", "rates", "every", "rate", "at")
+            for name in ("method", "rates", "every", "rate", "at", "threads")
             if name in values
         },
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 from pyarrow import json as arrow_json
 
+from quatprop.arrow_arrays import readable
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.text import plain
@@ -119,7 +120,7 @@ class LineParser:
                 if _TOP_LEVEL_NULL.search(line) and not _is_object(line):
                     raise _NotAnObjectError
         table = arrow_json.read_json(
-            pa.BufferReader(pa.py_buffer(data)),
+            readable(data),
             read_options=arrow_json.ReadOptions(
                 use_threads=len(data) > _TASK_BYTES, block_size=_TASK_BYTES
             ),

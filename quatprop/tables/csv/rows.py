@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from quatprop.arrow_arrays import to_numpy
+from quatprop.arrow_arrays import readable, to_numpy
 from quatprop.tables import timestamps
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class BlockParser(ColumnParser):
             types[str(k)] = self.date_type(k) or timestamps.decimal_type(unit, spare)
         read = partial(
             arrow_csv.read_csv,
-            pa.BufferReader(pa.py_buffer(data)),
+            readable(data),
             read_options=arrow_csv.ReadOptions(
                 column_names=self._names,
                 block_size=task,
