@@ -24,6 +24,7 @@ from quatprop.text import Setting
 from quatprop.threads import in_background
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
+from quatprop.writers.targets import is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -119,7 +120,7 @@ class AttitudeStream:
         """
         if self._log is None or self._settings.q0.source in FROM_THE_LOG:
             return False
-        return self._log.path.is_file() or self._log.path.is_dir()
+        return self._path != "-" and not is_stream(self._log.path)
 
     def _attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
         rates = self._checks.observe(batches)
