@@ -4,13 +4,20 @@ The reference (``options_reference.py``) is written from the documentation with 
 log rests for 1.3 s, then moves; it has repeated, late and missing samples, and rates that are NaN.
 """
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from mcap.writer import Writer as McapWriter
 from options_reference import NS, propagated
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
+from quatprop.cli import cli
 from quatprop.errors import TimelineError, UsageError
+from quatprop.settings import PROPAGATE
 
 RESTING, MOVING = 130, 150
 BEGIN_NS = 1_700_000_000_123_456_789
@@ -196,3 +203,128 @@ def test_events_are_located_by_their_rows(on_backwards, on_nonfinite, files):
     counts = propagate(path, **options, on_backwards=on_backwards).report.counts
     assert (counts.backwards.count, counts.backwards.first_index) == (len(LATE), LATE[0])
     assert (counts.nonfinite.count, counts.nonfinite.first_index) == (len(MISSING), MISSING[0])
+
+
+@pytest.fixture(scope="module")
+def messages(tmp_path_factory):
+    """Write the log as messages on three topics, whose three times all differ; return its path."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(
+        get_types_from_msg("builtin_interfaces/Time when\nfloat64[3] gyro", "lab/msg/Gyro")
+    )
+    path = tmp_path_factory.mktemp("messages") / "log.mcap"
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start()
+        topics = {}
+        for topic, kind in TOPICS.items():
+            text, _ = store.generate_msgdef(kind, ros_version=2)
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            topics[topic] = kind, writer.register_channel(topic, "cdr", schema)
+        for k, t in enumerate(RAW[False]["t"].tolist()):
+            for kind, channel in topics.values():
+                data = bytes(store.serialize_cdr(message(store, kind, k), kind))
+                times = {"log_time": t + LOG_NS, "publish_time": t + PUBLISH_NS}
+                writer.add_message(channel, data=data, sequence=k, **times)
+        writer.finish()
+    return path
+
+
+TOPICS = {
+    "/imu": "sensor_msgs/msg/Imu",
+    "/other": "sensor_msgs/msg/Imu",
+    "/lab": "lab/msg/Gyro",
+}
+LOG_NS, PUBLISH_NS = 7_000_000, 3_000_000
+
+
+def message(store, kind, k):
+    """Return row k as a message; that of the topic of a laboratory is in deg/s."""
+    types, raw = store.types, RAW[False]
+    stamp = types["builtin_interfaces/msg/Time"](*map(int, divmod(raw["t"][k], NS)))
+    if kind == "lab/msg/Gyro":
+        return types[kind](when=stamp, gyro=np.degrees(raw["w"][k]))
+    header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
+    x, y, z, w = raw["q"][k].as_quat().tolist()
+    return types[kind](
+        header=header(stamp=stamp, frame_id="imu"),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+        orientation_covariance=np.zeros(9),
+        angular_velocity=vector(*raw["w"][k].tolist()),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(*raw["f"][k].tolist()),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+LAB = {"topic": "/lab", "rate_field": "gyro", "rate_unit": "deg/s"}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("q0", [None, "log", "level"])
+@pytest.mark.parametrize(
+    ("options", "delay_ns"),
+    [
+        ({"topic": "/imu"}, 0),
+        ({"topic": "/other", "kind": "mcap"}, 0),
+        ({"topic": "/imu", "clock": "header"}, 0),
+        ({"topic": "/imu", "clock": "log"}, LOG_NS),
+        ({"topic": "/imu", "clock": "publish"}, PUBLISH_NS),
+        ({"topic": "/imu", "time_field": "header.stamp"}, 0),
+        (LAB | {"time_field": "when"}, 0),
+        (LAB | {"clock": "log"}, LOG_NS),
+    ],
+)
+def test_which_messages_and_which_time(options, delay_ns, q0, messages):
+    """The topic, the field and the clock that are asked for, for rates and what is beside them."""
+    raw = RAW[False] | {"t": RAW[False]["t"] + delay_ns}
+    given = {"mount": "y,-x,z", "start": "+100ms"}
+    if q0 is not None and "rate_field" not in options:
+        given["q0"] = q0  # messages of the laboratory have rates alone
+    series = propagate(messages, **options, **given)
+    t, attitudes = propagated(raw, given)
+    assert series.t_ns.tolist() == t.tolist()
+    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
+    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+
+
+@pytest.mark.parametrize("hz", ["100", "29.97", "30000/1001"])
+def test_rows_without_a_time(hz, files, tmp_path):
+    """Row k of a table without a time is at k / --sample-rate, rounded to the nearest ns."""
+    rows = [row.split(",")[1:4] for row in files["rad", "t_ns", False].read_text().splitlines()]
+    path = tmp_path / "rows.csv"
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    series = propagate(path, sample_rate=hz, rate_unit="rad/s", rate_cols=("gx", "gy", "gz"))
+    t = np.array([round(k * NS / Fraction(hz)) for k in range(len(RAW[False]["t"]))])
+    expected_t, attitudes = propagated(RAW[False] | {"t": t}, {})
+    assert series.t_ns.tolist() == expected_t.tolist()
+    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
+    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+
+
+@pytest.mark.parametrize("layout", [None, "scalar-first", "wxyz", "scalar-last", "xyzw"])
+def test_the_layout_that_is_written(layout, files, tmp_path):
+    """The four columns are in the order asked for, under their names."""
+    out = tmp_path / "out.csv"
+    options = reading("rad", "t_ns") | {"output": out} | ({"layout": layout} if layout else {})
+    arguments = [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
+    result = CliRunner().invoke(cli, ["propagate", str(files["rad", "t_ns", False]), *arguments])
+    assert result.exit_code == 0, result.output
+    header, *rows = out.read_text().splitlines()
+    scalar_first = layout in {None, "scalar-first", "wxyz"}
+    assert header == ("t_ns,qw,qx,qy,qz" if scalar_first else "t_ns,qx,qy,qz,qw")
+    written = Rotation.from_quat(
+        [list(map(float, row.split(",")[1:])) for row in rows], scalar_first=scalar_first
+    )
+    _, attitudes = propagated(RAW[False], {})
+    assert (attitudes.inv() * written).magnitude().max() < 1e-11
+
+
+def test_every_option_is_in_some_test():
+    """A new option of propagate has to be tested here too, or to be named with where it is."""
+    elsewhere = {"msg_path": "test_containers_msg_files.py"}
+    here = {"rate_cols", "rate_unit", "time_col", "time_unit", "sample_rate", "q0_layout"}
+    here |= {"topic", "kind", "clock", "time_field", "rate_field"}
+    for seed in range(130):
+        here |= chosen(seed)[0].keys()
+    assert set(PROPAGATE) == here | elsewhere.keys()
