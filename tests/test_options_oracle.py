@@ -322,7 +322,7 @@ def test_the_layout_that_is_written(layout, files, tmp_path):
 
 def test_every_option_is_in_some_test():
     """A new option of propagate has to be tested here too, or to be named with where it is."""
-    elsewhere = {"msg_path": "test_containers_msg_files.py"}
+    elsewhere = {"msg_path": "test_containers_msg_files.py", "threads": "test_threads.py"}
     here = {"rate_cols", "rate_unit", "time_col", "time_unit", "sample_rate", "q0_layout"}
     here |= {"topic", "kind", "clock", "time_field", "rate_field"}
     for seed in range(130):

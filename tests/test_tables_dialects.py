@@ -100,6 +100,16 @@ def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
     )
 
 
+def test_a_left_handed_orientation_of_a_gcsv_is_not_proposed():
+    """It is no rotation, and --mount would refuse it."""
+    notes = TableNotes(units={0: "ms"}, title="GYROFLOW IMU LOG", mount="x,y,-z")
+    (remark,) = chosen("t,gx,gy,gz", notes=notes).remarks
+    assert spelled(remark) == (
+        "the file says how its sensor is mounted, and rates are taken as they are; as the mounting "
+        "x,y,-z is left-handed, it cannot be right"
+    )
+
+
 def test_stamps_that_a_sample_rate_replaces_are_named():
     """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
     found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
 from quatprop.tables.matching.column_names import RATE_UNITS
@@ -115,16 +116,22 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
 
 def _remarks(matcher: ColumnMatcher, dialect: Dialect) -> Iterator[Text]:
     if matcher.notes.mount:
-        yield Text(
-            "the file says how its sensor is mounted, and rates are taken as they are; "
-            "to turn them into the camera's axes use ",
-            Setting("mount", matcher.notes.mount),
-        )
+        yield _mount_remark(matcher.notes.mount)
     if unused := matcher.unused_stamps(dialect):
         yield Text(
             Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}"),
             f" counts the rows; the stamps in {matcher.names(unused)} are not used",
         )
+
+
+def _mount_remark(mount: str) -> Text:
+    """Return the remark on a file that says how its sensor is mounted."""
+    as_they_are = "the file says how its sensor is mounted, and rates are taken as they are; "
+    try:
+        mounting(mount)
+    except UsageError:
+        return Text(as_they_are, f"as the mounting {mount} is left-handed, it cannot be right")
+    return Text(as_they_are, "to turn them into the camera's axes use ", Setting("mount", mount))
 
 
 def match_quaternion(
