@@ -17,9 +17,10 @@ from click.testing import CliRunner
 
 from quatprop import __version__
 from quatprop.batch import run as batch
+from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.logs import LogSearch, output_paths, shard
 from quatprop.batch.manifest import Manifest
-from quatprop.batch.run import BatchTask, on_a_cluster, propagate_log, propagate_on_worker
+from quatprop.batch.run import BatchTask, propagate_log
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
@@ -281,7 +282,7 @@ def test_keys_in_addresses_are_not_shown(tmp_path):
     done = run(address, "-o", tmp_path, "--json", "-j", "1")
     assert done.exit_code == 2
     assert "secret" not in done.stdout + done.stderr
-    assert "nowhere://logs/a.mcap: it cannot be read from its store (" in done.stderr
+    assert "nowhere://logs/a.mcap: its store cannot be used (" in done.stderr
     assert json.loads(done.stdout)[0]["log"] == "nowhere://logs/a.mcap"
 
 
@@ -468,15 +469,15 @@ def test_a_log_that_changes_while_it_is_read_is_not_the_one_that_was(tmp_path, m
     assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 9 samples"
 
 
-def test_a_log_at_an_address_is_never_skipped(tmp_path):
-    """Nobody here sees whether it has changed; when nothing is left to do, a message says so."""
+def test_a_log_at_an_address_is_skipped_too(tmp_path):
+    """By its size and time; when nothing is left to do, a message says so."""
     path, out = log(tmp_path / "a.csv"), tmp_path / "out"
     for _ in range(2):
         done = run(path.as_uri(), "-o", out, "--skip-existing")
-        assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"
-    run(path, "-o", tmp_path / "two", "-q")
-    done = run(path, "-o", tmp_path / "two", "--skip-existing")
     assert done.stderr == "nothing to do: all 1 outputs are up to date\n"
+    log(path, rate=7.0)
+    done = run(path.as_uri(), "-o", out, "--skip-existing")
+    assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"
 
 
 def test_the_folder_of_outputs_is_no_file(tmp_path):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.containers.stores import is_address, without_secret
+from quatprop.containers.stores import below, find, is_address, list_objects, locate, without_secret
 from quatprop.errors import UnreadableLogError, UsageError
 from quatprop.formats import READERS
 from quatprop.text import Setting, Text, quoted
@@ -92,19 +92,46 @@ class LogSearch:
         UsageError
             Nothing matches a pattern, a log is not below the root, or the outputs would lie among
             the logs.
-        UnreadableLogError
+        UnreadableLogError, StoreError
             A folder cannot be listed.
         """
         if name == "-":
             raise UsageError("stdin is one log; give it to quatprop propagate")
         if is_address(name):
-            self._add_log(name, _absolute(name).rpartition("/")[0])
+            self._add_address(name)
         elif glob.has_magic(name) and not os.path.exists(name):
             self._add_matches(name)
         elif _is_plain_folder(name):
             self._add_folder(name, name)
         else:
             self._add_log(name, os.path.dirname(os.path.abspath(name)), folder=os.path.isdir(name))
+
+    def _add_address(self, address: str) -> None:
+        place = _absolute(address)
+        # Of what has the name of a log, the store is not asked: there may be many.
+        if _kind_by_suffix(place) or find(address)[1].is_file:
+            self._add_log(address, place.rpartition("/")[0])
+            return
+        if place.rstrip("/") == _absolute(self.output).rstrip("/"):
+            raise UsageError(f"outputs in {quoted(place)} would lie among the logs; choose ",
+                             Setting("output", "another folder"))  # fmt: skip
+        top = len(locate(address)[1]) + 1
+        names = [str(info.path)[top:] for info in list_objects(address)]
+        bags = {os.path.dirname(name) for name in names if _is_metadata(name)}
+        if "" in bags:
+            self._add_log(address, place.rstrip("/").rpartition("/")[0], folder=True)
+            return
+        for name in names:
+            bag = next((above for above in _folders_of(name) if above in bags), None)
+            log = below(address, name if bag is None else bag)
+            if _absolute(log).startswith(os.path.join(_absolute(self.output), "")):
+                continue
+            kind = "" if _is_hidden(name) else _kind_by_suffix(name)
+            if bag is not None or kind:
+                is_table = bag is None and kind in TABLES
+                self._add_log(log, place, folder=bag is not None, maybe=is_table)
+            else:
+                self.other_files += 1
 
     def _add_matches(self, pattern: str) -> None:
         parts = Path(pattern).parts
@@ -187,13 +214,14 @@ def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str
     paths: list[str] = []
     owners: dict[str, FoundLog] = {}
     for log in logs:
-        paths.append(os.path.join(folder, log.name) + suffix)
+        name = log.name + suffix
+        paths.append(below(folder, name) if is_address(folder) else os.path.join(folder, name))
         owner = owners.setdefault(log.name.lower(), log)
         if owner is not log:
-            one, other = (quoted(without_secret(each.path)) for each in (owner, log))
-            raise UsageError(
-                f"{one} and {other} would both be written to {quoted(paths[-1])}; ", OTHER_OUTPUT
+            one, other, both = (
+                quoted(without_secret(path)) for path in (owner.path, log.path, paths[-1])
             )
+            raise UsageError(f"{one} and {other} would both be written to {both}; ", OTHER_OUTPUT)
     return paths
 
 
@@ -226,16 +254,35 @@ def _is_plain_folder(path: str) -> bool:
 
 def _kind(path: str) -> str:
     """Return the kind of a log by its suffix, or ``"other"`` by its content; empty for no log."""
-    stem, suffix = os.path.splitext(path.lower())
-    if suffix in COMPRESSION_SUFFIXES:
-        suffix = os.path.splitext(stem)[1]
-    if suffix in SUFFIXES:
-        return SUFFIXES[suffix]
+    if kind := _kind_by_suffix(path):
+        return kind
     try:
         with open(path, "rb") as stream:
             return "other" if stream.read(MAGIC_BYTES).startswith(MAGIC) else ""
     except OSError:
         return ""
+
+
+def _kind_by_suffix(name: str) -> str:
+    """Return the kind of a log by its suffix; empty where that is not one of a log."""
+    stem, suffix = os.path.splitext(name.lower())
+    if suffix in COMPRESSION_SUFFIXES:
+        suffix = os.path.splitext(stem)[1]
+    return SUFFIXES.get(suffix, "")
+
+
+def _is_metadata(name: str) -> bool:
+    return os.path.basename(name) == "metadata.yaml"
+
+
+def _is_hidden(name: str) -> bool:
+    return any(part.startswith(".") for part in name.split("/"))
+
+
+def _folders_of(name: str) -> Iterator[str]:
+    """Yield the folders above a file, the uppermost first."""
+    parts = name.split("/")
+    yield from ("/".join(parts[:count]) for count in range(1, len(parts)))
 
 
 def _stem(name: str) -> str:

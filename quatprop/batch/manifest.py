@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.containers.stores import is_address, without_secret
+from quatprop.containers.stores import identity_of_object, is_address, without_secret
+from quatprop.errors import StoreError
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from typing import Any
 
     from quatprop.pipeline.job import Job
@@ -51,15 +52,16 @@ class ManifestEntry:
         Why there is no output.
     seconds
         Duration, s.
-    log_bytes, log_sha256, output_bytes, output_sha256
-        Sizes and digests; None where there are none.
+    log_bytes, log_sha256, log_etag, output_bytes, output_sha256
+        Sizes and digests; None where there are none. A log in an object store has the ETag that
+        the store gives it.
     quatprop
         The version.
     options
         Digest of all settings but the paths.
     origin
-        Digest of the version, the settings, and names, sizes and times of all files that are read;
-        None for what may change unnoticed, as in an object store.
+        Digest of the version, the settings, and names, sizes and times of all files that are read,
+        and of their ETags in an object store; None where they cannot be found out.
     """
 
     state: str
@@ -77,6 +79,7 @@ class ManifestEntry:
     seconds: float = 0.0
     log_bytes: int | None = None
     log_sha256: str | None = None
+    log_etag: str | None = None
     output_bytes: int | None = None
     output_sha256: str | None = None
     quatprop: str = __version__
@@ -103,7 +106,16 @@ class Manifest:
     def __init__(self, folder: str) -> None:
         self._path = Path(folder, self.NAME)
         self._table = self._path.with_suffix(".parquet")
-        self.files = (str(self._path), str(self._table))
+        self.files: tuple[str, ...] = (str(self._path), str(self._table))
+
+    def prepare(self) -> None:
+        """Make the folder."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+
+    def existing_outputs(self) -> Callable[[str], bool]:
+        """Return a function that tells whether an output is there, by its path in the folder."""
+        folder = str(self._path.parent)
+        return lambda name: os.path.exists(os.path.join(folder, name))  # noqa: PTH110, PTH118
 
     def entries(self) -> dict[str, Mapping[str, Any]]:
         """Return the valid entry of each output, by its path in the folder."""
@@ -111,15 +123,10 @@ class Manifest:
 
     def _read(self) -> Iterator[Mapping[str, Any]]:
         with suppress(FileNotFoundError), self._path.open("rb") as stream:
-            for line in stream:
-                with suppress(ValueError):
-                    entry = json.loads(line)
-                    if isinstance(entry, dict) and {"log", "output", "state"} <= entry.keys():
-                        yield entry
+            yield from entries_in(stream)
 
     def append(self, entry: ManifestEntry) -> None:
         """Append an entry."""
-        text = json.dumps(as_json(entry), ensure_ascii=False).encode(errors="surrogateescape")
         descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
             with suppress(ImportError, OSError):  # Windows, or a file system without locks
@@ -130,30 +137,49 @@ class Manifest:
             if os.fstat(descriptor).st_size:
                 os.lseek(descriptor, -1, os.SEEK_END)
                 cut = os.read(descriptor, 1) != b"\n"  # by a kill
-            os.write(descriptor, (b"\n" if cut else b"") + text + b"\n")
+            os.write(descriptor, (b"\n" if cut else b"") + json_line(entry))
         finally:
             os.close(descriptor)
 
     def write_table(self) -> None:
         """Write the valid entries as ``manifest.parquet``, in the order of the outputs."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+        write_table((entry for _, entry in sorted(self.entries().items())), self._table)
 
-        text, count, number = pa.string(), pa.int64(), pa.float64()
-        types = {
-            "samples": count, "rows": count, "span_s": number, "sample_rate_hz": number,
-            "final_wxyz": pa.list_(number), "remarks": pa.list_(text), "losses": pa.list_(text),
-            "seconds": number, "log_bytes": count, "output_bytes": count,
-        }  # fmt: skip
-        names = ManifestEntry.__dataclass_fields__
-        schema = pa.schema([(name, types.get(name, text)) for name in names])
-        rows = [entry for _, entry in sorted(self.entries().items())]
-        output = OutputFile(self._table)
-        try:
-            pq.write_table(pa.Table.from_pylist(rows, schema), output.stream)
-            output.commit()
-        finally:
-            output.discard()
+
+def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
+    """Yield the entries of the lines of a manifest; a line that was cut is none."""
+    for line in lines:
+        with suppress(ValueError):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and {"log", "output", "state"} <= entry.keys():
+                yield entry
+
+
+def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
+    """Return an entry as a line of JSON."""
+    text = json.dumps(as_json(entry), ensure_ascii=False) + "\n"
+    return text.encode(errors="surrogateescape")
+
+
+def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
+    """Write entries as a table of Parquet, with a column for each field."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    text, count, number = pa.string(), pa.int64(), pa.float64()
+    types = {
+        "samples": count, "rows": count, "span_s": number, "sample_rate_hz": number,
+        "final_wxyz": pa.list_(number), "remarks": pa.list_(text), "losses": pa.list_(text),
+        "seconds": number, "log_bytes": count, "output_bytes": count,
+    }  # fmt: skip
+    names = ManifestEntry.__dataclass_fields__
+    schema = pa.schema([(name, types.get(name, text)) for name in names])
+    output = OutputFile(path)
+    try:
+        pq.write_table(pa.Table.from_pylist(list(entries), schema), output.stream)
+        output.commit()
+    finally:
+        output.discard()
 
 
 def options_digest(job: Job) -> str:
@@ -164,12 +190,16 @@ def options_digest(job: Job) -> str:
 def origin_digest(job: Job, options: str) -> str | None:
     """Return a digest of what an output is made from: version, settings, and the files it reads.
 
-    None for what may change unnoticed, as a log in an object store.
+    None where a store does not say what it has.
     """
-    if is_address(job.log):
-        return None
-    files = []
+    files: list[tuple[object, ...]] = []
     for name in (job.log, *job.settings.inputs):
+        if is_address(name):
+            try:
+                files += identity_of_object(name)
+            except StoreError:
+                return None
+            continue
         place = Path(name)
         for file in sorted(place.iterdir()) if place.is_dir() else [place]:
             with suppress(OSError):

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop import __version__
 from quatprop.batch.logs import OTHER_OUTPUT, output_paths
 from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
-from quatprop.containers.stores import is_address, without_secret
-from quatprop.errors import NoRatesError, QuatpropError, UnknownFormatError, UsageError
+from quatprop.containers.stores import is_address, upload, without_secret
+from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.parallel import KILLED, map_processes
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
+from quatprop.temp_files import temp_folder
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
 from quatprop.threads import available_cores
@@ -26,14 +26,12 @@ from quatprop.writers.targets import refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
 
-    from distributed import Future
-
     from quatprop.batch.logs import FoundLog
     from quatprop.batch.manifest import Manifest
     from quatprop.pipeline.report import RunReport
 
-AHEAD = 1000
-"""Logs that are submitted to a cluster before the first of them is done."""
+REQUESTS = 32
+"""Logs in an object store about which it is asked at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +112,10 @@ def plan(
     """
     paths = output_paths(logs, folder, suffix)
     inputs = [*(log.path for log in logs), *job.settings.inputs]
-    refuse_overlap(inputs, [*paths, *manifest.files])
+    if not is_address(folder):
+        refuse_overlap(inputs, [*paths, *manifest.files])
+    elif replaced := {log_name(name) for name in inputs} & {log_name(path) for path in paths}:
+        raise OutputError(min(replaced), "this is an input of the run; choose another output")
     owners = manifest.entries()
     tasks = []
     for log, path in zip(logs, paths, strict=True):
@@ -133,17 +134,22 @@ def plan(
 
 def outdated(tasks: Iterable[BatchTask], manifest: Manifest) -> list[BatchTask]:
     """Return the tasks whose outputs are not there, or were made from something else."""
-    entries = manifest.entries()
+    entries, is_there = manifest.entries(), manifest.existing_outputs()
 
     def is_current(task: BatchTask) -> bool:
         entry = entries.get(task.name)
         if entry is None or entry["state"] not in COMPLETE or entry.get("origin") is None:
             return False
-        if not os.path.exists(task.job.output.path):  # noqa: PTH110  # one of many
+        if not is_there(task.name):
             return False
         return bool(entry["origin"] == origin_digest(task.job, options_digest(task.job)))
 
-    return [task for task in tasks if not is_current(task)]
+    tasks = list(tasks)
+    if not any(is_address(task.job.log) for task in tasks):
+        return [task for task in tasks if not is_current(task)]
+    with ThreadPoolExecutor(REQUESTS) as pool:
+        current = pool.map(is_current, tasks)
+        return [task for task, is_done in zip(tasks, current, strict=True) if not is_done]
 
 
 def propagate_log(task: BatchTask) -> BatchResult:
@@ -153,28 +159,43 @@ def propagate_log(task: BatchTask) -> BatchResult:
     options = options_digest(task.job)
     origin = origin_digest(task.job, options)
     try:
-        Path(task.job.output.path).parent.mkdir(parents=True, exist_ok=True)
-        report = run(task.job, summary=False)
+        result = _done(task)
     except QuatpropError as error:
         no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
-        result = _failed(task, error.text, "no rates" if no_log else "failed")
+        result = failed(task, error.text, "no rates" if no_log else "failed")
     except Exception as error:
         if (user_error := as_user_error(error)) is None:
             raise
-        result = _failed(task, Text(f"{plain(task.log)}: ", user_error.text))
-    else:
-        entry = _entry_of(task, report)
-        result = BatchResult(task.log, task.job.output.path, entry, report=report)
+        result = failed(task, Text(f"{plain(task.log)}: ", user_error.text))
     seconds = time.perf_counter() - began
     entry = replace(result.entry, seconds=seconds, options=options, origin=origin)
     return replace(result, entry=entry)
 
 
-def _entry_of(task: BatchTask, report: RunReport) -> ManifestEntry:
+def _done(task: BatchTask) -> BatchResult:
+    """Propagate one log; an output for an object store is made here, and copied there."""
+    job = task.job
+    path = job.output.path
+    if not is_address(path):
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        report = run(job, summary=False)
+        return BatchResult(task.log, path, _entry_of(task, report, path), report=report)
+    temp = temp_folder()
+    try:
+        local = temp.path / os.path.basename(path.partition("?")[0])  # noqa: PTH119
+        report = run(replace(job, output=replace(job.output, path=str(local))), summary=False)
+        entry = _entry_of(task, report, str(local))
+        upload(local, path)
+    finally:
+        temp.remove()
+    return BatchResult(task.log, without_secret(path), entry, report=report)
+
+
+def _entry_of(task: BatchTask, report: RunReport, path: str) -> ManifestEntry:
     log, result = report.source.digest, report.result
     if log.sha256 is None and not is_address(task.job.log):
         log = digest_of(task.job.log)
-    output = digest_of(task.job.output.path)
+    output = digest_of(path)
     return ManifestEntry(
         state="data lost" if report.data_lost else "done",
         log=log_name(task.job.log),
@@ -189,24 +210,29 @@ def _entry_of(task: BatchTask, report: RunReport) -> ManifestEntry:
         losses=tuple(f"{loss.place}: {loss.reason}" for loss in report.losses),
         log_bytes=log.bytes,
         log_sha256=log.sha256,
+        log_etag=log.etag,
         output_bytes=output.bytes,
         output_sha256=output.sha256,
     )
 
 
-def _failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
+def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
+    """Return the result of a log without attitudes."""
     entry = ManifestEntry(state, log_name(task.job.log), task.name, error=str(error))
     return BatchResult(task.log, task.job.output.path, entry, error)
 
 
 def _killed(task: BatchTask) -> BatchResult:
-    return _failed(task, f"{plain(task.log)}: {KILLED}")
+    return failed(task, f"{plain(task.log)}: {KILLED}")
 
 
 def propagate_and_record(task: BatchTask, manifest: Manifest) -> BatchResult:
     """Propagate one log, and record it at once: nothing complete is done again after a kill."""
     result = propagate_log(task)
-    manifest.append(result.entry)
+    try:
+        manifest.append(result.entry)
+    except OutputError as error:  # the store has gone
+        return failed(task, error.text)
     return result
 
 
@@ -236,91 +262,3 @@ def on_this_machine(
     tasks = [task.with_threads(threads) for task in tasks]
     work = partial(propagate_and_record, manifest=manifest)
     return map_processes(work, tasks, processes, on_killed, isolated=True, retries=retries)
-
-
-def on_a_cluster(
-    tasks: Sequence[BatchTask], scheduler: str, manifest: Manifest, retries: int = 0
-) -> Generator[tuple[int, BatchResult]]:
-    """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
-
-    Parameters
-    ----------
-    tasks
-        One for each log; the workers must see the same paths, and have the same quatprop.
-    scheduler
-        Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``.
-    manifest
-        Where results are recorded.
-    retries
-        How often a log is tried again whose worker raised an error.
-
-    Raises
-    ------
-    UsageError
-        The package is missing, or there is no scheduler at the address.
-    """
-    try:
-        from distributed import Client
-        from distributed.scheduler import KilledWorker
-    except ImportError as error:
-        raise UsageError(
-            "a Dask cluster needs the package distributed; install it with "
-            "pip install 'quatprop[dask]'"
-        ) from error
-    try:
-        client = Client(scheduler, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise UsageError(
-            f"no Dask scheduler answers at {quoted(scheduler)} ({error}); check the address"
-        ) from error
-    with client:
-        waiting = enumerate(tasks)
-        futures: dict[int, Future[BatchResult]] = {}
-
-        def submit(count: int) -> None:
-            for index, task in islice(waiting, count):
-                futures[index] = client.submit(
-                    propagate_on_worker,
-                    _absolute(task).with_threads(1),
-                    __version__,
-                    pure=False,
-                    retries=retries,
-                )
-
-        submit(AHEAD)
-        for index, task in enumerate(tasks):
-            try:
-                result = futures.pop(index).result()
-                result = replace(result, log=task.log, output=task.job.output.path)
-            except KilledWorker:
-                reason = "the workers that ran it were killed; do they have enough memory?"
-                result = _failed(task, f"{plain(task.log)}: {reason}")
-            except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
-                reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
-                result = _failed(task, f"{plain(task.log)}: {reason}")
-            submit(1)
-            manifest.append(result.entry)
-            yield index, result
-
-
-def propagate_on_worker(task: BatchTask, version: str) -> BatchResult:
-    """Propagate one log in a worker, which must have the same version of quatprop."""
-    if version != __version__:
-        reason = f"its worker has quatprop {__version__}, not {version}; install the same version"
-        return _failed(task, f"{plain(task.log)}: {reason}")
-    return propagate_log(task)
-
-
-def _absolute(task: BatchTask) -> BatchTask:
-    """Return a task whose paths do not depend on the current folder."""
-    job, settings = task.job, task.job.settings
-    if settings.q0.source in settings.inputs:
-        source = _absolute_path(settings.q0.source)
-        settings = replace(settings, q0=replace(settings.q0, source=source))
-    settings = replace(settings, at=settings.at and _absolute_path(settings.at))
-    output = replace(job.output, path=_absolute_path(job.output.path))
-    return replace(task, job=Job(_absolute_path(job.log), output, settings))
-
-
-def _absolute_path(path: str) -> str:
-    return path if is_address(path) else os.path.abspath(path)  # noqa: PTH100

@@ -49,7 +49,8 @@ EXAMPLES = (
     type=PATH,
     metavar="DIR",
     required=True,
-    help="Where the attitude series go: each under the name of its log, and the manifest.",
+    help="Where the attitude series go: each under the name of its log, and the manifest; a "
+    "folder, or a prefix such as s3://bucket/runs.",
 )
 @click.option(
     "--to",
@@ -110,30 +111,32 @@ EXAMPLES = (
 def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    Folders are searched for logs; quoted patterns are expanded, ** included. DIR/manifest.jsonl
-    records each log as soon as it has ended. A log that cannot be used does not stop the others.
+    Folders, and prefixes of object stores, are searched for logs; quoted patterns are expanded,
+    ** included. DIR/manifest.jsonl records each log as soon as it has ended. A log that cannot be
+    used does not stop the others.
 
     Exit code 2: a log could not be used; 3: all done, but with data lost.
     """
-    from quatprop.batch.manifest import Manifest
     from quatprop.batch.run import outdated, plan
+    from quatprop.batch.store_manifest import manifest_in, without_file_scheme
 
     own = ("folder", "processes", "dask", "skip_existing", "list_file", "root", "shard", "retries")
     batch = {name: options.pop(name) for name in own}
-    as_json, quiet, folder = options.pop("as_json"), options.pop("quiet"), batch["folder"]
+    as_json, quiet = options.pop("as_json"), options.pop("quiet")
+    folder = batch["folder"] = without_file_scheme(batch["folder"])
     if batch["dask"] and batch["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
     search = _search(names, batch)
-    manifest = Manifest(folder)
+    manifest = manifest_in(folder)
     suffix = next((s for s in WRITERS[options["to"]].suffixes if s), "")
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     job = propagate.job_of({**options, **paths})
     planned = plan(search.logs, job, folder, suffix, manifest)
     tasks = outdated(planned, manifest) if batch["skip_existing"] else planned
     if tasks:
-        Path(folder).mkdir(parents=True, exist_ok=True)
+        manifest.prepare()
     with closing(_results(tasks, batch, manifest)) as results:
         shown = _Shown(tasks, quiet=quiet, keeps=as_json)
         for index, result in results:
@@ -176,7 +179,8 @@ def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
 def _results(
     tasks: list[BatchTask], batch: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
-    from quatprop.batch.run import on_a_cluster, on_this_machine
+    from quatprop.batch.cluster import on_a_cluster
+    from quatprop.batch.run import on_this_machine
 
     if batch["dask"] is not None:
         return on_a_cluster(tasks, batch["dask"], manifest, batch["retries"])

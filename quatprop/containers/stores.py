@@ -212,6 +212,21 @@ def etag_of(file: NativeFile) -> str | None:
     return tag.decode().strip('"') if tag else None
 
 
+def objects_of(address: str) -> Iterator[tuple[str, FileInfo, NativeFile]]:
+    """Yield name, description and content of an object, or of each of a prefix.
+
+    Raises
+    ------
+    StoreError
+        They cannot be read.
+    """
+    store, found = find(address)
+    objects = [found] if found.is_file else list_objects(address)
+    for info in objects:
+        with reading(address), store.open_input_file(info.path) as file:
+            yield "" if found.is_file else info.path[len(found.path) + 1 :], info, file
+
+
 def digest_of_object(address: str) -> Digest:
     """Return size and ETag of an object, and those of each object of a prefix.
 
@@ -220,17 +235,38 @@ def digest_of_object(address: str) -> Digest:
     StoreError
         It cannot be read.
     """
-    store, found = find(address)
-    with reading(address):
-        if found.is_file:
-            with store.open_input_file(found.path) as file:
-                return Digest(file.size(), etag=etag_of(file))
-        digests = {}
-        for info in list_objects(address):
-            with store.open_input_file(info.path) as file:
-                name = info.path[len(found.path) + 1 :]
-                digests[name] = Digest(file.size(), etag=etag_of(file))
+    digests = {n: Digest(file.size(), etag=etag_of(file)) for n, _, file in objects_of(address)}
+    if "" in digests:
+        return digests[""]
     return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+
+
+def identity_of_object(address: str) -> list[tuple[object, ...]]:
+    """Return name, size, time and ETag of an object, and those of each object of a prefix.
+
+    Raises
+    ------
+    StoreError
+        It cannot be read.
+    """
+    return [
+        (name, file.size(), info.mtime_ns, etag_of(file))
+        for name, info, file in objects_of(address)
+    ]
+
+
+def get(address: str) -> bytes:
+    """Return the content of an object.
+
+    Raises
+    ------
+    StoreError
+        It cannot be read.
+    """
+    with reading(address):
+        store, place = locate(address)
+        with store.open_input_file(place) as file:
+            return bytes(file.read())
 
 
 def upload(source: Path, address: str) -> None:

@@ -1,0 +1,185 @@
+"""Batches whose logs or outputs are in an object store."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet
+import pytest
+from click.testing import CliRunner
+
+from quatprop.batch.store_manifest import manifest_in
+from quatprop.cli import cli
+from quatprop.containers.stores import get, list_objects, put, upload
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
+HEADER = "t_ns,wx,wy,wz\n"
+
+
+def run(*arguments):
+    """Run `quatprop batch` in this process."""
+    return CliRunner().invoke(cli, ["batch", "-j", "1", *map(str, arguments)])
+
+
+def log(path, rate=1.0, samples=5):
+    """Write a log that turns about z."""
+    rows = [f"{100_000_000 * k},0,0,{rate}\n" for k in range(samples)]
+    text = HEADER + "".join(rows)
+    if "://" in str(path):
+        put(path, text.encode())
+    else:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return path
+
+
+def names_in(address):
+    """Return the names of the objects below an address."""
+    top = len(address.removeprefix("s3://")) + 1
+    return [info.path[top:] for info in list_objects(address)]
+
+
+@pytest.fixture
+def logs(bucket):
+    """Return a prefix with a log of each kind, and what is no log."""
+    for name in ("coning.mcap", "tumbling.bag", "tumbling_ros2", "rest.parquet", "spin.csv"):
+        upload(SAMPLES / name, f"{bucket}/logs/{name}")
+    upload(SAMPLES / "README.md", f"{bucket}/logs/README.md")
+    log(f"{bucket}/logs/.hidden/a.csv")
+    return f"{bucket}/logs"
+
+
+def test_a_store_gives_what_a_folder_gives(bucket, logs, tmp_path):
+    """Logs of all kinds below a prefix; the outputs, the names and the manifest are the same."""
+    near = tmp_path / "near"
+    for name in ("coning.mcap", "tumbling.bag", "rest.parquet", "spin.csv", "tumbling_ros2"):
+        copy = shutil.copytree if (SAMPLES / name).is_dir() else shutil.copyfile
+        (tmp_path / "logs").mkdir(exist_ok=True)
+        copy(SAMPLES / name, tmp_path / "logs" / name)
+    shutil.move(tmp_path / "logs" / "tumbling.bag", tmp_path / "logs" / "bag.bag")
+    upload(SAMPLES / "tumbling.bag", f"{bucket}/logs/bag.bag")
+    assert run(tmp_path / "logs", "-o", near, "--to", "csv", "-q").exit_code == 0
+    far = f"{bucket}/runs/1"
+    done = run(logs, "-o", far, "--to", "csv")
+    assert done.exit_code == 0, done.output
+    assert done.stderr.splitlines()[-1].endswith("; ignored 2 other files")
+    outputs = ["bag.csv", "coning.csv", "rest.csv", "spin.csv", "tumbling.csv", "tumbling_ros2.csv"]
+    manifest = ["manifest.jsonl", "manifest.parquet"]
+    found = [name for name in names_in(far) if not name.startswith("manifest/")]
+    assert sorted(found) == sorted([*outputs, *manifest])
+    for name in outputs:
+        local = "bag.csv" if name == "tumbling.csv" else name
+        assert get(f"{far}/{name}") == (near / local).read_bytes()
+    entries = manifest_in(far).entries()
+    assert sorted(entries) == outputs
+    assert entries["spin.csv"]["log"] == f"{logs}/spin.csv"
+    assert len(entries["spin.csv"]["log_etag"]) == 32
+    assert entries["spin.csv"]["log_sha256"] is None
+    lines = get(f"{far}/manifest.jsonl").splitlines()
+    assert [json.loads(line)["output"] for line in lines] == outputs
+    (tmp_path / "manifest.parquet").write_bytes(get(f"{far}/manifest.parquet"))
+    table = pyarrow.parquet.read_table(tmp_path / "manifest.parquet")
+    assert table["state"].to_pylist() == ["done"] * 6
+    assert not list(Path().glob("s3:*"))
+
+
+def test_what_is_up_to_date_in_a_store_is_left_out(bucket):
+    """By size, time and ETag of the log; also where the log has the same size as before."""
+    logs, out = f"{bucket}/logs", f"{bucket}/out"
+    for name in "ab":
+        log(f"{logs}/{name}.csv")
+    assert run(logs, "-o", out, "-q").exit_code == 0
+    done = run(logs, "-o", out, "--skip-existing")
+    assert done.stderr == "nothing to do: all 2 outputs are up to date\n"
+    log(f"{logs}/b.csv", rate=2.0)
+    done = run(logs, "-o", out, "--skip-existing")
+    assert done.stderr.splitlines()[-1] == (
+        "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are up to date"
+    )
+    done = run(logs, "-o", out, "--skip-existing", "--method", "mean")
+    assert done.stderr.splitlines()[-1] == "2 of 2 logs done, 10 samples"
+    assert sorted(manifest_in(out).entries()) == ["a.parquet", "b.parquet"]
+
+
+def test_folders_go_to_a_store_too(bucket):
+    """An output that is a ROS 2 bag is all of its files."""
+    log(f"{bucket}/logs/a.csv")
+    done = run(f"{bucket}/logs", "-o", f"{bucket}/out", "--to", "rosbag2", "-q")
+    assert done.exit_code == 0, done.output
+    assert {"a/a.db3", "a/metadata.yaml"} <= set(names_in(f"{bucket}/out"))
+    done = run(f"{bucket}/logs", "-o", f"{bucket}/out", "--to", "rosbag2", "--skip-existing")
+    assert done.stderr == "nothing to do: all 1 outputs are up to date\n"
+
+
+def test_two_batches_at_once_into_one_prefix(bucket, tmp_path):
+    """Parts of an array job: every log is done once, and the manifest has all of them."""
+    for number in range(6):
+        log(tmp_path / "in" / f"{number}.csv", rate=number)
+    command = [sys.executable, "-m", "quatprop", "batch", tmp_path / "in", "-o", f"{bucket}/out"]
+    parts = [
+        subprocess.Popen([*command, "-q", "-j", "1", "--shard", f"{part}/2"]) for part in (1, 2)
+    ]
+    assert [part.wait(60) for part in parts] == [0, 0]
+    lines = get(f"{bucket}/out/manifest.jsonl").splitlines()
+    names = [f"{number}.parquet" for number in range(6)]
+    assert [json.loads(line)["output"] for line in lines] == names
+    assert set(names) <= set(names_in(f"{bucket}/out"))
+
+
+def test_outputs_among_the_logs_are_refused(bucket):
+    """As in a folder; below the prefix that is searched they are left out."""
+    log(f"{bucket}/logs/a.csv")
+    done = run(f"{bucket}/logs", "-o", f"{bucket}/logs/")
+    assert done.exit_code == 2
+    assert done.stderr == (
+        f"Error: outputs in '{bucket}/logs' would lie among the logs; "
+        "choose --output another folder\n"
+    )
+    for _ in range(2):
+        done = run(f"{bucket}/logs", "-o", f"{bucket}/logs/out")
+        assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"
+    done = run(f"{bucket}/logs/a.csv", "-o", f"{bucket}/logs", "--to", "csv")
+    assert done.stderr == (
+        f"Error: {bucket}/logs/a.csv: this is an input of the run; choose another output\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    [
+        (("{bucket}/none", "-o", "out"), "{bucket}/none: there is no such object; check"),
+        (("s3://nobody-has-this", "-o", "out"), "s3://nobody-has-this: there is no such object"),
+        (("a.csv", "-o", "s3://nobody-has-this/out"), "there is no such bucket ("),
+        (("a.csv", "-o", "s3://denied/out"), "its store does not permit that ("),
+        (("s3://denied/logs", "-o", "out"), "its store does not permit that ("),
+        (("s3://denied/a.csv", "-o", "out"), "its store does not permit that ("),
+    ],
+)
+def test_what_a_store_refuses_is_one_sentence(bucket, tmp_path, monkeypatch, names, sentence):
+    """No bucket, no object, no rights: exit code 2, before anything is done where it is known."""
+    monkeypatch.chdir(tmp_path)
+    log(tmp_path / "a.csv")
+    done = run(*(name.format(bucket=bucket) for name in names), "-q")
+    assert done.exit_code == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("Error: s3://")
+    assert sentence.format(bucket=bucket) in lines[0]
+
+
+@pytest.mark.parametrize("name", ["coning.mcap", "rest.parquet"])
+def test_a_dropped_connection_is_one_sentence(bucket, tmp_path, store_server, name):
+    """It is neither damage of the log nor a bug, and there is no output."""
+    upload(SAMPLES / name, f"{bucket}/{name}")
+    store_server.drop_after = store_server.sent
+    try:
+        done = run(f"{bucket}/{name}", "-o", tmp_path / "out", "-q")
+    finally:
+        store_server.drop_after = None
+    assert done.exit_code == 2
+    assert done.stderr.startswith(f"Error: {bucket}/{name}: its store does not answer (")
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.endswith("; check the network and the address of the store\n")
+    assert not list((tmp_path / "out").glob("[!m]*"))
