@@ -446,9 +446,11 @@ def write_damaged(seed, intact, folder):
     elif rng.random() < 0.05:
         files = [other for other in names if (intact / other).is_file()]
         other = rng.choice((name, rng.choice(files)))
-        both = [(intact / name).read_bytes(), (intact / other).read_bytes()]
-        target.write_bytes(b"".join(rng.choice((both, [both[0], damaged(both[1], rng)]))))
-        if (intact / other).suffix == (intact / name).suffix:
+        first, second = (intact / name).read_bytes(), (intact / other).read_bytes()
+        second = rng.choice((second, damaged(second, rng)))
+        target.write_bytes(first + second)
+        # Of what is cut off near its beginning, there is nothing that could be missed.
+        if other == name and len(second) > PAGE:
             origins = (name, other)
     else:
         target.write_bytes(_damaged_file(intact / name, rng))

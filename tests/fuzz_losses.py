@@ -1,7 +1,11 @@
 """Samples of a damaged log that are neither read nor reported as lost."""
 
+import io
 import re
+import struct
 from functools import cache
+
+from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
 from quatprop.formats import open_log
@@ -13,7 +17,8 @@ from quatprop.signals.signal import AttitudeSignal
 LENIENT = 2
 """Place of the propagation with lenient settings among the commands of a log."""
 
-TEXTS = (".csv", ".tsv", ".tum", ".jsonl")
+UNCOUNTED = (".csv", ".tsv", ".tum", ".jsonl", ".ulg", "bare.mcap")
+"""Logs in which nothing says how many samples there are, so that one with fewer may be whole."""
 
 
 def unexplained_loss(log, intact, codes):
@@ -36,7 +41,7 @@ def unexplained_loss(log, intact, codes):
         return f"exit code {codes[LENIENT]} in spite of {losses}"
     if any(loss.messages is None for loss in losses):
         return None  # how many they are is not known
-    held = sum(_held(log.path, intact / name) for name in log.origins)
+    held = _held(log.path, [intact / name for name in log.origins])
     lost = sum(loss.messages for loss in losses)
     if count + lost >= held or (count + lost == held - 1 and remarks):
         return None
@@ -44,20 +49,44 @@ def unexplained_loss(log, intact, codes):
 
 
 def _held(path, intact):
-    """Return how many samples of an intact log a damaged one still holds.
+    """Return how many samples of some intact logs a damaged one still holds.
 
-    In texts, where nothing tells that a row is missing, they are the rows that are whole.
+    Where nothing tells that a row or record is missing, they are those that are whole.
     """
     name = re.sub(r"\.(gz|zst|lz4|bz2)$", "", path.name)
-    if not name.endswith(TEXTS):
-        return _count(intact)
+    if not name.endswith(UNCOUNTED):
+        return sum(map(_count, intact))
     if name != path.name:
         return 0  # a damaged stream is a loss of its own
-    text, rows = b"\n" + path.read_bytes(), intact.read_bytes()
-    lines = rows.splitlines(keepends=True)[-_count(intact) :]
-    if name.endswith(".tsv"):
+    data = b"\n" + path.read_bytes()
+    return sum(data.count(row) for row in set().union(*map(_rows, intact)))
+
+
+def _rows(intact):
+    """Return the bytes of the samples of a log; of lines with what comes before them."""
+    data = intact.read_bytes()
+    if intact.suffix == ".ulg":
+        return {data[begin - 3 : end] for begin, end in _ulog_data(data)}
+    if intact.suffix == ".mcap":
+        messages = (m for _, _, m in make_reader(io.BytesIO(data)).iter_messages())
+        return {
+            struct.pack("<BQHIQQ", 5, 22 + len(m.data), m.channel_id, m.sequence, m.log_time,
+                        m.publish_time) + m.data for m in messages
+        }  # fmt: skip
+    lines = data.splitlines(keepends=True)[-_count(intact) * (1 + (intact.suffix == ".tsv")) :]
+    if intact.suffix == ".tsv":
         lines = [first + second for first, second in zip(*2 * [iter(lines)], strict=True)]
-    return sum(b"\n" + line in text for line in lines)
+    return {b"\n" + line for line in lines}
+
+
+def _ulog_data(data):
+    """Yield where the content of each message of the rates begins and ends."""
+    position = 16
+    while position < len(data):
+        size, kind, id_ = struct.unpack_from("<HcH", data, position)
+        if kind == b"D" and id_ == 1:
+            yield position + 3, position + 3 + size
+        position += 3 + size
 
 
 @cache

@@ -132,6 +132,24 @@ def test_a_file_of_several_frames_is_one_file(tmp_path, temporary, suffix):
 
 
 @pytest.mark.parametrize("suffix", PACK_FILE)
+@pytest.mark.parametrize("is_cut", [False, True])
+@pytest.mark.usefixtures("temporary")
+def test_a_second_frame_that_is_damaged_is_reported(tmp_path, suffix, is_cut):
+    """The libraries' readers of bz2 and lz4 take it for the end of the file."""
+    path = tmp_path / f"log.csv{suffix}"
+    first = os.urandom(9000)
+    second = bytearray(PACK_FILE[suffix](os.urandom(9000)))
+    if is_cut:
+        del second[-3000:]
+    else:
+        second[5:60] = bytes(55)
+    path.write_bytes(PACK_FILE[suffix](first) + second)
+    with DecompressedCopy(path) as copy:
+        assert copy.damage.endswith("data is damaged or cut off")
+        assert copy.path.read_bytes()[:9000] == first
+
+
+@pytest.mark.parametrize("suffix", PACK_FILE)
 def test_a_packed_file_cut_off_keeps_what_comes_before(tmp_path, temporary, suffix):
     """The good part is copied and the damage is told."""
     content = os.urandom(3 << 20)

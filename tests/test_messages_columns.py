@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps
+from quatprop.signals.message_values import as_rows
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
 
@@ -222,3 +223,10 @@ def test_the_reference_keeps_integers_of_64_bits():
     """It is what columns are held against, so it must not round."""
     value = {"f0": {"f0": [7_758_176_404_715_800_194, 15_308_084_094_301_570_617]}}
     assert look_up(value, "f0") == value["f0"]["f0"]
+
+
+@pytest.mark.filterwarnings("error")
+def test_nans_that_signal_become_rows_without_a_warning():
+    """A damaged float32 may be a NaN of which NumPy warns when it becomes float64."""
+    signalling = np.array([0x7F800001, 0x3F800000], np.uint32).view(np.float32)
+    np.testing.assert_array_equal(as_rows([signalling])[:2], [np.nan, 1.0])

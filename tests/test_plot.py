@@ -502,6 +502,21 @@ def test_the_start_is_told_to_the_nanosecond(t_ns, text):
     assert instant_text(t_ns) == text
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("suffix", ["svg", "png", "pdf", "html"])
+def test_numbers_of_a_damaged_log_are_drawn_without_warnings(tmp_path, suffix):
+    """Numbers whose difference is not finite, and NaNs that signal, are in damaged logs."""
+    path = tmp_path / "rates.npy"
+    rows = np.zeros(50, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
+    rows["t_ns"] = STEP * np.arange(50)
+    rows["wx"][10:12] = 1.7e308, -1.7e308
+    rows["wy"].view(np.uint64)[20] = 0x7FF0000000000001  # a signalling NaN
+    rows["wz"][30] = 1e308
+    np.save(path, rows)
+    code, _, _ = run("plot", path, "-o", tmp_path / f"rates.{suffix}")
+    assert code == 0
+
+
 def test_titles_that_look_like_mathematics_are_text(tmp_path):
     """A dollar sign in a name is a dollar sign, in every kind of picture."""
     path = write_attitudes(tmp_path / r"$\frac{1$ _x^.csv", *spin(50))

@@ -283,12 +283,16 @@ def test_columns_of_different_lengths_are_no_table(tmp_path):
 def test_joined_archives_are_refused(tmp_path):
     """Of two archives in one file, zipfile opens the last and passes over the first."""
     path = tmp_path / "log.npz"
-    np.savez(path, t_ns=T_NS, rates=RATES)
+    np.savez(path, t_ns=T_NS, **dict(zip(("wx", "wy", "wz"), RATES.T, strict=True)))
     size = path.stat().st_size
     path.write_bytes(2 * path.read_bytes())
     message = f"another file begins in it at byte {size}; split it there into two"
     with pytest.raises(UnsupportedLogError, match=message):
         read(path)
+    path.write_bytes(path.read_bytes()[:-1])
+    assert [(loss.place, loss.reason) for loss in read(path)[2]] == [
+        (f"byte {size}", f"{size - 1} bytes follow the archive")
+    ]
 
 
 def test_an_archive_of_something_else_is_refused(tmp_path):

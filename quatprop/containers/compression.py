@@ -30,7 +30,7 @@ LARGE = 1 << 26
 _PIECE = 1 << 20
 """Bytes that are decompressed at a time when streaming."""
 
-_ZSTD_FEED = 1 << 12
+_FEED = 1 << 12
 """Bytes given to zstd at a time: its output has no limit, and 4 bytes can become 128 KiB."""
 
 
@@ -154,7 +154,7 @@ class _Trickle(BytesIO):
 
     def read(self, size: int | None = -1) -> bytes:
         """Return the next bytes, fewer than asked for."""
-        return super().read(min(size, _ZSTD_FEED) if size is not None and size > 0 else _ZSTD_FEED)
+        return super().read(min(size, _FEED) if size is not None and size > 0 else _FEED)
 
     read1 = read
 
@@ -256,38 +256,35 @@ def decompression_errors(compression: str) -> tuple[type[Exception], ...]:
 
 def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
     """Yield the decompressed content of `file` in pieces of bounded size."""
-    return _zstd_pieces(file) if compression == "zstd" else _file_pieces(file, compression)
-
-
-def _file_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
-    stream: Any
-    if compression == "lz4":
+    if compression == "zstd":
+        yield from _frames(file, _contexts.zstd.decompressobj)
+    elif compression == "lz4":
         import lz4.frame
 
-        stream = lz4.frame.LZ4FrameFile(file, mode="rb")
+        yield from _frames(file, lz4.frame.LZ4FrameDecompressor, _PIECE)
     elif compression == "bz2":
         import bz2
 
-        stream = bz2.BZ2File(file)
+        yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
     else:
         import gzip
 
-        stream = gzip.GzipFile(fileobj=file)
-    with stream:
-        while piece := stream.read1(_PIECE):
-            yield piece
-
-
-def _zstd_pieces(file: BinaryIO) -> Iterator[bytes]:
-    # zstandard's own file reader takes a truncated file for a complete one.
-    frame = None
-    while data := file.read(_ZSTD_FEED):
-        while data:
-            frame = frame or _contexts.zstd.decompressobj()
-            if piece := frame.decompress(data):
+        with gzip.GzipFile(fileobj=file) as stream:
+            while piece := stream.read1(_PIECE):
                 yield piece
-            data = frame.unused_data
-            if frame.eof:
-                frame = None
+
+
+def _frames(file: BinaryIO, new_frame: Callable[[], Any], *limit: int) -> Iterator[bytes]:
+    # The libraries' own file readers take a truncated zstd file for a complete one, and a damaged
+    # second frame of the others for the end of the file.
+    frame: Any = None
+    data = b""
+    while data or not getattr(frame, "needs_input", True) or (data := file.read(_FEED)):
+        frame = frame or new_frame()
+        if piece := frame.decompress(data, *limit):
+            yield piece
+        data = b""
+        if frame.eof:
+            frame, data = None, frame.unused_data or b""
     if frame is not None:
         raise EOFError

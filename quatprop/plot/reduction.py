@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 BINS = 2048
 """Most bins that are kept; they cover at least half as many dots of a printed page."""
 
+LARGEST = 1e300
+"""Values from here on are infinite for a picture: matplotlib cannot lay out an axis for them."""
+
 PENDING = 65_536
 """Samples that are collected before they are put into bins."""
 
@@ -100,7 +103,7 @@ class Reduction:
         t_ns
             Stamps, shape ``(N,)``, int64 ns, in any order.
         values
-            Of each trace, shape ``(traces, N)``; NaN or infinite where there is none.
+            Of each trace, shape ``(traces, N)``; NaN, infinite or huge where there is none.
         """
         if not len(t_ns):
             return
@@ -121,7 +124,8 @@ class Reduction:
         t_ns = np.concatenate([stamps for stamps, _ in self._pending])
         values = np.concatenate([rows for _, rows in self._pending], axis=1)
         self._pending, self._waiting = [], 0
-        values[~np.isfinite(values)] = np.nan
+        with np.errstate(invalid="ignore"):  # NaNs that signal
+            values[~(np.abs(values) < LARGEST)] = np.nan
         low_ns, high_ns = int(t_ns.min()), int(t_ns.max())
         if len(self._index):
             low_ns = min(low_ns, int(self._index[0]) << self._shift)

@@ -133,7 +133,8 @@ class FieldReader(GroupDecoder):
 def as_rows(fields: list[NDArray[Any]]) -> Float64:
     """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64."""
     stacked = fields[0] if len(fields) == 1 else np.stack(fields, axis=1)
-    return np.array(stacked, dtype=np.float64, order="C")
+    with np.errstate(invalid="ignore"):  # a damaged log may have float32 NaNs that signal
+        return np.array(stacked, dtype=np.float64, order="C")
 
 
 def timed_values(

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 _MOST_ARRAYS = 4096
 _LONGEST_PROVENANCE = 1 << 24
+_END_SIZE = 22
+_LONGEST_END = (1 << 16) + _END_SIZE
 _SUFFIX = ".npy"
 
 
@@ -58,7 +60,7 @@ class NpzLog(NumpyTable):
                 "end of the file", "its directory is damaged: more arrays may be missing"
             )
         try:
-            self._refuse_second_file()
+            self._look_for_second_file()
             self._describe()
         except BaseException:
             self._archive.close()
@@ -85,15 +87,27 @@ class NpzLog(NumpyTable):
         """Close the file."""
         self._archive.close()
 
-    def _refuse_second_file(self) -> None:
-        """Refuse an archive behind other bytes, which the library passes over."""
-        if isinstance(self._archive, zipfile.ZipFile):
-            second = min((info.header_offset for info in self._archive.infolist()), default=0)
-            if second:
-                raise UnsupportedLogError(
-                    self.path,
-                    f"another file begins in it at byte {second}; split it there into two",
-                )
+    def _look_for_second_file(self) -> None:
+        """Refuse an archive behind other bytes, and note bytes behind it: zipfile passes over both.
+
+        Raises
+        ------
+        UnsupportedLogError
+            Its beginning is not that of the archive.
+        """
+        if not isinstance(self._archive, zipfile.ZipFile):
+            return
+        begin = min((info.header_offset for info in self._archive.infolist()), default=0)
+        if begin:
+            reason = f"another file begins in it at byte {begin}; split it there into two"
+            raise UnsupportedLogError(self.path, reason)
+        with self.path.open("rb") as file:
+            size = file.seek(0, 2)
+            first = file.seek(max(0, size - _LONGEST_END))
+            at = file.read().rfind(b"PK\5\6")
+        end = first + at + _END_SIZE + len(self._archive.comment)
+        if at >= 0 and end < size:
+            self.losses.note(f"byte {end}", f"{size - end} bytes follow the archive")
 
     def _open_array(self, member: str) -> BinaryIO:
         return cast("BinaryIO", self._archive.open(member))
