@@ -61,6 +61,7 @@ LAYERS = (
         "third_party_errors",
         "parallel",
         "provenance",
+        "progress",
         "threads",
         "temp_files",
     },

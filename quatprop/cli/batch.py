@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
-import time
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
@@ -21,6 +19,8 @@ from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
+
+    from tqdm import tqdm
 
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.manifest import Manifest
@@ -119,6 +119,7 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     """
     from quatprop.batch.run import outdated, plan
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
+    from quatprop.cli.progress import bar, on_terminal
 
     own = ("folder", "processes", "dask", "skip_existing", "list_file", "root", "shard", "retries")
     batch = {name: options.pop(name) for name in own}
@@ -138,9 +139,11 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     if tasks:
         manifest.prepare()
     with closing(_results(tasks, batch, manifest)) as results:
-        shown = _Shown(tasks, quiet=quiet, keeps=as_json)
-        for index, result in results:
-            shown.add(index, result)
+        meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
+        shown = _Shown(tasks, meter, quiet=quiet, keeps=as_json)
+        with meter:
+            for index, result in results:
+                shown.add(index, result)
     if tasks:
         manifest.write_table()
     if as_json:
@@ -191,7 +194,9 @@ def _results(
 class _Shown:
     """Shows results as they come; what is kept of them does not grow with their number."""
 
-    def __init__(self, tasks: list[BatchTask], *, quiet: bool, keeps: bool) -> None:
+    def __init__(
+        self, tasks: list[BatchTask], meter: tqdm[Any], *, quiet: bool, keeps: bool
+    ) -> None:
         from quatprop.text import plain
 
         self.states: Counter[str] = Counter()
@@ -200,8 +205,7 @@ class _Shown:
         self._samples = 0
         self._total, self._quiet, self._keeps = len(tasks), quiet, keeps
         self._width = max((len(plain(task.log)) for task in tasks), default=0)
-        self._began = time.monotonic()
-        self._terminal = sys.stderr is not None and sys.stderr.isatty() and not quiet
+        self._meter = meter
 
     def add(self, index: int, result: BatchResult) -> None:
         """Show the result of a log; errors also when asked to be quiet."""
@@ -211,27 +215,20 @@ class _Shown:
         self._samples += result.entry.samples or 0
         if self._keeps:
             self.reports[index] = _report(result)
-        clear = "\r\033[K" if self._terminal else ""
         if result.entry.state == "failed":
             self._errors.append(spelled(result.error))
-            click.echo(f"{clear}Error: {self._errors[-1]}", err=True)
+            self._say(f"Error: {self._errors[-1]}")
         elif not self._quiet and result.report is not None:
-            click.echo(clear + _line(result, result.report, self._width), err=True)
-        if self._terminal:
-            click.echo(clear + self._progress(), err=True, nl=False)
+            self._say(_line(result, result.report, self._width))
+        self._meter.update()
 
-    def _progress(self) -> str:
-        from quatprop.times import duration_text
-
-        done = self.states.total()
-        seconds = max(time.monotonic() - self._began, 1e-9)
-        left = duration_text(round(seconds / done * (self._total - done)) * 1_000_000_000)
-        return f"{done:,} of {self._total:,} logs, {done / seconds:.3g} a second, {left} left"
+    def _say(self, text: str) -> None:
+        """Print lines above the progress."""
+        self._meter.clear()
+        click.echo(text, err=True)
 
     def finish(self, skipped: int, other_files: int) -> None:
         """Show the errors again, which may have scrolled away, and the totals."""
-        if self._terminal:
-            click.echo("\r\033[K", err=True, nl=False)
         if self._errors and self._total > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:

@@ -52,6 +52,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was left out.
     """
     from quatprop import __version__
+    from quatprop.cli.progress import progress
     from quatprop.cli.spelling import spelled
     from quatprop.comparison.compare import compare
     from quatprop.comparison.summary import comparison_rows
@@ -61,7 +62,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
     refuse_stdin_twice(a, b)
     sides = [input_of(a, chosen, side="a"), input_of(b, chosen, side="b")]
-    with _error_picture(plot, a, b) as picture:
+    with progress(quiet=quiet), _error_picture(plot, a, b) as picture:
         first, second = (load_attitudes(side) for side in sides)
         comparison = compare(first.series, second.series, settings_of(chosen))
         if picture is not None:

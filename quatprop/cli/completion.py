@@ -35,12 +35,14 @@ EXAMPLES = (
 def command(shell: str) -> None:
     """Print the script that completes commands, options, files, topics and columns in a shell.
 
-    \b
-    bash  quatprop completion bash > ~/.local/share/bash-completion/completions/quatprop
-    zsh   quatprop completion zsh > ~/.zfunc/_quatprop    (with ~/.zfunc in fpath)
-    fish  quatprop completion fish > ~/.config/fish/completions/quatprop.fish
+    Write it where the shell looks for it:
 
-    bash needs its package bash-completion for that; without it, put this into ~/.bashrc:
+    \b
+    bash  ~/.local/share/bash-completion/completions/quatprop
+    zsh   ~/.zfunc/_quatprop, with ~/.zfunc in fpath
+    fish  ~/.config/fish/completions/quatprop.fish
+
+    bash needs its package bash-completion for that. Without it, put this into ~/.bashrc:
     source <(quatprop completion bash)
     """
     from quatprop.cli.commands import cli

@@ -87,7 +87,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     IN is a table or a log of messages with attitudes, or - for CSV on stdin; OUT is a file, or -
     for CSV on stdout. With --into instead, a copy of IN that holds them too.
     """
-    from quatprop.cli import summary
+    from quatprop.cli.progress import progress
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import Conversion, convert
 
@@ -106,8 +106,8 @@ def command(*, quiet: bool, **chosen: Any) -> None:
         normalize=wanted.normalize,
         drop=wanted.drop,
     )
-    with summary.progress(quiet=quiet) as tick:
-        report = convert(job, tick)
+    with progress(quiet=quiet):
+        report = convert(job)
     if not quiet:
         click.echo("\n".join(_summary(job.output.path, report)), err=True)
     if report.data_lost:

@@ -31,7 +31,6 @@ GROUPS = {
             "on_invalid"
         ),
     ),
-    "Many logs": ("processes skip_existing", "list_file root shard dask retries"),
     "Time range": ("start end", ""),
     "Rates": ("bias mount", ""),
     "Initial attitude": ("q0", "heading reference_z q0_layout"),
@@ -43,6 +42,7 @@ GROUPS = {
         "output folder to layout convention direction sign representation euler_unit rate plot",
         "into every at comment message out_topic frames report",
     ),
+    "Execution": ("processes skip_existing", "threads list_file root shard dask retries"),
     "Display": ("quiet as_json help help_all", "verbose"),
 }
 """Title of a group -> the parameters that help always shows, and those it shows on request."""

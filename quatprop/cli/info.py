@@ -58,6 +58,7 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     how many rows are invalid, and the layout. Where a source cannot be read without an option, that
     option is named.
     """
+    from quatprop.cli.progress import progress
     from quatprop.errors import QuatpropError
     from quatprop.pipeline.survey import survey
     from quatprop.selection import RateSelection
@@ -67,7 +68,8 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
     surveys: list[LogSurvey] = []
     for path in logs:
         try:
-            surveys.append(survey(path, kind, wanted))
+            with progress():
+                surveys.append(survey(path, kind, wanted))
         except QuatpropError as error:
             click.echo(f"Error: {sentence(error)}", err=True)
     if as_json:

@@ -82,7 +82,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
     Several files are laid over one another.
     """
-    from quatprop.cli import summary
+    from quatprop.cli.progress import progress
     from quatprop.plot.run import Plot, plot
     from quatprop.plot.view import View
     from quatprop.selection import RateSelection
@@ -108,8 +108,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
         reference=against,
         settings=settings_of(chosen),
     )
-    with summary.progress(quiet=quiet) as tick:
-        drawn = plot(job, tick, spelled)
+    with progress(quiet=quiet):
+        drawn = plot(job, spelled)
     if not quiet:
         lines = [*drawn.lines, *(f"warning: {warning}" for warning in drawn.warnings)]
         click.echo("\n".join(map(plain, lines)), err=True)

@@ -59,18 +59,19 @@ def command(**chosen: Any) -> None:
     CSV on stdin. N samples give N attitudes, which go to a file of their own (-o) or into a copy of
     LOG (--into).
     """
-    from quatprop.cli import summary as words
+    from quatprop.cli.progress import progress
+    from quatprop.cli.summary import summary
     from quatprop.pipeline.job import run
 
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
-    with words.progress(quiet=quiet) as tick, _drawing(job, plot) as picture:
+    with progress(quiet=quiet), _drawing(job, plot) as picture:
         if picture is None:
-            report = run(job, tick, summary=not quiet)
+            report = run(job, summary=not quiet)
         else:
-            report = run(job, tick, picture, summary=not quiet, before_publish=picture.commit)
+            report = run(job, picture, summary=not quiet, before_publish=picture.commit)
     if not quiet:
-        click.echo(words.summary(report, verbose=verbose), err=True)
+        click.echo(summary(report, verbose=verbose), err=True)
     if report.data_lost:
         raise click.exceptions.Exit(3)
 

@@ -193,7 +193,7 @@ def command(out: str, **options: Any) -> None:
 
     The same options give the same bytes.
     """
-    from quatprop.cli.summary import progress
+    from quatprop.cli.progress import progress
     from quatprop.simulate.gyroscope import Gyroscope, samples_in
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside
@@ -218,7 +218,7 @@ def command(out: str, **options: Any) -> None:
         **{name: options[name] for name in ("sample_rate", "start_ns", "noise", "bias", "seed")},
         samples=samples,
     )
-    with progress(quiet=options["quiet"]) as tick:
+    with progress(quiet=options["quiet"]):
         simulate(
             out,
             options["motion"],
@@ -228,7 +228,6 @@ def command(out: str, **options: Any) -> None:
             kind=options["kind"],
             compression=options["compression"],
             truth=truth,
-            tick=tick,
         )
     if not options["quiet"]:
         beside = f"; the truth is in {truth}" if truth else ""

@@ -1,13 +1,8 @@
-"""What goes to stderr: the summary of a run, the progress of a long one."""
+"""The summary of a run, which goes to stderr."""
 
 from __future__ import annotations
 
-import sys
-import time
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
-
-import click
 
 from quatprop.cli.spelling import spelled
 from quatprop.provenance import as_json
@@ -16,34 +11,11 @@ from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from quatprop.conditioning.static_detection import Rest
     from quatprop.pipeline.report import ResultReport, RunReport
     from quatprop.rendering import Row
-
-PROGRESS_EVERY_S = 0.2
-"""How often the progress line changes; nothing shows before the first interval is over."""
-
-
-@contextmanager
-def progress(*, quiet: bool) -> Iterator[Callable[[int], None]]:
-    """Give a function to call with the samples done so far; it shows them on a terminal only."""
-    # Started without stderr, there is none.
-    shows = sys.stderr is not None and sys.stderr.isatty() and not quiet
-    shown = time.monotonic()
-
-    def tick(samples: int) -> None:
-        nonlocal shown
-        if shows and time.monotonic() - shown > PROGRESS_EVERY_S:
-            shown = time.monotonic()
-            click.echo(f"\r{samples:,} samples", err=True, nl=False)
-
-    try:
-        yield tick
-    finally:
-        if shows:
-            click.echo("\r\033[K", err=True, nl=False)
 
 
 def summary(report: RunReport, *, verbose: bool) -> str:

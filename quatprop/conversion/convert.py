@@ -22,8 +22,6 @@ from quatprop.writers import keeps_provenance
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.settings import OutputSettings
 
@@ -73,15 +71,13 @@ class Conversion:
         return self.sign
 
 
-def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -> ConversionReport:
+def convert(job: Conversion) -> ConversionReport:
     """Write an attitude series in other terms.
 
     Parameters
     ----------
     job
         How to convert it.
-    tick
-        Called with the number of rows written so far.
 
     Raises
     ------
@@ -117,7 +113,6 @@ def convert(job: Conversion, tick: Callable[[int], None] = lambda _rows: None) -
             for series in check.apply(read()):
                 wxyz = signs.applied(job.meaning.converted(series.wxyz))
                 singular += write(replace(series, wxyz=wxyz))
-                tick(check.counts.used)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
             remarks = (

@@ -58,7 +58,6 @@ class Job:
 
 def run(
     job: Job,
-    tick: Callable[[int], None] = lambda _samples: None,
     observer: Observer | None = None,
     *,
     summary: bool = True,
@@ -70,8 +69,6 @@ def run(
     ----------
     job
         What to do.
-    tick
-        Called with the number of samples written so far.
     observer
         Looks at rates and attitudes as they pass.
     summary
@@ -125,7 +122,6 @@ def run(
         ):
             for series in attitudes:
                 writer.write(series)
-                tick(stream.samples)
             report = stream.report(layout=output.layout, digest=stored or digest.result())
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())

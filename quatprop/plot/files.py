@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +34,7 @@ from quatprop.timeline.counts import Counts
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import StampCounts
 
-    Tick = Callable[[int], None]
     Log = MessageLog | TableLog
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -57,7 +57,7 @@ DRAWN_AS = {
 """Whether components are drawn -> what is drawn of an attitude."""
 
 
-def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> FileView:
+def view_file(path: str, view: View) -> FileView:
     """Read a file for a picture.
 
     Parameters
@@ -66,8 +66,6 @@ def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> File
         A log or a table, or ``"-"`` for CSV on stdin.
     view
         What to draw.
-    tick
-        Called with the number of samples read so far.
 
     Raises
     ------
@@ -87,8 +85,8 @@ def view_file(path: str, view: View, tick: Tick = lambda _samples: None) -> File
     with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
         name, signal = without_secret(path), _choose(log, view)
         if isinstance(signal, RateSignal):
-            return _view_rates(name, log, signal, view, tick)
-        return _view_attitudes(name, log, signal, view, tick)
+            return _view_rates(name, log, signal, view)
+        return _view_attitudes(name, log, signal, view)
 
 
 def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
@@ -124,14 +122,13 @@ def _neither(log: Log, rates: LogError, attitudes: LogError) -> LogError:
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
-def _view_rates(path: str, log: Log, source: RateSignal, view: View, tick: Tick) -> FileView:
+def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
     part = Conditioning(start=view.start, end=view.end)
     batches, done = condition(source.batches, part, UNITS[source.unit])
     drawn, checks = RateAccumulator(source.unit, UNITS[source.unit]), RateChecks()
     timeline = Timeline(OBSERVE, path)
     counts = timeline.counts
-    for _ in timeline.apply(drawn.passing(checks.observe(batches))):
-        tick(counts.used)
+    deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside)
     remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts.median_dt_ns)]
@@ -155,17 +152,14 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View, tick: Tick)
     )
 
 
-def _view_attitudes(
-    path: str, log: Log, source: AttitudeSignal, view: View, tick: Tick
-) -> FileView:
+def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
     drawn, outside, stamps = (
         AttitudeAccumulator(components=view.components),
         [0, 0],
         StampChecks(path),
     )
     counts = stamps.counts
-    for _ in stamps.observe(_accumulated(_within(source, view, outside), drawn)):
-        tick(counts.used)
+    deque(stamps.observe(_accumulated(_within(source, view, outside), drawn)), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside)
     remarks = [*source.remarks, *_irregularities(counts), *log.remarks]

@@ -17,8 +17,6 @@ from quatprop.rendering import file_names, loss_lines
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from quatprop.plot.view import FileView
     from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import LoadedAttitudes
@@ -68,17 +66,13 @@ class PlotSummary:
     data_lost: bool
 
 
-def plot(
-    job: Plot, tick: Callable[[int], None] = lambda _samples: None, spell: Spell = str
-) -> PlotSummary:
+def plot(job: Plot, spell: Spell = str) -> PlotSummary:
     """Draw files into a picture.
 
     Parameters
     ----------
     job
         What to draw.
-    tick
-        Called with the number of samples of a file read so far.
     spell
         Writes a sentence that may mention settings.
 
@@ -96,7 +90,7 @@ def plot(
     inputs = [*job.files, None if job.reference is None else job.reference.path]
     with PictureFile(job.output, inputs, spell=spell) as target:
         if job.reference is None:
-            views = [view_file(path, job.view, tick) for path in job.files]
+            views = [view_file(path, job.view) for path in job.files]
             page = _page(views, spell)
             lines = tuple(f"{view.name}: {view.samples}" for view in views)
             data_lost = any(view.losses for view in views)

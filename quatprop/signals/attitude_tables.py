@@ -116,7 +116,7 @@ def _remarks(columns: ColumnMatch) -> tuple[str, ...]:
 
 
 def _quaternion_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
-    for t_ns, numbers in log.rows(columns.timed):
+    for t_ns, numbers in log.metered_rows(columns.timed):
         yield t_ns, meaning.converted(_marked(numbers))
 
 
@@ -133,7 +133,7 @@ def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[]
     timed = replace(columns.timed, numbers=(*columns.timed.numbers, *positions[0]))
 
     def poses() -> Poses:
-        for t_ns, numbers in log.rows(timed):
+        for t_ns, numbers in log.metered_rows(timed):
             wxyz = _marked(numbers[:, :-AXES])
             yield t_ns, meaning.converted(wxyz), numbers[:, -AXES:]
 
@@ -150,7 +150,7 @@ def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _rotation_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
     representation = REPRESENTATIONS[columns.representation]
-    for t_ns, numbers in log.rows(columns.timed):
+    for t_ns, numbers in log.metered_rows(columns.timed):
         values = np.radians(numbers) if columns.unit == "deg" else numbers
         # What is not finite is reported later, row by row.
         with np.errstate(invalid="ignore", over="ignore"):

@@ -76,7 +76,7 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
     if len(axes) != 3:  # noqa: PLR2004  # axes
         return None
     timed = match_rates(log, selection).timed
-    rows: Rows = log.rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
+    rows: Rows = log.metered_rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
     return rows
 
 

@@ -16,6 +16,7 @@ from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
+from quatprop.progress import metered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -176,7 +177,7 @@ def stamps_logged(
 
 
 def _in_log_order(log: MessageLog, channel: Channel, reader: MessageReader) -> Iterator[Columns]:
-    blocks = coalesce_blocks(log.blocks(channel))
+    blocks = metered(coalesce_blocks(log.blocks(channel)), channel.count)
     batches = (_readable(log, channel, reader, block) for block in blocks)
     return merge_by_time([batches])
 

@@ -98,7 +98,7 @@ def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
 def _table_rates(log: TableLog, columns: ColumnMatch) -> Iterator[GyroSeries]:
     """Yield the rates of a table in rad/s."""
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
-    for t_ns, rate in log.rows(columns.timed):
+    for t_ns, rate in log.metered_rows(columns.timed):
         for factor in factors:
             np.multiply(rate, factor, out=rate)
         yield GyroSeries(t_ns, rate, averages=columns.method == "end")

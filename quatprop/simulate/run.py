@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop.progress import metered
 from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import record
 from quatprop.simulate.logs import open_log_writer
@@ -14,8 +15,6 @@ from quatprop.writers import kind_of, open_writer
 from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from quatprop.simulate.gyroscope import Gyroscope
     from quatprop.simulate.motion import Shape
 
@@ -50,7 +49,6 @@ def simulate(  # noqa: PLR0913  # a recording in full
     kind: str | None = None,
     compression: str | None = None,
     truth: Path | str | None = None,
-    tick: Callable[[int], None] = lambda _samples: None,
 ) -> None:
     """Write a log of a motion, and its true attitude.
 
@@ -68,8 +66,6 @@ def simulate(  # noqa: PLR0913  # a recording in full
         As for :func:`quatprop.simulate.logs.open_log_writer`.
     truth
         Where the true attitudes go, scalar-first; None writes none.
-    tick
-        Called with the number of samples written so far.
 
     Raises
     ------
@@ -85,13 +81,11 @@ def simulate(  # noqa: PLR0913  # a recording in full
             open_log_writer(target, kind, deviation=gyroscope.deviation, compression=compression)
         )
         attitudes = stack.enter_context(open_writer(truth)) if truth is not None else None
-        done = 0
-        for measured, true in record(motion_named(motion, shape), gyroscope, q0):
+        recorded = record(motion_named(motion, shape), gyroscope, q0)
+        for measured, true in metered(recorded, gyroscope.samples, lambda pair: len(pair[0])):
             log.write(measured, true)
             if attitudes is not None:
                 attitudes.write(true)
-            done += len(true)
-            tick(done)
         written = [log] if attitudes is None else [attitudes, log]
         for file in written:
             file.finish(provenance)

@@ -144,6 +144,10 @@ class ParquetLog(_ArrowLog):
     def _metadata(self) -> Mapping[bytes, bytes]:
         return self._parquet.metadata.metadata or {}
 
+    def row_count(self) -> int | None:
+        """Return what the footer says."""
+        return int(self._parquet.metadata.num_rows)
+
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         names = [leaf.name for leaf in self._wanted(columns)]
         for group in range(self._parquet.num_row_groups):

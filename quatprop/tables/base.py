@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeGuard
 
 from quatprop.containers.base import Log
+from quatprop.progress import metered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -107,6 +108,14 @@ class TableLog(Log):
             What is written there is not what this package writes.
         """
         return {}
+
+    def row_count(self) -> int | None:
+        """Return about how many rows there are, where that is known without reading them."""
+        return None
+
+    def metered_rows(self, columns: TimedColumns) -> Batches:
+        """Return :meth:`rows`, whose progress an interface may show."""
+        return metered(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
 
     @abstractmethod
     def rows(self, columns: TimedColumns) -> Batches:

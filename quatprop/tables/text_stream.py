@@ -66,6 +66,7 @@ class TextStream:
         self._step = _COMPRESSED_STEP if compression else _LONGEST_RECORD
         self._rest = b""
         self.damage = ""
+        self.is_compressed = bool(compression)
 
     def fill(self, buffer: bytearray | memoryview) -> int:
         """Read until `buffer` is full or the text ends; return how many bytes were read."""

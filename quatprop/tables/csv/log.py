@@ -47,6 +47,7 @@ class CsvLog(TableLog):
         self.remarks: list[str] = []
         self._stream = None if isinstance(source, Path) else source
         self._text: TextStream | None = self._open()
+        self._is_compressed = self._text.is_compressed
         self._head = self._text.read(HEAD_BYTES)
         if self._stream is None:
             self._text.close()
@@ -74,6 +75,14 @@ class CsvLog(TableLog):
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
+
+    def row_count(self) -> int | None:
+        """Return the size of the file divided by that of its first rows; None if compressed."""
+        head = self._head[self._layout.body :]
+        rows = head.count(b"\n")
+        if self._stream is not None or not rows or self._is_compressed:
+            return None
+        return max(rows, round(self.path.stat().st_size / len(head) * rows))
 
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""

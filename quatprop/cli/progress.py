@@ -1,0 +1,61 @@
+"""Progress on a terminal: how much is done, how fast, and how long it will take."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from quatprop.progress import SHOW
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tqdm import tqdm
+
+    from quatprop.progress import Size
+
+DELAY_S = 0.5
+"""Nothing is shown of what takes less."""
+
+
+@contextmanager
+def progress(*, quiet: bool = False) -> Iterator[None]:
+    """Show the progress of what is read or made in this block, on a terminal only."""
+    token = SHOW.set(_shown if on_terminal(quiet=quiet) else None)
+    try:
+        yield
+    finally:
+        SHOW.reset(token)
+
+
+def on_terminal(*, quiet: bool = False) -> bool:
+    """Whether progress is to be shown: somebody looks at stderr."""
+    # Started without stderr, there is none.
+    return sys.stderr is not None and sys.stderr.isatty() and not quiet
+
+
+def bar(total: int | None, unit: str, **options: Any) -> tqdm[Any]:
+    """Return a bar on stderr, which disappears when it is closed."""
+    from tqdm import tqdm
+
+    # Its thread would be there when processes are forked.
+    tqdm.monitor_interval = 0
+    return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, **options)
+
+
+def _shown(batches: Iterator[Any], total: int | None, size: Size) -> Iterator[Any]:
+    began, done, shown = time.time(), 0, None
+    try:
+        for batch in batches:
+            yield batch
+            done += size(batch)
+            if shown is None and time.time() - began > DELAY_S:
+                shown = bar(total, " samples", unit_scale=True)
+                shown.start_t = began
+            if shown is not None:
+                shown.update(done - shown.n)
+    finally:
+        if shown is not None:
+            shown.close()

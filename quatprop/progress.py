@@ -1,0 +1,36 @@
+"""How far the reading of a log has come, for an interface that shows it.
+
+An interface sets :data:`SHOW` for the time of a run; without it, nothing happens here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from typing import Any, TypeAlias, TypeVar
+
+Batch = TypeVar("Batch")
+
+Size: TypeAlias = Callable[[Any], int]
+"""Returns the number of samples in a batch."""
+
+Show: TypeAlias = Callable[[Iterator[Any], int | None, Size], Iterator[Any]]
+"""Yields the batches of an iterator as they are, and shows how many of a total have passed."""
+
+SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
+
+
+def metered(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
+    """Return the batches, whose progress is shown where an interface does so.
+
+    Parameters
+    ----------
+    batches
+        What is read, batch after batch.
+    total
+        How many samples there are, at least roughly; None where that is not known.
+    size
+        Returns the number of samples in a batch.
+    """
+    show = SHOW.get()
+    return batches if show is None else show(batches, total, size)
