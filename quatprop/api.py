@@ -189,6 +189,10 @@ sample_rate, clock
         Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
         mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
         whole log.
+    calibration : path
+        Scale, misalignment and bias of the gyroscope: YAML or JSON with ``matrix``, 3x3, and
+        ``bias``, rad/s, applied as matrix (w - bias), or kalibr's file of an IMU. A bias given
+        beside it takes the place of its own.
     mount : str or sequence
         Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
         with v_body = m v_sensor m*.

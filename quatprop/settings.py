@@ -97,6 +97,7 @@ class PropagateOptions(RateOptions, total=False):
     reference_z: str
     q0_layout: str
     bias: str | Sequence[float]
+    calibration: str | PathLike[str]
     mount: str | Sequence[float]
     start: str | int | datetime
     end: str | int | datetime
@@ -217,6 +218,7 @@ PROPAGATE: Mapping[str, Parser] = {
     "reference_z": Choice("up", "down"),
     "q0_layout": Choice(*LAYOUTS),
     "bias": bias,
+    "calibration": path,
     "mount": mounting,
     "on_backwards": Choice("error", "drop", "sort"),
     "on_nonfinite": Choice("error", "drop", "hold"),

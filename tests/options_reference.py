@@ -25,7 +25,8 @@ def propagated(raw, options):
         force, and ``q``, the orientation of the sensor as a Rotation.
     options : dict
         As `quatprop.propagate` takes them; those that say where the numbers are in the file are
-        passed over. ``bias`` is in rad/s. Series in files are given as ``(t, Rotation)``.
+        passed over. ``bias`` is in rad/s. Series in files are given as ``(t, Rotation)``, a
+        calibration as matrix and bias.
 
     Returns
     -------
@@ -33,7 +34,8 @@ def propagated(raw, options):
         Stamps and attitudes body -> reference.
     """
     mount = mounting(options.get("mount"))
-    rate = raw["w"] - np.array(options.get("bias", (0, 0, 0)))
+    matrix, own_bias = options.get("calibration", (np.eye(3), (0, 0, 0)))
+    rate = (raw["w"] - np.array(options.get("bias", own_bias))) @ matrix.T
     if options.get("rates", "body") == "body":
         rate = mount.apply(rate)
     t, rate = used(raw["t"], rate, options)

@@ -4,6 +4,7 @@ The reference (``options_reference.py``) is written from the documentation with 
 log rests for 1.3 s, then moves; it has repeated, late and missing samples, and rates that are NaN.
 """
 
+import json
 from fractions import Fraction
 
 import numpy as np
@@ -110,6 +111,7 @@ def chosen(seed):
         "rates": one_of(None, "body", "inertial"),
         "mount": one_of(None, "y,-x,z", ",".join(map(repr, MOUNT_QUATERNION.tolist()))),
         "bias": one_of(None, "given", "static"),
+        "calibration": one_of(None, None, "file"),
         "q0": one_of(None, "numbers", "scalar-last", "level", "log", "series"),
         "start": one_of(None, None, "+105ms", BEGIN_NS + 95_000_000),
         "end": one_of(None, None, "-104ms", BEGIN_NS + 2_500_000_000),
@@ -142,6 +144,12 @@ def both(options, raw, unit, folder):
         t = BEGIN_NS + np.arange(-1, 5) * NS
         turns = Rotation.from_rotvec(np.arange(6)[:, None] * [0.3, -0.1, 0.2])
         given["q0"], expected["q0"] = series_file(folder / "q0.csv", t, turns), (t, turns)
+    if "calibration" in options:
+        given["calibration"] = folder / "calibration.json"
+        matrix = np.eye(3) + np.random.default_rng(5).normal(0, 0.02, (3, 3))
+        content = {"matrix": matrix.tolist(), "bias": (BIAS / 2).tolist()}
+        given["calibration"].write_text(json.dumps(content))
+        expected["calibration"] = matrix, BIAS / 2
     if "at" in options:
         t = np.random.default_rng(3).integers(raw["t"][0] - NS, raw["t"][-1] + NS, 300)
         t = np.concatenate([t, raw["t"][::7]])

@@ -102,7 +102,7 @@ def test_a_bias_is_a_rate_times_the_time_of_integration():
     turned = np.array([[0.5, 0, 0], [0.5, 0, 0]])
     series = GyroSeries(np.array([0, 10]), turned / (span_ns / 1e9)[:, None], span_ns)
     turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    (found,) = conditioned([series], bias=np.array([0.4, 0, 0]), mount=turn)
+    (found,) = conditioned([series], bias=np.array([0.4, 0, 0]), matrix=turn)
     increment = found.rate * (found.span_ns / 1e9)[:, None]
     np.testing.assert_allclose(increment, [[0, -0.1, 0], [0, -0.4, 0]], atol=1e-16)
 

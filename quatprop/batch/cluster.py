@@ -106,6 +106,10 @@ def _absolute(task: BatchTask) -> BatchTask:
         source = _absolute_path(settings.q0.source)
         settings = replace(settings, q0=replace(settings.q0, source=source))
     settings = replace(settings, at=settings.at and _absolute_path(settings.at))
+    if settings.conditioning.calibration is not None:
+        calibration = _absolute_path(settings.conditioning.calibration)
+        conditioning = replace(settings.conditioning, calibration=calibration)
+        settings = replace(settings, conditioning=conditioning)
     output = replace(job.output, path=_absolute_path(job.output.path))
     return replace(task, job=Job(_absolute_path(job.log), output, settings))
 

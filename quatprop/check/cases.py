@@ -46,7 +46,7 @@ PARSERS: Mapping[str, Callable[[object], Any]] = {
 OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 """Keys of a case that are no settings."""
 
-PATHS = {"at": (), "msg_path": (), "q0": FROM_THE_LOG}
+PATHS = {"at": (), "calibration": (), "msg_path": (), "q0": FROM_THE_LOG}
 """Settings that name a file, and their values that do not."""
 
 

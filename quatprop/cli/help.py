@@ -32,7 +32,7 @@ GROUPS = {
         ),
     ),
     "Time range": ("start end", ""),
-    "Rates": ("bias mount", ""),
+    "Rates": ("bias mount", "calibration"),
     "Initial attitude": ("q0", "heading reference_z q0_layout"),
     "Integration": ("method", "rates"),
     "Timestamps": ("on_backwards on_gap", "on_nonfinite max_gap"),

@@ -45,6 +45,7 @@ VALUES = {
     "q0": "W,X,Y,Z|level|log|FILE",
     "heading": "DEG",
     "bias": "X,Y,Z|static[:DUR]",
+    "calibration": "FILE",
     "mount": "W,X,Y,Z|x,-y,-z",
     "start": "TIME",
     "end": "TIME",
@@ -114,6 +115,8 @@ HELP = {
     "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate over a rest of "
     "at least DUR (1s), found in the whole log by rate, accelerometer and orientation.  [default: "
     "none]",
+    "calibration": "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) "
+    "and bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.  [default: none]",
     "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
     "[default: the same]",
     "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "

@@ -47,6 +47,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
+    if (matrix := report.conditioning.calibration) is not None:
+        yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
     if convention.q0_from != "given":
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if result.method_sensitivity_rad is not None:

@@ -1,7 +1,8 @@
-"""What is done to rates before they are propagated: bias, mounting, the part of the log.
+"""What is done to rates before they are propagated: calibration, mounting, the part of the log.
 
 Each step is a map over batches, so memory stays constant. The order is fixed: the bias is
-subtracted in sensor axes, then sensor axes are converted to body axes.
+subtracted in the axes of the raw rates, scale and misalignment are corrected, then sensor axes are
+converted to body axes.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.calibration import read_calibration
 from quatprop.conditioning.cells import cells_of
 from quatprop.conditioning.mounting import mounting
 from quatprop.conditioning.static_detection import SignalsBeside, find_rest
@@ -38,6 +40,9 @@ class Conditioning:
         Subtracted from every rate, x, y, z, in the unit of the source.
     static_ns
         Take the mean over the log's rest as the bias; shorter than this, ns, is no rest.
+    calibration
+        Path of a calibration, as :func:`quatprop.conditioning.calibration.read_calibration` reads
+        it. A bias given beside it takes the place of its own.
     mount
         Sensor axes to body axes, as :func:`mounting` reads it.
     rates
@@ -49,6 +54,7 @@ class Conditioning:
 
     bias: tuple[float, ...] | None = None
     static_ns: int | None = None
+    calibration: str | None = None
     mount: str | None = None
     rates: str = "body"
     start: Instant | None = None
@@ -71,20 +77,26 @@ class ConditioningReport:
         Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s.
     rest
         The rest from which the bias was taken.
+    calibration
+        What the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``.
     mount
         Matrix from sensor to body axes, shape ``(3, 3)``.
     start_ns, end_ns
         The part of the log that was used, ends included, ns.
     outside
         Samples left out before and after that part, so far.
+    remarks
+        What of the calibration is not applied.
     """
 
     bias_rad_s: NDArray[np.float64] | None
     rest: Rest | None
+    calibration: NDArray[np.float64] | None
     mount: NDArray[np.float64] | None
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
+    remarks: tuple[str, ...] = ()
 
 
 LOOK_AHEAD_CELL_NS = 1_000_000_000
@@ -96,6 +108,7 @@ def condition(
     settings: Conditioning,
     unit: float,
     beside: SignalsBeside | None = None,
+    topic: str = "",
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
     """Return the conditioned samples, and what is done to them.
 
@@ -109,6 +122,8 @@ def condition(
         rad/s in the unit of the bias.
     beside
         What was measured beside the rates, read only where rest is looked for; None for nothing.
+    topic
+        Of the rates: which IMU of a calibration of several.
 
     Returns
     -------
@@ -124,7 +139,12 @@ def condition(
         before it starts.
     """
     mount = None if settings.mount is None else mounting(settings.mount)
-    bias = None if settings.bias is None else np.array(settings.bias) * unit
+    calibration = None
+    if settings.calibration is not None:
+        calibration = read_calibration(settings.calibration, topic)
+    bias = None if calibration is None else calibration.bias_rad_s
+    if settings.bias is not None:
+        bias = np.array(settings.bias) * unit
     first_ns = last_ns = 0
     rest = None
     if settings.looks_ahead:
@@ -144,13 +164,16 @@ def condition(
             Setting("end"),
             "; swap them, or check units",
         )
-    report = ConditioningReport(bias, rest, mount, start_ns, end_ns, [0, 0])
+    matrix = None if calibration is None else calibration.matrix
+    remarks = (calibration.remark,) if calibration is not None and calibration.remark else ()
+    report = ConditioningReport(bias, rest, matrix, mount, start_ns, end_ns, [0, 0], remarks)
     batches = iter(read())
     if start_ns is not None or end_ns is not None:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    turned = mount if settings.rates == "body" else None
-    if bias is not None or turned is not None:
-        batches = conditioned(batches, bias=bias, mount=turned)
+    if mount is not None and settings.rates == "body":
+        matrix = mount if matrix is None else mount @ matrix
+    if bias is not None or matrix is not None:
+        batches = conditioned(batches, bias=bias, matrix=matrix)
     return batches, report
 
 
@@ -181,35 +204,35 @@ def conditioned(
     batches: Iterable[GyroSeries],
     *,
     bias: NDArray[np.float64] | None = None,
-    mount: NDArray[np.float64] | None = None,
+    matrix: NDArray[np.float64] | None = None,
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.
 
     Parameters
     ----------
     batches
-        Rates in sensor axes, rad/s.
+        Raw rates in sensor axes, rad/s.
     bias
         Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes.
-    mount
-        Matrix from sensor to body axes, shape ``(3, 3)``.
+    matrix
+        What the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting.
     """
     for batch in batches:
         rate = batch.rate
         if bias is not None:
             rate = rate - bias
-        if mount is not None:
-            rate = _in_body_axes(rate, mount)
+        if matrix is not None:
+            rate = _transformed(rate, matrix)
         yield batch.with_rate(rate)
 
 
-def _in_body_axes(rate: NDArray[np.float64], mount: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return ``rate @ mount.T``, each row rounded alike wherever it is in its batch.
+def _transformed(rate: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``rate @ matrix.T``, each row rounded alike wherever it is in its batch.
 
     How a matrix product rounds depends on the blocks and threads it is computed with.
     """
     x, y, z = rate.T
-    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in mount], axis=1)
+    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)
 
 
 def clipped(

@@ -87,7 +87,7 @@ class AttitudeStream:
         self._rows = 0
         beside = None if log is None else signals_beside(log, source, settings.selection)
         self._batches, self._conditioned = condition(
-            source.batches, settings.conditioning, UNITS[source.unit], beside
+            source.batches, settings.conditioning, UNITS[source.unit], beside, source.name
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
@@ -188,6 +188,7 @@ class AttitudeStream:
             *source.method_remarks(settings.method),
             *remarks(counts, settings.policy),
             *clipping_remarks(settings.conditioning, self._conditioned),
+            *self._conditioned.remarks,
             *self._checks.remarks(counts.median_dt_ns),
         ]
         if log is not None and self._path != "-":

@@ -101,7 +101,7 @@ class PropagationSettings:
     def inputs(self) -> list[str]:
         """Files that are read beside the log."""
         beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
-        return [path for path in (beside, self.at) if path]
+        return [path for path in (beside, self.at, self.conditioning.calibration) if path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
             bias=None if isinstance(bias, StaticBias) else bias,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
             rates=values.get("rates", "body"),
-            **{name: values.get(name) for name in ("mount", "start", "end")},
+            **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},
         ),
         **{
             name: values[name]
