@@ -8,11 +8,13 @@ READY_BENCH := $(VENV)/.ready-bench
 # Exact versions, so that the sample logs and the test results are the same on every machine.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test fuzz lint format bench sample-logs clean help
+.PHONY: demo test lowest dist fuzz lint format bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how close they come to the truth'
 	@echo 'make test         run the tests'
+	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
+	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
 	@echo 'make fuzz         read 10,000 damaged logs, by seed, and tell what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
@@ -39,6 +41,22 @@ demo: $(READY)
 test: $(READY)
 	$(BIN)/python -m pytest
 
+lowest:
+	$(PYTHON) -m venv --clear .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check uv
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct \
+		--editable '.[dev]'
+	.venv-lowest/bin/python -m pytest
+
+dist:
+	rm -rf dist build *.egg-info
+	$(PYTHON) -m venv --clear .venv-dist
+	.venv-dist/bin/python -m pip install --quiet --disable-pip-version-check build
+	.venv-dist/bin/python -m build --outdir dist .
+	mkdir dist/sdist
+	tar -xzf dist/*.tar.gz -C dist/sdist --strip-components 1
+	$(MAKE) -C dist/sdist test
+
 fuzz: $(READY)
 	$(BIN)/python tests/fuzz.py
 
@@ -58,4 +76,4 @@ sample-logs: $(READY)
 	$(BIN)/python sample_logs/generate.py
 
 clean:
-	rm -rf $(VENV) .demo .bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-lowest .venv-dist dist .demo .bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
