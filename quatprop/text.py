@@ -31,6 +31,8 @@ class Setting:
     value
         What it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
         where only the choice is mentioned.
+    side
+        Of which input, where a command has two: ``"a"`` or ``"b"``.
 
     Examples
     --------
@@ -40,6 +42,7 @@ class Setting:
 
     name: str
     value: str = ""
+    side: str = ""
 
     def __str__(self) -> str:
         if not self.value:

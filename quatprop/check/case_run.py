@@ -130,13 +130,14 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
             f"({result.first_exceeding.t_ns} ns)"
         )
     cause = result.likely_cause
+    causes = (cause, cause.also) if cause else ()
     others = [one for one in result.criteria if one.setting != "tol" and not one.passed]
     failures = [*filter(None, [failure]), *(criterion_text(one, result) for one in others)]
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure="; ".join(failures),
-        cause=f"{cause.sentence} ({cause.name})" if cause else "",
+        cause="; ".join(f"{one.sentence} ({one.name})" for one in causes if one),
         report=result.report(),
     )
 

@@ -24,6 +24,7 @@ LOOKUPS = {"at", "q0"}
 
 def option(setting: Setting, side: str = "") -> str:
     """Return a setting as an option, such as ``--clock log``, or ``--clock-b log`` for side b."""
+    side = setting.side or side
     name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
     if side and side not in LOOKUPS and setting.name not in ONCE:
         name += f"-{side}"

@@ -216,7 +216,7 @@ def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, 
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:
         return IDENTITY, MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
-    mount, excited = _kabsch(x, y)
+    mount, excited = kabsch(x, y)
     # Overlapping rotations repeat each other.
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
@@ -237,7 +237,7 @@ def _rms_angle(q: Float64) -> float:
     return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
 
 
-def _kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
+def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """Return the rotation m with y = m x m* in the least squares sense, and its excitation.
 
     The excitation is the singular values of the mean of y x^T, shape ``(3,)``. Noise in x and y

@@ -2,7 +2,8 @@
 
 The angular speed of a rigid body is the same in every frame, so it can be correlated before
 anything is aligned. Both series are sampled by slerp at regular times; a normalised
-cross-correlation over all lags gives the offset to a sample, least squares the rest.
+cross-correlation over all lags gives the offset roughly. The rotations over windows, with the
+bodies turned to agree, give it by least squares.
 """
 
 from __future__ import annotations
@@ -12,7 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.association import interpolate, interval_ns
+from quatprop.comparison.alignment import kabsch
+from quatprop.comparison.association import interpolate, interval_ns, shifted
+from quatprop.comparison.statistics import NS_PER_S
+from quatprop.comparison.trials import TimeOffset, time_offset
+from quatprop.comparison.windows import Angles, centred, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting, Text
@@ -30,8 +35,14 @@ MIN_POINTS = 16
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
 
-MAX_FITTED = 100_000
-"""Samples of the fit at most: with more, the clocks' own drift outweighs the noise."""
+MAX_FITS = 30
+"""Fits at most; each is closer to the offset."""
+
+SMOOTH_NS = 50_000_000
+"""Speeds are taken over this time at least: over shorter ones, noise looks like motion."""
+
+MIN_SMOOTH_POINTS = 200
+"""Unless fewer points than this would remain."""
 
 MIN_CORRELATION = 0.5
 """Below this the two motions are taken to be different."""
@@ -41,9 +52,6 @@ MAX_RUNNER_UP = 0.98
 
 MIN_VARIATION = 1e-6
 """Least relative spread of a varying speed; the rounding of constant spins is below it."""
-
-MAX_FITS = 20
-"""Fits at most; each is closer to the peak."""
 
 GIVE_OFFSET = Text("give the offset with ", Setting("time_offset", "DUR"))
 """What to do where no offset can be estimated."""
@@ -62,7 +70,7 @@ class ClockOffset:
     runner_up
         The next best correlation outside the peak: how easily it could be another offset.
     std_ns
-        Standard deviation of the offset, ns, if what does not correlate is white noise.
+        Standard deviation of the offset, ns, whatever the noise: from the spread over time.
     """
 
     ns: int
@@ -86,7 +94,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     References
     ----------
     Knapp and Carter, "The generalized correlation method for estimation of time delay", IEEE
-    Trans. ASSP 24(4), 1976. The variance is that of the least squares fit.
+    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.trials.time_offset`.
     """
     step = _step_ns(a, b)
     speed_a, speed_b = _speeds(a, step), _speeds(b, step)
@@ -113,12 +121,16 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
         )
     lag = peak - (len(speed_b) - 1)
     coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
-    return _refined(a, b, coarse, step, runner_up)
+    refined = _refined(a, b, coarse)
+    offset = coarse + round(refined.seconds * NS_PER_S)
+    std_ns = refined.std * NS_PER_S
+    return ClockOffset(offset, _correlation_at(a, b, offset, step), runner_up, std_ns)
 
 
 def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
     spans = [int(series.t_ns[-1]) - int(series.t_ns[0]) for series in (a, b)]
-    step = max(interval_ns(a), interval_ns(b), max(spans) // MAX_POINTS)
+    interval = max(interval_ns(a), interval_ns(b), max(spans) // MAX_POINTS)
+    step = max(interval, min(SMOOTH_NS, min(spans) // MIN_SMOOTH_POINTS))
     if min(spans) < MIN_POINTS * step:
         raise ComparisonError(
             f"a time offset can be estimated from {MIN_POINTS} intervals or more, and one of the "
@@ -189,39 +201,40 @@ def _runner_up(correlation: Float64, peak: int) -> float:
     return float(outside.max(initial=0.0))
 
 
-def _refined(
-    a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int, runner_up: float
-) -> ClockOffset:
-    """Return the offset at the top of the peak, by least squares, each round from the last one's.
+def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
+    """Return what is still to be added to an offset, from windows of the length that shows most."""
+    first, *_ = undone_misreadings(a, shifted(b, offset))
+    best: TimeOffset | None = None
+    for length, starts in window_grids(first.a.seconds, first.b.seconds):
+        found = _turned_and_moved(first, starts, length)
+        if best is None or found.white_std < best.white_std:
+            best = found
+    if best is None:
+        raise ComparisonError(
+            "A and B have too few windows of common motion to estimate a time offset; ", GIVE_OFFSET
+        )
+    return best
 
-    A's speed is fitted by B's, its slope and a constant; the share of the slope is what B has
-    still to be moved by.
-    """
+
+def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> TimeOffset:
+    """Find in turns how the bodies are turned to each other, and the offset, until it stays."""
+    found = TimeOffset(0.0, np.inf, np.inf)
+    y = centred(pair.a.over(starts, length))
     for _ in range(MAX_FITS):
-        speed_a, early, here, late = _speeds_at_offset(a, b, offset, step)
-        # Moved to a later time, B shows what it showed before.
-        slope = (early - late) / 2
-        design = np.stack([here - here.mean(), slope - slope.mean()], axis=1)
-        target = speed_a - speed_a.mean()
-        (share, slope_share), *_ = np.linalg.lstsq(design, target, rcond=None)
-        move = round(float(np.clip(-slope_share / share, -1, 1)) * step)
-        offset += move
-        if abs(move) <= 1:
+        before = found.seconds
+        turn, _ = kabsch(centred(pair.b.over(starts - before, length)), y)
+        turned = pair._replace(b=pair.b.turned(turn))
+        found = time_offset(turned, starts, length, None if before == 0 else before)
+        if abs(found.seconds - before) * NS_PER_S < 1:
             break
-    residual = target - design @ [share, slope_share]
-    correlation = float(np.corrcoef(speed_a, here)[0, 1])
-    variance = (residual**2).mean() / (share**2 * (design[:, 1] ** 2).sum())
-    return ClockOffset(offset, correlation, runner_up, step * float(np.sqrt(variance)))
+    return found
 
 
-def _speeds_at_offset(
-    a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int
-) -> tuple[Float64, Float64, Float64, Float64]:
-    """Return the speed of A, and those of B a step ahead of the same times, at them, behind."""
-    start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset + step)
-    stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset - step, start + MAX_FITTED * step)
-    speed_a = _angles(a, start, stop, step)
-    speed_b = _angles(b, start - offset - step, stop - offset + step, step)
-    points = min(len(speed_a), len(speed_b) - 2)
-    behind, here, ahead = (speed_b[shift : shift + points] for shift in range(3))
-    return speed_a[:points], ahead, here, behind
+def _correlation_at(a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int) -> float:
+    start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset)
+    stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset, start + MAX_POINTS * step)
+    speed_a, speed_b = (
+        _angles(a, start, stop, step),
+        _angles(b, start - offset, stop - offset, step),
+    )
+    return float(np.corrcoef(speed_a, speed_b)[0, 1])

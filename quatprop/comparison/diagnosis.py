@@ -1,28 +1,32 @@
 """The likely cause of an error.
 
-A hypothesis is reported only if less than a tenth of the error remains without its mistake; of
-several that do about equally well, the simplest, which is tried first.
+Mistakes in reading, propagating and timing are recognised by the rotations over short windows,
+which frames, biases and slow drift do not change. What remains is explained by the errors
+themselves: a reference frame, a bias or a drift is reported only if less than a tenth of the error
+remains without it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
-    frame_rotations,
     isolated_samples,
-    misreadings,
-    propagations,
+    rate_biases,
+    reference_frames,
     remaining_errors,
     steady_drifts,
-    time_offsets,
-    with_reference_aligned,
 )
-from quatprop.comparison.statistics import rms
+from quatprop.comparison.rule_trials import method_trials
+from quatprop.comparison.statistics import NS_PER_S, rms
+from quatprop.comparison.trials import trials
+from quatprop.comparison.window_trials import WindowTrials
+from quatprop.comparison.windows import undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
 from quatprop.text import Text
@@ -38,10 +42,10 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 FACTOR = 10.0
-"""Without its likely cause, at most the error over this remains."""
+"""Without a cause found in the errors themselves, at most the error over this remains."""
 
 AS_GOOD = 3.0
-"""Hypotheses within this factor of the best are as good: the simplest is reported."""
+"""Such causes within this factor of the best are as good: the simplest is reported."""
 
 NO_ERROR = 1e-9
 """RMS error, rad, that needs no explanation."""
@@ -51,6 +55,12 @@ MAX_SAMPLES = 100_000
 
 MIN_PAIRS = 10
 """Fewer pairs can be explained by almost anything."""
+
+MAX_REMAINING_METHOD = 0.02
+"""The same for integration rules: from the same samples, all that remains is rounding."""
+
+GROSS = 0.5
+"""A mistake that leaves less than this comes before causes found in the errors themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,21 +76,28 @@ class Cause:
     rms_before, rms_after
         RMS error without and with the explanation, rad.
     remedy
-        The setting that takes the error out of the comparison, where one does.
+        The setting that takes the error out of the comparison, or with which to read or propagate.
+    window_ns
+        Where the cause was found in rotations over windows, their length, ns: the RMS errors are
+        those of the rotations, less a constant rate. None: they are those of the attitudes.
+    also
+        A second cause, of which the first hides the effect.
     """
 
     name: str
     sentence: str
     rms_before: float
     rms_after: float
-    remedy: Setting | None = None
+    remedy: Setting | Text | None = None
+    window_ns: int | None = None
+    also: Cause | None = None
 
     @property
     def advice(self) -> Text:
         """The sentence with the remedy; not for a regression, which the remedy would hide."""
-        if self.remedy is None:
-            return Text(self.sentence)
-        return Text(self.sentence, "; ", self.remedy, " takes it out")
+        return (
+            Text(self.sentence) if self.remedy is None else Text(self.sentence, "; ", self.remedy)
+        )
 
 
 def likely_cause(
@@ -111,6 +128,63 @@ def likely_cause(
         if rms(outliers.remaining) <= rms(error) / FACTOR:
             return Cause(outliers.name, outliers.sentence, rms(error), rms(outliers.remaining))
     a, b = (_first_samples(series) for series in _from_common_start(a, b))
+    if len(a) < MIN_PAIRS or len(b) < MIN_PAIRS:
+        return None
+    mistake = _cause_over_windows(a, b, turned=alignment != "mount")
+    if mistake and mistake.rms_after <= GROSS * mistake.rms_before:
+        return mistake
+    main = _cause_of_errors(a, b, match, alignment)
+    return replace(main, also=mistake) if main else mistake
+
+
+def _cause_over_windows(a: AttitudeSeries, b: AttitudeSeries, *, turned: bool) -> Cause | None:
+    """Return the mistake that the rotations over windows show."""
+    if cause := _method_cause(a, b):
+        return cause
+    angles = list(undone_misreadings(a, b))
+    lengths = [
+        WindowTrials(length, starts, angles[0], list(trials(angles, starts, length)))
+        for length, starts in window_grids(angles[0].a.seconds, angles[0].b.seconds)
+    ]
+    if not lengths:
+        return None
+    clearest = min(lengths, key=lambda windows: windows.unexplained)
+    intervals = [float(np.median(np.diff(series.t_ns))) / NS_PER_S for series in (a, b)]
+    found = clearest.found(min(intervals), turned=turned)
+    if found is None:
+        # A time offset stands out most clearly elsewhere: it matters more the faster rates change.
+        clearest = min(lengths, key=lambda windows: windows.offset_std)
+        found = clearest.found(min(intervals), turned=turned, only="time offset")
+    if found is None:
+        return None
+    trial, alternatives = found
+    name, sentence, remedy = described(trial, alternatives, intervals)
+    window_ns = round(clearest.length * NS_PER_S)
+    return Cause(name, sentence, clearest.before.rms, trial.rms, remedy, window_ns)
+
+
+def _method_cause(a: AttitudeSeries, b: AttitudeSeries) -> Cause | None:
+    """Return the integration rules that turn A into B to rounding, if some do."""
+    tried = list(method_trials(a, b))
+    if not tried or tried[0].rms <= NO_ERROR:
+        return None
+    before, *tried = tried
+    # Rates that grow without bound where a rule cannot have led to the series are no candidates.
+    best = min(tried, key=lambda trial: trial.rms if np.isfinite(trial.rms) else np.inf)
+    if not best.rms <= MAX_REMAINING_METHOD * before.rms:
+        return None
+    interval = float(np.median(np.diff(a.t_ns)))
+    name, sentence, remedy = described(best, [], [interval / NS_PER_S] * 2)
+    return Cause(name, sentence, before.rms, best.rms, remedy, round(interval))
+
+
+def _cause_of_errors(
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    match: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
+    alignment: str,
+) -> Cause | None:
+    """Return what explains nearly all of the errors: a frame, a bias or a drift."""
     try:
         pairs = match(a, b)
     except ComparisonError:
@@ -119,12 +193,9 @@ def likely_cause(
     if len(pairs) < MIN_PAIRS or now is None or (before := rms(now)) <= NO_ERROR:
         return None
     hypotheses = [
-        *misreadings(pairs, alignment),
-        *frame_rotations(pairs, alignment),
-        *propagations(pairs, alignment),
-        *time_offsets(a, b, alignment, match),
+        *reference_frames(pairs, alignment),
+        *rate_biases(pairs, alignment),
         *steady_drifts(pairs, alignment),
-        *with_reference_aligned(pairs, alignment),
     ]
     after = [rms(hypothesis.remaining) for hypothesis in hypotheses]
     best = min(after, default=before)
@@ -133,7 +204,8 @@ def likely_cause(
     limit = min(max(AS_GOOD * best, EXACT), before / FACTOR)
     chosen = next(place for place, remaining in enumerate(after) if remaining <= limit)
     cause = hypotheses[chosen]
-    return Cause(cause.name, cause.sentence, before, after[chosen], cause.remedy)
+    remedy = cause.remedy and Text(cause.remedy, " takes it out")
+    return Cause(cause.name, cause.sentence, before, after[chosen], remedy)
 
 
 def _from_common_start(

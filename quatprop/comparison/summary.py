@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison.alignment import Alignment, MountingFit
     from quatprop.comparison.criteria import Criterion
+    from quatprop.comparison.diagnosis import Cause
     from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
     from quatprop.comparison.statistics import WindowStatistics
     from quatprop.rendering import Row, Spell
@@ -49,9 +50,9 @@ def comparison_rows(
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
-        yield "cause", f"likely ({cause.name}): {spell(cause.advice)}"
-        rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
-        yield "", f"without it the RMS error goes from {rms}"
+        for each in filter(None, (cause, cause.also)):
+            yield "cause", f"likely ({each.name}): {spell(each.advice)}"
+            yield "", _evidence(each)
     yield from _remarks("A", a, spell)
     yield from _remarks("B", b, spell)
     for remark in comparison.remarks:
@@ -162,6 +163,17 @@ def _sample(sample: ComparedSample, first_ns: int) -> str:
     return (
         f"sample {sample.index} of {sample.at}, {sample.t_ns} ns, {since} after the first: "
         f"{angle_text(sample.error_rad)}"
+    )
+
+
+def _evidence(cause: Cause) -> str:
+    if cause.window_ns is None:
+        rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
+        return f"without it the RMS error goes from {rms}"
+    before, after = (degrees_text(rms, 3) for rms in (cause.rms_before, cause.rms_after))
+    return (
+        f"rotations over {duration_text(cause.window_ns)} differ by {before} RMS, and without it "
+        f"by {after}"
     )
 
 

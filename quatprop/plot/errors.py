@@ -178,7 +178,8 @@ def _warnings(
             if not criterion.passed and criterion.setting != "tol":
                 yield f"{name}: {criterion_text(criterion, comparison)}"
         if cause := comparison.likely_cause:
-            yield f"{name}: likely cause ({cause.name}): {spell(cause.advice)}"
+            for each in filter(None, (cause, cause.also)):
+                yield f"{name}: likely cause ({each.name}): {spell(each.advice)}"
         yield from (f"{name}: {spell(remark)}" for remark in comparison.remarks)
         yield from _operand_warnings(operand, spell)
     yield from _operand_warnings(reference, spell)

@@ -1,0 +1,196 @@
+"""What the mistakes found in rotations over windows mean, and how to settle them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.trials import MethodPair, RateRatio, TimeOffset
+from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
+from quatprop.rendering import degrees_text
+from quatprop.text import Setting, Text
+from quatprop.times import NS_PER_S, duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from quatprop.comparison.trials import Trial
+
+_CONJUGATE = (
+    "B is the conjugate of A: the direction (reference to body) or the JPL convention of one of "
+    "them was not taken into account"
+)
+_LAST = "B is scalar-last and was read as scalar-first, or A the other way round"
+_FIRST = "B is scalar-first and was read as scalar-last, or A the other way round"
+
+MISREADINGS = {
+    "conjugate": _CONJUGATE,
+    "layout": _LAST,
+    "layout-first": _FIRST,
+    "layout and conjugate": f"{_LAST}; also, {_CONJUGATE}",
+    "layout-first and conjugate": f"{_FIRST}; also, {_CONJUGATE}",
+}
+"""Name of a misreading -> what it means."""
+
+ALTERNATIVES = {
+    "conjugate": "a wrong direction or JPL convention",
+    "layout": "a wrong layout",
+    "layout-first": "a wrong layout",
+    "layout and conjugate": "a wrong layout with a wrong direction or JPL convention",
+    "layout-first and conjugate": "a wrong layout with a wrong direction or JPL convention",
+    "side": "body rates taken for inertial rates",
+    "rate sign": "rates of the opposite sign",
+    "axes": "swapped or reversed axes",
+}
+"""Name of a mistake -> what else the windows may show."""
+
+RATE_SIGN = (
+    "the rates of A and B have opposite signs; or one of them is the conjugate of what inertial "
+    "rates taken for body rates give"
+)
+
+SCALES = {
+    2.0: "a factor 1/2 is missing in one of them",
+    180 / np.pi: "one of them took degrees for radians",
+}
+"""Ratio of rates -> the mistake that gives it."""
+
+SCALE_TOLERANCE = 0.03
+"""Relative difference from such a ratio; gyroscopes are not calibrated much better."""
+
+NEAR_INTERVAL = 0.15
+"""Difference from half or one interval, as a share of it, that is still that offset."""
+
+
+def described(
+    trial: Trial, alternatives: Sequence[str], intervals: Sequence[float]
+) -> tuple[str, str, Setting | Text | None]:
+    """Return the name of a cause, a sentence, and what settles it.
+
+    Parameters
+    ----------
+    trial
+        The mistake.
+    alternatives
+        Names of mistakes that explain the windows equally well.
+    intervals
+        Median intervals of A and B, s.
+    """
+    sentence, remedy = _told(trial, intervals)
+    if alternatives:
+        others = " or ".join(dict.fromkeys(ALTERNATIVES[name] for name in alternatives))
+        sentence += f"; this motion does not distinguish it from {others}"
+    return trial.name, sentence, remedy
+
+
+def _told(trial: Trial, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
+    match trial.value:
+        case TimeOffset():
+            return _offset(trial.value, intervals)
+        case RateRatio(value):
+            return f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
+        case MethodPair():
+            return _methods(trial.value, intervals[0])
+        case np.ndarray() if trial.name == "axes":
+            return _axes(trial.value)
+        case np.ndarray():
+            turn = float(geodesic_angle(IDENTITY, trial.value))
+            sentence = f"the body frames differ by {degrees_text(turn)}"
+            return sentence, Text(Setting("align", "mount"), " takes it out")
+        case _:
+            return _misreading(trial)
+
+
+def _misreading(trial: Trial) -> tuple[str, Text | None]:
+    if trial.name == "rate sign":
+        return RATE_SIGN, None
+    if trial.name != "side":
+        return MISREADINGS[trial.name], _reading(trial)
+    which, other = ("A", "B") if trial.side == "a" else ("B", "A")
+    sentence = (
+        f"{which} multiplies on the left what {other} multiplies on the right: body rates against "
+        "inertial rates"
+    )
+    return sentence, Text("propagate with ", Setting("rates", "body|inertial"))
+
+
+_UNITS = Text("see ", Setting("rate_unit", "rad/s|deg/s"), " where the rates are read")
+
+
+def _reading(trial: Trial) -> Text:
+    side = trial.side
+    direction = Text(
+        Setting("from_direction", "ref-to-body", side),
+        " or ",
+        Setting("from_convention", "jpl", side),
+    )
+    # Where B is scalar-last, or A scalar-first.
+    last = trial.name.startswith("layout-first") == (side == "a")
+    layout = Setting("from_layout", "scalar-last" if last else "scalar-first", side)
+    if not trial.name.startswith("layout"):
+        return Text("if it is ", side.upper(), ", read it with ", direction)
+    also = Text(" and ", direction) if trial.name.endswith("conjugate") else ""
+    return Text("if it is ", side.upper(), ", read it with ", layout, also)
+
+
+def _offset(offset: TimeOffset, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
+    late = "late" if offset.seconds < 0 else "early"
+    amount, std = (round(value * NS_PER_S) for value in (abs(offset.seconds), offset.std))
+    sentence = f"B is {_rounded(amount, std)} {late}"
+    remedy = Text(Setting("time_offset", "auto"), " takes it out")
+    for name, interval in zip("AB", intervals, strict=True):
+        for share, text in ((0.5, "half an interval"), (1.0, "an interval")):
+            if abs(abs(offset.seconds) / interval - share) < NEAR_INTERVAL:
+                sentence += f", which is {text} of {name}: another integration rule does the same"
+                return sentence, Text(remedy, ", if it is not the ", Setting("method"))
+    return sentence, remedy
+
+
+def _rounded(amount_ns: int, std_ns: int) -> str:
+    """Return a duration with its uncertainty, to two digits of that."""
+    if not std_ns or std_ns * 1_000_000 < amount_ns:
+        return duration_text(amount_ns)
+    digits = max(len(str(std_ns)) - 2, 0)
+    amount, std = (duration_text(round(value, -digits)) for value in (amount_ns, std_ns))
+    return f"{amount} +- {std}"
+
+
+def _methods(methods: MethodPair, interval: float) -> tuple[str, Text]:
+    sentence = f"A follows from B's rates with method {methods.a}, and B with method {methods.b}"
+    if {methods.a, methods.b} == {"start", "end"}:
+        amount = duration_text(round(interval * NS_PER_S))
+        sentence += f", or their timestamps are one interval, {amount}, apart"
+    return sentence, Text("propagate A with ", Setting("method", methods.b))
+
+
+def _axes(matrix: NDArray[np.float64]) -> tuple[str, Text]:
+    """Describe y = M x, x in B's axes and y in A's."""
+    sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
+    if np.linalg.det(matrix) > 0:
+        mounting = Setting("mount", _signed(matrix.T).replace(" ", ""))
+        return sentence, Text(
+            "propagate A with ", mounting, ", or ", Setting("align", "mount"), " takes it out"
+        )
+    return (
+        f"{sentence}, which is left-handed: an axis is reversed, or two are swapped",
+        Text("see the order and the signs of the rates that were propagated"),
+    )
+
+
+def _signed(matrix: NDArray[np.float64]) -> str:
+    names = []
+    for row in matrix:
+        place = int(np.argmax(np.abs(row)))
+        names.append(("-" if row[place] < 0 else "") + "xyz"[place])
+    return ", ".join(names)
+
+
+def _scale_meaning(scale: float) -> str:
+    ratio = max(scale, 1 / scale)
+    for named, meaning in SCALES.items():
+        if abs(ratio / named - 1) < SCALE_TOLERANCE:
+            return f": {meaning}"
+    return ""

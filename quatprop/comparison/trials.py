@@ -1,0 +1,237 @@
+"""Mistakes that rotations over windows show: each is undone, and what remains is compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.alignment import kabsch
+from quatprop.comparison.statistics import NS_PER_S
+from quatprop.comparison.windows import PER_WINDOW, centred
+from quatprop.kinematics.quaternion import rotate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from quatprop.comparison.windows import Angles, BodyAngle
+
+    Float64 = NDArray[np.float64]
+    Int64 = NDArray[np.int64]
+
+SIGNED_AXES = sorted(
+    (
+        np.diag(signs) @ np.eye(3)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+        if (order, signs) not in (((0, 1, 2), (1.0,) * 3), ((0, 1, 2), (-1.0,) * 3))
+    ),
+    key=lambda matrix: -np.trace(matrix),
+)
+"""Matrices of all orders and signs of axes, those with the fewest changes first; without those
+that change nothing, and reverse everything."""
+
+SAME_FIT = 1e-3
+"""Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
+
+MAX_OFFSET_S = 0.5
+"""Time offsets are tried up to this; what is larger cannot be told from another motion, s."""
+
+GRID_WINDOWS = 2000
+"""Windows with which the first time offset is found."""
+
+MAX_ROUNDS = 20
+"""Rounds of least squares at most; each is closer to the best time offset."""
+
+MIN_BLOCKS = 10
+"""Blocks of windows at least, from whose spread an uncertainty is estimated."""
+
+BLOCK_S = 2.0
+"""Length of such a block, s: errors further apart are taken to be independent."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOffset:
+    """An offset of B's clock.
+
+    Parameters
+    ----------
+    seconds
+        Positive where B has to be moved to a later time, s.
+    std
+        Its standard deviation, s.
+    white_std
+        What that would be if differences over windows that do not overlap were independent: by
+        this, the length of windows is chosen, since choosing by `std` would favour low ones.
+    """
+
+    seconds: float
+    std: float
+    white_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class RateRatio:
+    """A's rates over B's, and between what noise in either can place it."""
+
+    value: float
+    least: float
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class MethodPair:
+    """The integration rules of A and B."""
+
+    a: str
+    b: str
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What remains of the differences between A and B over windows when a mistake is undone.
+
+    Parameters
+    ----------
+    name
+        The mistake; empty where nothing was undone.
+    remaining
+        Remaining differences, shape ``(M, 3)``, rad.
+    side
+        In which series it was undone, ``"a"`` or ``"b"``, where that is known.
+    value
+        What was estimated: an offset, a ratio, a matrix or a quaternion.
+    """
+
+    name: str
+    remaining: Float64
+    side: str = ""
+    value: TimeOffset | RateRatio | MethodPair | Float64 | None = None
+
+    @property
+    def rms(self) -> float:
+        """RMS of the remaining differences, rad."""
+        return size(self.remaining)
+
+
+def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator[Trial]:
+    """Undo one mistake after the other.
+
+    Parameters
+    ----------
+    angles
+        Of :func:`quatprop.comparison.windows.undone_misreadings`.
+    starts, length
+        The windows, s.
+    """
+    for pair in angles:
+        y, x = pair.over(starts, length)
+        yield Trial(pair.name, y - x, pair.side)
+    y, x = angles[0].over(starts, length)
+    common = y.T @ x
+    for handed in (1.0, -1.0):
+        matrix = _closest_axes(common, handed)
+        yield Trial("axes", y - x @ matrix.T, value=matrix)
+    shared, power_x, power_y = (float(np.trace(m)) for m in (common, x.T @ x, y.T @ y))
+    if shared > 0:
+        # Noise in B lowers the slope of A over B, and noise in A raises the inverse of the other.
+        ratio = np.sqrt(power_y / power_x)
+        limits = RateRatio(ratio, shared / power_x, power_y / shared)
+        yield Trial("scale", (y - ratio * x) / min(ratio, 1.0), value=limits)
+    turn, _ = kabsch(x, y)
+    yield Trial("body frame", y - rotate(turn, x), value=turn)
+    yield offset_trial(angles[0], starts, length)
+
+
+def _closest_axes(common: Float64, handed: float) -> Float64:
+    """Return the order and signs of axes that fit best, of the two hands that is asked for."""
+    kept = [matrix for matrix in SIGNED_AXES if np.linalg.det(matrix) * handed > 0]
+    fits = np.array([float((matrix * common).sum()) for matrix in kept])
+    return kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
+
+
+def offset_trial(pair: Angles, starts: Float64, length: float) -> Trial:
+    """Move B by the offset at which it turns as A does."""
+    offset = time_offset(pair, starts, length)
+    moved = centred(pair.b.over(starts - offset.seconds, length))
+    return Trial("time offset", centred(pair.a.over(starts, length)) - moved, value=offset)
+
+
+def time_offset(
+    pair: Angles, starts: Float64, length: float, begin: float | None = None
+) -> TimeOffset:
+    """Find the offset of B's clock at which B turns as A does: least squares over windows.
+
+    What B changes by with the offset is multiplied by what A changes by: noise in B alone would
+    look like motion, and the offset more certain than it is. The standard deviation is found by
+    leaving out blocks of windows, so it holds for noise of any colour.
+
+    Parameters
+    ----------
+    pair, starts, length
+        The body angles and the windows.
+    begin
+        Where to begin, s; None: at the best of a grid.
+
+    References
+    ----------
+    Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
+    """
+    offset = _on_grid(pair, starts, length) if begin is None else begin
+    step = length / 8
+    y, slope_a = centred(pair.a.over(starts, length)), _slope(pair.a, starts, length, step)
+    for _ in range(MAX_ROUNDS):
+        error = y - centred(pair.b.over(starts - offset, length))
+        slope = _slope(pair.b, starts - offset, length, step)
+        power = float((slope_a * slope).sum())
+        if power <= 0:
+            return TimeOffset(offset, np.inf, np.inf)
+        move = float((slope * error).sum()) / power
+        offset += float(np.clip(move, -step, step))
+        if abs(move) * NS_PER_S < 1:
+            break
+    std = _left_out((slope * error).sum(axis=1), (slope_a * slope).sum(axis=1), starts, length)
+    white_std = float(np.sqrt((error**2).mean() * PER_WINDOW / power))
+    return TimeOffset(offset, std, white_std)
+
+
+def _left_out(score: Float64, power: Float64, starts: Float64, length: float) -> float:
+    """Return how much an estimate changes when one block of windows after the other is left out."""
+    block = _blocks(starts, length)
+    moved = np.bincount(block, score)
+    rest = power.sum() - np.bincount(block, power)
+    if (rest <= 0).any():
+        return np.inf
+    return float(np.sqrt(((moved / rest) ** 2).sum()))
+
+
+def _on_grid(pair: Angles, starts: Float64, length: float) -> float:
+    few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
+    free = float(few[0] - max(pair.a.seconds[0], pair.b.seconds[0]))
+    reach = min(MAX_OFFSET_S, free)
+    y = centred(pair.a.over(few, length))
+    grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 8))) + 1)
+    remaining = [((y - centred(pair.b.over(few - at, length))) ** 2).sum() for at in grid]
+    return float(grid[int(np.argmin(remaining))])
+
+
+def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Float64:
+    """Return how angles over windows change when the series is moved to a later time."""
+    later, earlier = angle.over(starts + step, length), angle.over(starts - step, length)
+    return centred((earlier - later) / (2 * step))
+
+
+def size(values: Float64) -> float:
+    """Return the RMS length of vectors."""
+    return float(np.sqrt((values**2).sum(axis=1).mean()))
+
+
+def _blocks(starts: Float64, length: float) -> NDArray[np.intp]:
+    """Return the block of each window; windows of blocks that are not neighbours do not overlap."""
+    span = float(starts[-1] - starts[0])
+    block = max(length, min(BLOCK_S, span / MIN_BLOCKS))
+    return np.asarray(((starts - starts[0]) // block).astype(np.intp))

@@ -1,0 +1,179 @@
+"""Mistakes put into recordings are named; where there is none, or none can be seen, none is."""
+
+import warnings
+
+import numpy as np
+import pytest
+from mistakes import Recording, changed, delayed, mistakes, named_causes, verdict
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.cli.spelling import spelled
+from quatprop.kinematics.quaternion import conjugate, exp, multiply
+
+SECONDS = np.arange(0, 60, 0.01)
+T_NS = (SECONDS * 1e9).round().astype(np.int64)
+
+
+def rates(seconds):
+    """Return body rates of a tumbling body, rad/s."""
+    phases = seconds[:, None] * [1.3, 2.1, 0.7] + [0.0, 1.0, 2.0]
+    return np.sin(phases) + 0.4 * np.sin(3.3 * phases + 1)
+
+
+@pytest.fixture(scope="module", params=["xio3", "xsens-txt", "euroc"])
+def recording(request, shared_logs):
+    """Return a recording with a reference."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        return Recording(shared_logs, request.param)
+
+
+def test_mistakes_put_into_recordings_are_named(recording):
+    """Every mistake gets its name, and the recording as it is gets none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        found = {
+            name: (wanted, {cause.name for cause in named_causes(a, b)})
+            for name, wanted, a, b in mistakes(recording)
+        }
+    missed = {name: case for name, case in found.items() if verdict(*case) != "right"}
+    assert (len(found), missed) == (26, {})
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """Return attitudes of rates with noise and a bias of 1 deg/s, and true ones with noise."""
+    rng = np.random.default_rng(5)
+    measured = rates(SECONDS) + 0.02 * rng.normal(size=(len(SECONDS), 3)) + np.radians([1, -1, 1])
+    a = quatprop.propagate(GyroSeries(T_NS, measured), method="mean")
+    truth = quatprop.propagate(GyroSeries(T_NS, rates(SECONDS)), method="cubic")
+    noise = exp(np.radians(0.2) * rng.normal(size=(len(SECONDS), 3)))
+    return AttitudeSeries(T_NS, a.wxyz), AttitudeSeries(T_NS, multiply(truth.wxyz, noise))
+
+
+def test_a_bias_does_not_hide_a_conjugate(noisy):
+    """The evidence is the windows with and without it, and the options are those of B."""
+    a, b = noisy
+    cause = quatprop.compare(a, changed(b, conjugate)).likely_cause
+    assert cause.name == "conjugate"
+    assert "direction (reference to body) or the JPL convention" in cause.sentence
+    assert cause.window_ns in {100_000_000, 200_000_000, 500_000_000, 1_000_000_000, 2_000_000_000}
+    assert cause.rms_before > 20 * cause.rms_after
+    assert spelled(cause.advice).endswith(
+        "read it with --from-direction-b ref-to-body or --from-convention-b jpl"
+    )
+    assert cause.advice.endswith(
+        "read it with from_direction='ref-to-body' or from_convention='jpl'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("order", "name", "option"),
+    [
+        ([1, 2, 3, 0], "layout", "--from-layout-b scalar-last"),
+        ([3, 0, 1, 2], "layout-first", "--from-layout-b scalar-first"),
+    ],
+)
+def test_the_option_of_a_layout_is_offered(noisy, order, name, option):
+    """The layout that B was written in is the one to read it with."""
+    a, b = noisy
+    cause = quatprop.compare(a, changed(b, lambda q: q[:, order])).likely_cause
+    assert cause.name == name
+    assert spelled(cause.advice).endswith(f"if it is B, read it with {option}")
+
+
+def test_a_mounting_is_described_as_the_option_takes_it():
+    """Propagated with the mounting that is offered, A agrees with B."""
+    b = quatprop.propagate(GyroSeries(T_NS, rates(SECONDS)))
+    a = quatprop.propagate(GyroSeries(T_NS, rates(SECONDS)[:, [1, 0, 2]] * [1, -1, 1]))
+    cause = quatprop.compare(a, b).likely_cause
+    assert cause.name == "axes"
+    assert cause.sentence == "the body axes x, y, z of A are y, -x, z of B"
+    offered = cause.remedy.split("mount='")[1].split("'")[0]
+    again = quatprop.propagate(
+        GyroSeries(T_NS, rates(SECONDS)[:, [1, 0, 2]] * [1, -1, 1]), mount=offered
+    )
+    assert quatprop.compare(again, b).error_rad.max < 1e-12
+
+
+def test_another_method_is_no_mounting():
+    """What a changed method does is named, exactly, even where a rotation would help."""
+    series = GyroSeries(T_NS, rates(SECONDS))
+    a, b = (quatprop.propagate(series, method=method) for method in ("start", "coning"))
+    cause = quatprop.compare(a, b, tol="1e-9rad").likely_cause
+    assert cause.name == "method"
+    assert cause.sentence == "A follows from B's rates with method start, and B with method coning"
+    assert cause.rms_after < 1e-12
+    assert cause.rms_before > 1e-5
+    assert spelled(cause.remedy) == "propagate A with --method coning"
+
+
+def test_one_interval_may_be_the_method_or_the_clock():
+    """Between start and end lies one interval, so both are said."""
+    series = GyroSeries(T_NS, rates(SECONDS))
+    a, b = (quatprop.propagate(series, method=method) for method in ("start", "end"))
+    assert quatprop.compare(a, b).likely_cause.sentence == (
+        "A follows from B's rates with method start, and B with method end, or their timestamps "
+        "are one interval, 10 ms, apart"
+    )
+
+
+def test_half_an_interval_may_be_the_method_or_the_clock(noisy):
+    """Against an independent reference both are said, with the offset and its uncertainty."""
+    a, b = noisy
+    cause = quatprop.compare(a, AttitudeSeries(T_NS + 5_000_000, b.wxyz)).likely_cause
+    late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
+    assert late.sentence.startswith("B is ")
+    assert late.sentence.endswith(
+        " late, which is half an interval of A: another integration rule does the same"
+    )
+
+
+def test_motion_about_one_axis_leaves_alternatives():
+    """About one axis, a conjugate, reversed axes and opposite rates are the same: all are said."""
+    rate = rates(SECONDS) * [0, 0, 1]
+    a = quatprop.propagate(GyroSeries(T_NS, rate))
+    cause = quatprop.compare(a, changed(a, conjugate)).likely_cause
+    assert cause.name == "conjugate"
+    assert cause.sentence.endswith(
+        "; this motion does not distinguish it from swapped or reversed axes or rates of the "
+        "opposite sign"
+    )
+
+
+def test_two_causes_are_both_named(noisy):
+    """A large bias explains the error, and the delay beside it is found in the windows."""
+    a, b = noisy
+    late = delayed(b, 30)
+    cause = quatprop.compare(a, late, align="mean").likely_cause
+    assert {cause.name, cause.also.name if cause.also else ""} >= {"time offset"}
+
+
+def test_independent_motions_have_no_cause():
+    """Two motions that have nothing to do with each other are not explained by anything."""
+    rng = np.random.default_rng(2)
+    a, b = (
+        quatprop.propagate(GyroSeries(T_NS, np.cumsum(rng.normal(size=(6000, 3)), axis=0) * 0.02))
+        for _ in range(2)
+    )
+    assert quatprop.compare(a, b, align="mean").likely_cause is None
+
+
+def test_the_uncertainty_of_an_offset_is_honest():
+    """Over many noisy series the errors are as large as their standard deviations say."""
+    true_ns, squares = 12_300_000, []
+    t_ns = T_NS[:3000]
+    truth = quatprop.propagate(GyroSeries(t_ns, rates(SECONDS[:3000])), method="cubic").wxyz
+    turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_quat(scalar_first=True)
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        measured = rates(SECONDS[:3000]) + 0.03 * rng.normal(size=(3000, 3)) + 0.01
+        a = quatprop.propagate(GyroSeries(t_ns, measured), method="mean")
+        noise = exp(np.radians(0.5) * rng.normal(size=(3000, 3)))
+        b = AttitudeSeries(t_ns + true_ns, multiply(multiply(truth, noise), turn))
+        offset = quatprop.compare(a, b, time_offset="auto", tol=10.0).time_offset
+        squares.append(((offset.added_to_b_ns + true_ns) / offset.found.std_ns) ** 2)
+    # chi-squared of 12 degrees of freedom: 99 % between 3.1 and 28.3
+    assert 3.1 < np.sum(squares) < 28.3
