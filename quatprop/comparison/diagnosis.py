@@ -16,9 +16,9 @@ import numpy as np
 from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
+    constant_rotations,
     isolated_samples,
     rate_biases,
-    reference_frames,
     remaining_errors,
     steady_drifts,
 )
@@ -193,7 +193,7 @@ def _cause_of_errors(
     if len(pairs) < MIN_PAIRS or now is None or (before := rms(now)) <= NO_ERROR:
         return None
     hypotheses = [
-        *reference_frames(pairs, alignment),
+        *constant_rotations(pairs, alignment),
         *rate_biases(pairs, alignment),
         *steady_drifts(pairs, alignment),
     ]

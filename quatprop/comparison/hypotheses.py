@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.alignment import align
+from quatprop.comparison.alignment import align, mean_rotation
 from quatprop.comparison.statistics import NS_PER_S, S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting
 
@@ -65,8 +65,8 @@ def remaining_errors(pairs: Pairs, alignment: str, b: Float64) -> Float64 | None
         return None
 
 
-def reference_frames(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
-    """Try reference frames that differ by a constant rotation."""
+def constant_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+    """Try frames that differ by a constant rotation."""
     if alignment in ("none", "first"):
         mean = align("mean", pairs.a, pairs.b)
         yield Hypothesis(
@@ -74,6 +74,15 @@ def reference_frames(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
             f"the reference frames differ by {degrees_text(mean.reference_rad)}",
             geodesic_angle(pairs.a, mean.apply(pairs.b)),
             Setting("align", "mean"),
+        )
+    if alignment != "mount":
+        body = mean_rotation(multiply(conjugate(pairs.b), pairs.a))
+        angle = float(geodesic_angle(IDENTITY, body))
+        yield Hypothesis(
+            "body frame",
+            f"the body frames differ by {degrees_text(angle)}",
+            geodesic_angle(pairs.a, multiply(pairs.b, body)),
+            Setting("align", "mount"),
         )
 
 
