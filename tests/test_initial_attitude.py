@@ -11,8 +11,9 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
+from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
-from quatprop.pipeline.initial_attitude import level
+from quatprop.pipeline.initial_attitude import InitialAttitude, level
 
 G = 9.80665
 COLUMNS = "t_ns,wx,wy,wz,accel_x,accel_y,accel_z\n"
@@ -51,6 +52,14 @@ def resting(tmp_path):
 def first_row(path):
     """Return the first attitude of a CSV, wxyz."""
     return [float(q) for q in path.read_text().splitlines()[1].split(",")[1:]]
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_length_that_rounding_to_three_decimals_explains_is_taken(sign):
+    """A thousandth more or less than 1; beyond that it is no attitude."""
+    assert InitialAttitude(wxyz=(0.0, 1 + sign * 0.00099, 0.0, 0.0)).wxyz[1] != 1
+    with pytest.raises(UsageError, match=r" has the length (0\.99899|1\.00101), so it is not an "):
+        InitialAttitude(wxyz=(0.0, 0.0, 0.0, 1 + sign * 0.00101))
 
 
 def test_level_from_a_table(resting):

@@ -85,6 +85,12 @@ def test_conjugate_is_inverse(rotvec):
     assert close(multiply(q, conjugate(q)), np.broadcast_to(IDENTITY, q.shape))
 
 
+def test_the_identity_cannot_be_changed():
+    """It is shared by all that begin with it."""
+    with pytest.raises(ValueError, match="read-only"):
+        IDENTITY[0] = 2
+
+
 def test_conjugate_reverses_products():
     """(p q)* = q* p*."""
     p, q = some_quaternions(1), some_quaternions(2)

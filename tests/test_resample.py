@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from streams import propagated
 
+from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
@@ -105,6 +106,30 @@ def test_steady_times_do_not_drift():
     expected = [5 + round(Fraction(k * 100 * S, 2997)) for k in range(len(t_ns))]
     assert t_ns.tolist() == expected
     assert len(t_ns) == 33_367 * 2997 // 100 + 1
+
+
+def test_ten_million_times_between_two_samples_are_allowed():
+    """One more comes from a wrong timestamp: the interval is named, with every way out."""
+    steady = Steady(Fraction(1))
+    steady.refuse_excess(np.array([7]))
+    steady.refuse_excess(np.array([0, 10_000_000 * S]))
+    with pytest.raises(UsageError) as caught:
+        steady.refuse_excess(np.array([-S, 0, 10_000_001 * S, 10_000_002 * S]))
+    assert str(caught.value) == (
+        "between the samples at 0 and 10000001000000000 ns there would be 10,000,001 attitudes at "
+        "1 Hz; is a timestamp wrong? Choose on_gap='split', a lower rate, or leave a part out with "
+        "start or end"
+    )
+    with pytest.raises(UsageError, match=r"10,000,003 attitudes at 333\.333 Hz"):
+        Steady(Fraction(1000, 3)).refuse_excess(np.array([0, 30_000 * S + 9_000_000]))
+
+
+def test_a_time_one_second_after_its_sample():
+    """Half of a turn of 1 rad about x."""
+    gyro = GyroSeries(np.array([0, 2 * S]), np.array([[0.5, 0, 0], [0.5, 0, 0]]))
+    _, q = resampled(gyro, Listed(np.array([0, S, 2 * S])))
+    expected = [[np.cos(a / 2), np.sin(a / 2), 0, 0] for a in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(q, expected, rtol=0, atol=1e-16)
 
 
 @pytest.mark.parametrize("times", [Steady(Fraction(10**9)), Listed(np.arange(1_000_000))])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import OBSERVE, Policy, StampChecks, Timeline
-from quatprop.timeline.counts import remarks
+from quatprop.timeline.counts import Counts, remarks
 from quatprop.timeline.stamps import LONGEST_NS
 
 MS = 1_000_000
@@ -265,12 +265,66 @@ def test_remarks_say_how_gaps_were_handled(on_gap, handled):
     ]
 
 
-def test_time_that_does_not_pass_is_remarked():
-    """Stamps that are all equal turn nothing, and that is said."""
-    _, _, counts = applied(Policy(), gyro([0, 0, 0]))
-    assert str(remarks(counts, Policy())[-1]) == (
-        "all timestamps are 0 ns; is there another clock or time column?"
-    )
+@pytest.mark.parametrize("stamps", [[0], [0, 0], [0, 0, 0]])
+def test_time_that_does_not_pass_is_remarked(stamps):
+    """Equal stamps turn nothing, and that is said; a stamp alone is no such thing."""
+    _, _, counts = applied(Policy(), gyro(stamps))
+    expected = ["all timestamps are 0 ns; is there another clock or time column?"]
+    found = [text for text in map(str, remarks(counts, Policy())) if text.startswith("all")]
+    assert found == (expected if len(stamps) > 1 else [])
+
+
+@pytest.mark.parametrize(
+    ("integrated_ns", "end"),
+    [
+        (999_000, None),
+        (998_999, " between the first timestamp and the last: no rotation is assumed for the rest"),
+        (1_001_000, None),
+        (1_001_001, " between the first timestamp and the last"),
+    ],
+)
+def test_increments_that_miss_a_thousandth_of_the_time_are_remarked(integrated_ns, end):
+    """Up to a thousandth too little or too much is what clocks differ by."""
+    counts = Counts(read=9, used=9, first_ns=5, last_ns=1_000_005, integrated_ns=integrated_ns)
+    found = list(map(str, remarks(counts, Policy())))
+    if end is None:
+        assert found == []
+    else:
+        (text,) = found
+        assert text == (
+            f"the increments were integrated over {integrated_ns / 1e6:.6g} ms of the 1 ms{end}"
+        ).replace("0.998999 ms", "998.999 us")
+
+
+def test_a_nanosecond_that_increments_miss_is_no_rotation():
+    """However short the log is."""
+    counts = Counts(read=9, used=9, first_ns=0, last_ns=100, integrated_ns=99)
+    assert str(remarks(counts, Policy())[0]).endswith(": no rotation is assumed for the rest")
+
+
+@pytest.mark.parametrize("on_gap", ["zero", "split"])
+def test_without_an_interval_there_is_no_gap_to_cut_at(on_gap):
+    """A log whose stamps are all equal has no median interval, and is one segment."""
+    timeline = Timeline(Policy(on_gap=on_gap), "log.csv")
+    segments = timeline.segments(timeline.apply([gyro([7, 7, 7])]))
+    assert [sum(map(len, segment)) for segment in segments] == [3]
+
+
+def test_an_interval_of_the_limit_is_not_refused():
+    """A gap is longer than the limit, not as long."""
+    policy = Policy(on_gap="error", max_gap_ns=10 * MS)
+    _, _, counts = applied(policy, gyro([0, 10, 20]))
+    assert counts.gaps.count == 0
+    with pytest.raises(TimelineError, match=r"a gap ends at sample 2 \(t = 21000000 ns\)"):
+        applied(policy, gyro([0, 10, 21]))
+
+
+def test_the_median_is_that_of_65536_intervals():
+    """As documented: the next interval would make it 30 ns."""
+    intervals = [10] * 32_768 + [30] * 32_770
+    checks = StampChecks("log.csv")
+    list(checks.observe([np.cumsum([0, *intervals])]))
+    assert checks.counts.median_dt_ns == 20
 
 
 # A busy machine makes lists slowly.

@@ -109,8 +109,6 @@ class _Composition:
         self, series: GyroSeries, following: GyroSeries | None
     ) -> Iterator[tuple[slice, Pairs]]:
         """Yield where tiles are, and the steps that lead to their samples, ``(2, n)``."""
-        if not len(series):
-            return
         # Before the very first sample comes itself: a step of no time leads to it.
         previous = self._previous or series[:1]
         for start in range(0, len(series), TILE):
