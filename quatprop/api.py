@@ -218,6 +218,18 @@ sample_rate, clock
     threads : int
         How many threads compute at a time, by default as many as there are cores; the result is
         the same.
+    noise_density, bias_sigma, random_walk, scale_sigma : str or float
+        Standard deviations of the gyroscope's errors: its noise density (``"0.2deg/sqrt(h)"``, or
+        rad/s/sqrt(Hz)), constant bias (``"20deg/h"``, or rad/s), rate random walk
+        (``"3deg/h/sqrt(h)"``, or rad/s^2/sqrt(Hz)) and scale factors (``"1000ppm"``, or a ratio).
+        From them follows the uncertainty of the result, in its report.
+    imu : path
+        A file of Kalibr or of an Allan variance tool that states the first and the third.
+    sigma : bool
+        Give every attitude its covariance.
+    sigma_axes : str
+        For tables, the axes of the columns of standard deviations: ``"body"`` (the default) or
+        ``"reference"``.
 
     Returns
     -------
@@ -486,11 +498,9 @@ def _with_warnings(path: str, result: PropagatedSeries) -> PropagatedSeries:
 
 
 def _collect(stream: AttitudeStream) -> PropagatedSeries:
-    parts = list(stream)
+    series = AttitudeSeries.joined(list(stream))
     return PropagatedSeries(
-        np.concatenate([part.t_ns for part in parts]),
-        np.concatenate([part.wxyz for part in parts]),
-        report=stream.report(),
+        series.t_ns, series.wxyz, covariance=series.covariance, report=stream.report()
     )
 
 

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
+SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
+"""Names of the columns of standard deviations, rad."""
+
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 BLOCK = 131_072
@@ -204,6 +207,9 @@ class AttitudeSeries:
     position
         Position of the body in the reference frame, shape ``(N, 3)``, m; None where it is not
         known.
+    covariance
+        Covariance of small rotations about the body's axes, shape ``(N, 3, 3)``, rad^2; None where
+        it is not known.
 
     Raises
     ------
@@ -214,6 +220,7 @@ class AttitudeSeries:
     t_ns: Int64
     wxyz: Float64
     position: Float64 | None = None
+    covariance: Float64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
@@ -222,6 +229,14 @@ class AttitudeSeries:
         if self.position is not None:
             position = rows_of("position", self.position, len(self.t_ns), 3)
             object.__setattr__(self, "position", _read_only(position))
+        if self.covariance is not None:
+            covariance = np.asarray(self.covariance, np.float64)
+            if covariance.shape != (len(self.t_ns), 3, 3):
+                raise SeriesError(
+                    f"Expected `covariance` of shape ({len(self.t_ns)}, 3, 3), got "
+                    f"{covariance.shape}"
+                )
+            object.__setattr__(self, "covariance", _read_only(covariance))
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -234,10 +249,29 @@ class AttitudeSeries:
     def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> AttitudeSeries:
         """Return some attitudes: views for a slice, copies for a mask or positions."""
         position = None if self.position is None else self.position[chosen]
-        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], position)
+        covariance = None if self.covariance is None else self.covariance[chosen]
+        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], position, covariance)
 
     def __repr__(self) -> str:
         return _summary(self, "attitudes")
+
+    @staticmethod
+    def joined(parts: Sequence[AttitudeSeries]) -> AttitudeSeries:
+        """Return series, at least one and all with the same columns, as one."""
+
+        def column(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else np.concatenate(values)
+
+        return AttitudeSeries(*map(column, ("t_ns", "wxyz", "position", "covariance")))
+
+    @property
+    def sigma(self) -> Float64 | None:
+        """Standard deviations of small rotations about the body's axes, ``(N, 3)``, rad."""
+        if self.covariance is None:
+            return None
+        variances: Float64 = np.einsum("...ii->...i", self.covariance)
+        return np.sqrt(variances)
 
     def as_quat(self, *, scalar_first: bool) -> Float64:
         """Return the quaternions as an array in a layout.
@@ -262,12 +296,15 @@ class AttitudeSeries:
         ----------
         scalar_first
             Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
-            the last. Positions follow as ``px``, ``py``, ``pz``, where the series has them.
+            the last. Positions follow as ``px``, ``py``, ``pz`` and standard deviations about
+            body axes as ``sigma_x``, ``sigma_y``, ``sigma_z``, where the series has them.
         """
         names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
         columns = dict(zip(names, self.as_quat(scalar_first=scalar_first).T, strict=True))
         if self.position is not None:
             columns |= dict(zip(("px", "py", "pz"), self.position.T, strict=True))
+        if (sigma := self.sigma) is not None:
+            columns |= dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
         return _table(self.t_ns, columns)
 
     def to_pandas(self, *, scalar_first: bool = True) -> Any:

@@ -12,6 +12,10 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
 from quatprop.parsers import (
+    NOISE_DENSITIES,
+    RATE_WALKS,
+    RATES,
+    RATIOS,
     Choice,
     bias,
     columns,
@@ -24,6 +28,7 @@ from quatprop.parsers import (
     mounting,
     number,
     path,
+    quantity_of,
     text,
 )
 from quatprop.text import Setting, did_you_mean, listed, quoted
@@ -48,6 +53,7 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
 METHODS = ("start", "end", "mean", "coning", "cubic")
 FRAMES = ("body", "inertial")
+SIGMA_AXES = ("body", "reference")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
 
@@ -109,6 +115,13 @@ class PropagateOptions(RateOptions, total=False):
     rate: float | Fraction | str
     at: str | PathLike[str]
     threads: int
+    noise_density: str | float
+    bias_sigma: str | float
+    random_walk: str | float
+    scale_sigma: str | float
+    imu: str | PathLike[str]
+    sigma: bool
+    sigma_axes: str
 
 
 def parse(name: str, value: object) -> Any:
@@ -228,6 +241,13 @@ PROPAGATE: Mapping[str, Parser] = {
     "rate": frequency,
     "at": path,
     "threads": count,
+    "noise_density": quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"),
+    "bias_sigma": quantity_of(RATES, "a rate", "20deg/h"),
+    "random_walk": quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"),
+    "scale_sigma": quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"),
+    "imu": path,
+    "sigma": flag,
+    "sigma_axes": Choice(*SIGMA_AXES),
 }
 """Everything that determines the attitudes of a log, and how many threads compute them: setting
 -> its parser."""

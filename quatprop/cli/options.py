@@ -54,6 +54,11 @@ VALUES = {
     "rate": "HZ",
     "at": "FILE",
     "threads": "N",
+    "noise_density": "X",
+    "bias_sigma": "X",
+    "random_walk": "X",
+    "scale_sigma": "X",
+    "imu": "FILE.yaml",
     "tol": "ANGLE",
     "rms_tol": "ANGLE",
     "final_tol": "ANGLE",
@@ -136,6 +141,20 @@ HELP = {
     "method; times outside the log are left out.  [default: at the samples]",
     "threads": "Threads that compute at a time; the output is the same for any number.  [default: "
     "the cores of this machine]",
+    "noise_density": "Noise of the gyroscope (angle random walk), such as 0.2deg/sqrt(h) or "
+    "1.7e-4rad/s/sqrt(Hz), for the uncertainty of the result.  [default: by --imu or --bias "
+    "static]",
+    "bias_sigma": "Standard deviation of its constant bias, such as 20deg/h; a bias instability "
+    "counts as this.  [default: by --bias static, else 0]",
+    "random_walk": "Rate random walk of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h). "
+    " [default: by --imu, else 0]",
+    "scale_sigma": "Standard deviation of its scale factors, such as 1000ppm or 0.1%.  "
+    "[default: 0]",
+    "imu": "Take noise density and random walk from this file of Kalibr or an Allan variance "
+    "tool.  [default: none]",
+    "sigma": "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
+    "in rad, covariances in messages that have them.",
+    "sigma_axes": "Axes of those columns.  [default: body]",
     "tol": "Largest error that passes, such as 1e-9rad or 0.1deg.  [default: none, all pass]",
     "rms_tol": "Largest RMS error that passes.  [default: none]",
     "final_tol": "Largest final error that passes.  [default: none]",

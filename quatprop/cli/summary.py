@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from quatprop.cli.spelling import spelled
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.conditioning.static_detection import Rest
+    from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
     from quatprop.rendering import Row
 
@@ -53,6 +55,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result)
+    if report.uncertainty is not None:
+        yield from _uncertainty(report.uncertainty)
     yield "final", quaternion_text(result.final_wxyz)
     rotation = (
         f"{degrees_text(result.net_rotation_rad)} from q0 to the final attitude, "
@@ -72,6 +76,34 @@ def _sensitivity(result: ResultReport) -> str:
         f"the final attitude differs by {by_method} from method {result.next_method}, "
         f"by {by_sampling} from every second sample"
     )
+
+
+ERRORS = {
+    "noise_density": ("noise", "deg/sqrt(h)", 60 * 180 / math.pi),
+    "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
+    "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
+    "scale_sigma": ("scale factors", "ppm", 1e6),
+}
+"""What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
+
+
+def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
+    sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
+    largest, share = ERRORS[uncertainty.largest][0], uncertainty.largest_share
+    yield (
+        "1 sigma",
+        (
+            f"{sigma} about the body axes of the final attitude, {share:.0%} of the variance by "
+            f"{largest}"
+        ),
+    )
+    known = (
+        f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
+        f"({plain(uncertainty.origins[key])})"
+        for key, (name, unit, factor) in ERRORS.items()
+        if key in uncertainty.origins
+    )
+    yield "", f"from {', '.join(known)}"
 
 
 def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:

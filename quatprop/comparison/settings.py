@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.parsers import Choice, duration, length, number
+from quatprop.parsers import RAD_PER_UNIT, Choice, duration, length, number, quantity
 from quatprop.settings import parse_all
-from quatprop.text import Setting, quoted, shown
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,19 +22,8 @@ ALIGNMENTS = ("none", "first", "mean", "mount")
 MATCHES = ("exact", "nearest", "interpolate")
 """How attitudes are matched in time: equal stamps, the nearest sample, slerp."""
 
-RAD_PER_UNIT = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "deg": math.pi / 180,
-    "arcmin": math.pi / 180 / 60,
-    "arcsec": math.pi / 180 / 3600,
-}
-"""Radians in each unit of an angle."""
-
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 """deg/h in each unit of a drift."""
-
-_QUANTITY = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([a-z/]+)", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +97,7 @@ def angle_rad(value: object) -> float:
     >>> angle_rad("90deg")
     1.5707963267948966
     """
-    return _quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+    return quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
 
 
 def drift_deg_h(value: object) -> float:
@@ -125,23 +113,7 @@ def drift_deg_h(value: object) -> float:
     >>> drift_deg_h("0.1deg/s")
     360.0
     """
-    return _quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
-
-
-def _quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
-    """Return a number with a unit, in the unit whose factor is 1."""
-    if not isinstance(value, str):
-        if (parsed := number(value)) < 0:
-            raise UsageError(f"{shown(value)} is below 0")
-        return parsed
-    match = _QUANTITY.fullmatch(str(value).strip())
-    if not match or match[2] not in units or math.isinf(float(match[1])):
-        sentence = f"{quoted(value)} is not {noun}; write a number with its unit, such as"
-        raise UsageError(f"{sentence} {examples}")
-    # Degrees as by everyone else, to the last bit.
-    if match[2] == "deg":
-        return math.radians(float(match[1]))
-    return float(match[1]) * units[match[2]]
+    return quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:

@@ -15,7 +15,7 @@ from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import with_next
-from quatprop.kinematics.quaternion import conjugate, exp, multiply
+from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotation_matrix
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
@@ -45,10 +45,10 @@ def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSerie
     """
     count = 0
     for batch in series:
-        chosen = slice(-count % step, None, step)
+        chosen = batch[-count % step :: step]
         count += len(batch)
-        if len(t_ns := batch.t_ns[chosen]):
-            yield AttitudeSeries(t_ns, batch.wxyz[chosen])
+        if len(chosen):
+            yield chosen
 
 
 MAX_ROWS = 10_000_000
@@ -171,17 +171,18 @@ def at_times(
         Attitudes at the wanted times between the first sample and the last; none elsewhere.
     """
     first_ns = None
-    last: tuple[GyroSeries, Float64] | None = None
+    last: tuple[GyroSeries, AttitudeSeries] | None = None
     pairs = with_next(propagated, look_ahead=method == "cubic")
     for (block, attitudes), following in pairs:
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
-        gyro, wxyz = block, attitudes.wxyz
+        gyro, known = block, attitudes
         if last is not None:
             # The interval between blocks begins with the last sample of the block before, and the
             # cubic through it with the one before that.
             gyro = GyroSeries.joined([last[0], block])
-            wxyz = np.concatenate([last[1], wxyz])
-        last = gyro[-2:], wxyz[-2:]
+            known = AttitudeSeries.joined([last[1], attitudes])
+        wxyz = known.wxyz
+        last = gyro[-2:], known[-2:]
         if isinstance(times, Steady):
             times.refuse_excess(gyro.t_ns)
         after = gyro[-1:] if following is None else following[0][:1]
@@ -192,7 +193,29 @@ def at_times(
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
                 between = np.where(inside[:, None], wxyz[at], between)
-            yield AttitudeSeries(wanted, between)
+            yield AttitudeSeries(wanted, between, covariance=_covariance(known, wanted, between))
+
+
+def _covariance(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> Float64 | None:
+    """Return the covariances of attitudes between known ones, ``(M, 3, 3)``, body axes.
+
+    In reference axes they are continuous, and taken as linear in time.
+    """
+    if known.covariance is None:
+        return None
+    before = np.searchsorted(known.t_ns, wanted, side="right") - 1
+    after = np.minimum(before + 1, len(known) - 1)
+    interval = known.t_ns[after] - known.t_ns[before]
+    elapsed = wanted - known.t_ns[before]
+    fraction = np.divide(elapsed, interval, out=np.zeros(len(wanted)), where=interval > 0)
+    ends = []
+    for index in (before, after):
+        turn = rotation_matrix(known.wxyz[index])
+        ends.append(turn @ known.covariance[index] @ turn.swapaxes(-1, -2))
+    reference = ends[0] + fraction[:, None, None] * (ends[1] - ends[0])
+    turn = rotation_matrix(wxyz)
+    covariance: Float64 = turn.swapaxes(-1, -2) @ reference @ turn
+    return covariance
 
 
 def _curvature(

@@ -77,9 +77,10 @@ class ErrorGrowth:
 
     Attributes
     ----------
+    final
+        The covariance at the last sample so far, shape ``(3, 3)``, rad^2.
     variances
-        What each error, by its name in :class:`SensorErrors`, adds to the trace of the last
-        covariance, rad^2.
+        What each error, by its name in :class:`SensorErrors`, adds to its trace, rad^2.
 
     Notes
     -----
@@ -98,8 +99,9 @@ class ErrorGrowth:
             name: np.zeros(rows) for name, rows in (("S", 9), ("G", 9), ("A", 9), ("B", 6))
         }
         self.variances: dict[str, float] = {}
+        self.final: Float64 = np.zeros((3, 3))
 
-    def advance(self, gyro: GyroSeries, wxyz: Float64) -> Float64:
+    def advance(self, gyro: GyroSeries, wxyz: Float64, *, to_end: bool = False) -> Float64:
         """Return the covariance of the next attitudes.
 
         Parameters
@@ -108,22 +110,29 @@ class ErrorGrowth:
             Samples that follow the last ones.
         wxyz
             Their attitudes, body -> reference, shape ``(N, 4)``.
+        to_end
+            Return that of the last of them only, for less work.
 
         Returns
         -------
         ndarray
-            Covariances of small rotations about body axes, shape ``(N, 3, 3)``, rad^2.
+            Covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3, 3)``,
+            rad^2.
         """
-        covariance = np.empty((3, 3, len(gyro)))
+        self._rows = slice(-1, None) if to_end else slice(None)
+        covariance = np.empty((3, 3, 1 if to_end else len(gyro)))
         for start in range(0, len(gyro), TILE):
             tile = slice(start, start + TILE)
             turn = rotation_elements(wxyz[tile])
             reference = self._reference(gyro[tile], turn)
-            rotate_covariance(reference, turn, out=covariance[..., tile])
+            out = covariance if to_end else covariance[..., tile]
+            rotate_covariance(reference, turn[:, self._rows], out=out)
+        self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
     def _reference(self, gyro: GyroSeries, turn: Float64) -> Float64:
         """Return the covariance ``(6, n)`` of rotations about reference axes."""
+        rows = self._rows
         if self._inertial:
             turn = np.repeat(np.eye(3).reshape(9, 1), len(gyro), axis=1)
         if self._previous is None:
@@ -139,16 +148,16 @@ class ErrorGrowth:
         np.add(turn[:, 1:], turn[:, :-1], out=step[:, 1:])
         np.add(turn[:, :1], last_turn, out=step[:, :1])
         step *= h / 2
-        noise = errors.noise_density**2 * time_s
+        noise = errors.noise_density**2 * time_s[rows]
         self.variances = {"noise_density": 3 * float(noise[-1])}
-        reference = np.zeros((6, len(gyro)))
+        reference = np.zeros((6, len(noise)))
         reference[DIAGONAL] = noise
         if errors.scale_sigma:
             rate = errors.scale_sigma * gyro.rate.T
             if gyro.span_ns is None and not gyro.averages:
                 previous = errors.scale_sigma * last.rate.T
                 rate = (rate + np.concatenate([previous, rate[:, :-1]], axis=1)) / 2
-            g = self._sum("G", (step.reshape(3, 3, -1) * rate).reshape(9, -1))
+            g = self._sum("G", (step.reshape(3, 3, -1) * rate).reshape(9, -1))[:, rows]
             square = _symmetric(g, g)
             self.variances["scale_sigma"] = _trace(square)
             reference += square
@@ -158,11 +167,12 @@ class ErrorGrowth:
 
     def _of_bias(self, step: Float64, time_s: Float64, h: Float64) -> Float64:
         """Return what the bias and its random walk contribute."""
-        bias, walk = self._errors.bias_sigma**2, self._errors.random_walk**2
+        rows, bias, walk = self._rows, self._errors.bias_sigma**2, self._errors.random_walk**2
         before = self._sums["S"]
         s = self._sum("S", step)
         self.variances["bias_sigma"] = bias * float((s[:, -1] ** 2).sum())
         if not walk:
+            s = s[:, rows]
             return bias * _symmetric(s, s)
         twice = np.empty(s.shape)
         np.add(s[:, 1:], s[:, :-1], out=twice[:, 1:])
@@ -173,12 +183,12 @@ class ErrorGrowth:
         square *= walk / 4 * h
         square[DIAGONAL] += walk / 12 * h**3
         twice *= h / 2
-        a = self._sum("A", twice)
-        b = self._sum("B", square)
+        a = self._sum("A", twice)[:, rows]
+        b = self._sum("B", square)[:, rows]
+        s = s[:, rows]
         # b^2 S S' + K^2 (t S S' - S A' - A S') = S C' + C S'
-        c = s * ((bias + walk * time_s) / 2)
-        a *= walk
-        c -= a
+        c = s * ((bias + walk * time_s[rows]) / 2)
+        c -= walk * a
         total = _symmetric(s, c)
         total *= 2
         total += b
@@ -187,11 +197,11 @@ class ErrorGrowth:
 
     def _sum(self, name: str, steps: Float64) -> Float64:
         """Return a sum after each of its next terms ``(rows, n)``, n being at most a tile."""
-        rows, count = steps.shape
+        count = steps.shape[1]
         sums = steps
         if count < TILE:
             # The same tree for a tile that the series does not fill.
-            sums = np.zeros((rows, TILE))
+            sums = np.zeros((len(steps), TILE))
             sums[:, :count] = steps
         sums[:, 0] += self._sums[name]
         _accumulate(sums)

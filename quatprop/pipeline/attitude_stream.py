@@ -12,6 +12,7 @@ from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
 from quatprop.parsers import FROM_THE_LOG
+from quatprop.pipeline.gyro_errors import known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import MessageLog
     from quatprop.kinematics.resample import Times
+    from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import RateSignal
@@ -64,7 +66,7 @@ class AttitudeStream:
     observer
         Looks at rates and attitudes as they pass.
     sensitivity
-        Whether to compute how far another method would end from this one.
+        Whether to compute how far the final attitude can be trusted.
 
     Raises
     ------
@@ -90,8 +92,13 @@ class AttitudeStream:
             source.batches, settings.conditioning, UNITS[source.unit], beside, source.name
         )
         self._method, self._method_from = source.method_used(settings.method)
+        self._errors = known_errors(settings.errors, self._conditioned.rest)
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._times = _times(settings)
+
+    @property
+    def _needs_growth(self) -> bool:
+        return self._sensitivity or self._settings.errors.sigma
 
     @property
     def samples(self) -> int:
@@ -131,7 +138,11 @@ class AttitudeStream:
         if first is None:
             raise NoSamplesError(self._path, self._source.name, self._conditioned.outside)
         self._segments = self._begin(first)
-        attitudes = self._segments.attitudes(chain([first], used), sensitivity=self._sensitivity)
+        attitudes = self._segments.attitudes(
+            chain([first], used),
+            sensitivity=self._sensitivity,
+            covariance=self._settings.errors.sigma,
+        )
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
         for series in every(attitudes, self._settings.every or 1):
@@ -164,6 +175,7 @@ class AttitudeStream:
             method=self._method,
             rates=settings.rates,
             times=self._times,
+            errors=self._errors[0] if self._errors and self._needs_growth else None,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
@@ -219,6 +231,7 @@ class AttitudeStream:
             unchecked_chunks=0 if log is None else log.unchecked_chunks,
             remarks=(*findings, *(() if log is None else log.remarks)),
             conditioning=self._conditioned,
+            uncertainty=self._uncertainty(),
             result=ResultReport(
                 samples=counts.used,
                 first_ns=counts.first_ns,
@@ -234,6 +247,12 @@ class AttitudeStream:
                 path_angle_rad=counts.path_angle_rad,
             ),
         )
+
+    def _uncertainty(self) -> UncertaintyReport | None:
+        growth = self._segments.growth
+        if self._errors is None or growth is None:
+            return None
+        return uncertainty_report(*self._errors, growth)
 
 
 def _times(settings: PropagationSettings) -> Times | None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning import ConditioningReport
     from quatprop.containers.base import Loss
+    from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.text import Text
     from quatprop.timeline import Policy
     from quatprop.timeline.counts import Counts
@@ -154,8 +155,9 @@ class RunReport:
 
     Parameters
     ----------
-    source, convention, policy, counts, conditioning, result
-        The parts.
+    source, convention, policy, counts, conditioning, uncertainty, result
+        The parts; of the uncertainty None where nothing is known of the gyroscope's errors, or the
+        report is kept nowhere.
     losses
         What of the log could not be read.
     remarks
@@ -174,6 +176,7 @@ class RunReport:
     losses: tuple[Loss, ...]
     remarks: tuple[str | Text, ...]
     conditioning: ConditioningReport
+    uncertainty: UncertaintyReport | None
     result: ResultReport
     unchecked_chunks: int = 0
     seconds: float | None = None
@@ -201,6 +204,7 @@ class RunReport:
             "data_lost": self.data_lost,
             "remarks": as_json(self.remarks),
             "conditioning": as_json(self.conditioning),
+            "uncertainty": as_json(self.uncertainty),
             "result": as_json(self.result),
         }
         if self.seconds is None:

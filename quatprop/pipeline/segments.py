@@ -6,12 +6,14 @@ gap, if no rotation is assumed in between, or with q0 again.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.resample import at_times
 from quatprop.kinematics.sensitivity import Sensitivity
+from quatprop.kinematics.uncertainty import ErrorGrowth
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.kinematics.resample import Times
+    from quatprop.kinematics.uncertainty import SensorErrors
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Timeline
 
@@ -37,6 +40,8 @@ class Segments:
         As for :class:`quatprop.kinematics.propagate.Propagation`.
     times
         When attitudes are wanted; None is at every sample.
+    errors
+        Of the gyroscope; None where they are not known.
 
     Attributes
     ----------
@@ -44,9 +49,11 @@ class Segments:
         The attitude at the last sample so far, wxyz.
     sensitivity
         How far it depends on method and sampling; None where that was not asked for.
+    growth
+        The growth of its error; None where the errors of the gyroscope are not known.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # all that determines the attitudes
         self,
         timeline: Timeline,
         q0: NDArray[np.float64],
@@ -54,15 +61,17 @@ class Segments:
         method: str,
         rates: str,
         times: Times | None = None,
+        errors: SensorErrors | None = None,
     ) -> None:
         self._timeline = timeline
         self._q0 = self.final = q0
         self._method, self._rates = method, rates
         self._times = times
         self.sensitivity: Sensitivity | None = None
+        self.growth = None if errors is None else ErrorGrowth(errors, rates)
 
     def attitudes(
-        self, samples: Iterable[GyroSeries], *, sensitivity: bool = True
+        self, samples: Iterable[GyroSeries], *, sensitivity: bool = True, covariance: bool = False
     ) -> Iterator[AttitudeSeries]:
         """Return the attitudes at every sample, or at the times that are wanted.
 
@@ -72,7 +81,10 @@ class Segments:
             What the timeline's policy leaves of the log, in blocks.
         sensitivity
             Whether to find out how much the final attitude depends on method and sampling.
+        covariance
+            Whether attitudes are to have their covariance, if the errors are known.
         """
+        self._covariance = covariance
         if sensitivity:
             self.sensitivity = Sensitivity(self._q0, self._method, self._rates)
         segments = map(self._propagated, self._timeline.segments(samples))
@@ -106,10 +118,17 @@ class Segments:
         propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
         if self.sensitivity is not None:
             self.sensitivity.begin(restart=restart)
+        if self.growth is not None and restart:
+            self.growth.restart()
         for block, attitudes in propagation.run(segment):
             self.final = attitudes.wxyz[-1]
             if self.sensitivity is not None:
                 self.sensitivity.add(block)
+            if self.growth is not None:
+                to_end = not self._covariance
+                covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
+                if self._covariance:
+                    attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
             yield block, attitudes
         if self.sensitivity is not None:
             self.sensitivity.finish()

@@ -7,13 +7,14 @@ library, the command line and suites alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import Conditioning
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
 from quatprop.parsers import FROM_THE_LOG, StaticBias
+from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
 from quatprop.settings import SELECT_RATES, parse_all
@@ -59,6 +60,8 @@ class PropagationSettings:
     threads
         How many threads compute at a time; None is as many as there are cores. The result is the
         same, so that settings that differ in it alone are equal.
+    errors
+        What is known of the gyroscope's errors.
     """
 
     kind: str | None = None
@@ -72,6 +75,7 @@ class PropagationSettings:
     rate: Fraction | None = None
     at: str | None = None
     threads: int | None = field(default=None, repr=False, compare=False)
+    errors: ErrorSettings = field(default_factory=ErrorSettings)
 
     def __post_init__(self) -> None:
         if [self.every, self.rate, self.at].count(None) < 2:  # noqa: PLR2004  # two of three
@@ -101,7 +105,8 @@ class PropagationSettings:
     def inputs(self) -> list[str]:
         """Files that are read beside the log."""
         beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
-        return [path for path in (beside, self.at, self.conditioning.calibration) if path]
+        paths = (beside, self.at, self.conditioning.calibration, self.errors.imu)
+        return [path for path in paths if path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +178,9 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
             rates=values.get("rates", "body"),
             **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},
+        ),
+        errors=ErrorSettings(
+            **{one.name: values[one.name] for one in fields(ErrorSettings) if one.name in values}
         ),
         **{
             name: values[name]

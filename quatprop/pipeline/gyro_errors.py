@@ -1,0 +1,202 @@
+"""The errors of a gyroscope: from settings, from a file, and from rest; and what they lead to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from quatprop.errors import UsageError
+from quatprop.kinematics.uncertainty import SensorErrors
+from quatprop.parsers import number
+from quatprop.text import Setting, listed, quoted
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.conditioning.static_detection import Rest
+    from quatprop.kinematics.uncertainty import ErrorGrowth
+
+IMU_KEYS: Final = {
+    "gyroscope_noise_density": "noise_density",
+    "gyroscope_random_walk": "random_walk",
+}
+"""Keys of the files that Kalibr reads and Allan variance tools write, in rad/s/sqrt(Hz) and
+rad/s^2/sqrt(Hz), and what they are here."""
+
+MAX_IMU_BYTES: Final = 1 << 20
+"""A larger file is no description of an IMU."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSettings:
+    """What is known of a gyroscope's errors, and whether their growth is wanted.
+
+    Parameters
+    ----------
+    noise_density, bias_sigma, random_walk, scale_sigma
+        As for :class:`quatprop.kinematics.uncertainty.SensorErrors`; None: not given.
+    imu
+        A file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it.
+    sigma
+        Whether every attitude is to have its standard deviations.
+    sigma_axes
+        ``"body"`` or ``"reference"``: the axes of the columns of standard deviations.
+    """
+
+    noise_density: float | None = None
+    bias_sigma: float | None = None
+    random_walk: float | None = None
+    scale_sigma: float | None = None
+    imu: str | None = None
+    sigma: bool = False
+    sigma_axes: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyReport:
+    """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
+
+    Parameters
+    ----------
+    errors
+        Standard deviations of the gyroscope's errors.
+    origins
+        Where each of them comes from: ``"given"``, a file, or ``"rest"``.
+    sigma_rad
+        Standard deviations of the final attitude about body axes, shape ``(3,)``, rad.
+    largest
+        The error that contributes most.
+    largest_share
+        Its share of the variance.
+    """
+
+    errors: SensorErrors
+    origins: Mapping[str, str]
+    sigma_rad: NDArray[np.float64]
+    largest: str
+    largest_share: float
+
+
+def known_errors(
+    settings: ErrorSettings, rest: Rest | None
+) -> tuple[SensorErrors, dict[str, str]] | None:
+    """Return the errors of a gyroscope and where each comes from; None where none is known.
+
+    Parameters
+    ----------
+    settings
+        What is given.
+    rest
+        The rest from which the bias was taken, or None. The scatter of n rates over the time T is
+        the noise density N, and N / sqrt(T) what is left of the bias.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be used, or standard deviations are wanted and nothing is known.
+    """
+    names = [field.name for field in fields(SensorErrors)]
+    given = {name: getattr(settings, name) for name in names}
+    found = {name: (value, "given") for name, value in given.items() if value is not None}
+    if settings.imu is not None:
+        for name, value in read_imu(settings.imu).items():
+            found.setdefault(name, (value, settings.imu))
+    span_s = 0.0 if rest is None else (rest.last_ns - rest.first_ns) / NS_PER_S
+    if rest is not None and span_s > 0:
+        interval_s = span_s / (rest.samples - 1)
+        density = rest.scatter_rad_s / math.sqrt(3) * math.sqrt(interval_s)
+        density, _ = found.setdefault("noise_density", (density, "rest"))
+        found.setdefault("bias_sigma", (density / math.sqrt(span_s), "rest"))
+    if not found:
+        if settings.sigma:
+            raise UsageError(
+                *(Setting("sigma"), " needs the errors of the gyroscope; give "),
+                *(Setting("noise_density"), ", ", Setting("bias_sigma"), ", "),
+                *(Setting("random_walk"), " or ", Setting("scale_sigma"), ", a file with "),
+                *(Setting("imu"), ", or ", Setting("bias", "static")),
+            )
+        return None
+    errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
+    return errors, {name: origin for name, (_, origin) in found.items()}
+
+
+def uncertainty_report(
+    errors: SensorErrors, origins: Mapping[str, str], growth: ErrorGrowth
+) -> UncertaintyReport:
+    """Return what errors have led to at the last sample."""
+    largest = max(growth.variances, key=lambda name: growth.variances[name])
+    total = sum(growth.variances.values())
+    return UncertaintyReport(
+        errors,
+        origins,
+        growth.final.diagonal() ** 0.5,
+        largest,
+        growth.variances[largest] / total if total else 0.0,
+    )
+
+
+def read_imu(path: str) -> dict[str, float]:
+    """Return the errors that a file states, by their names in :class:`ErrorSettings`.
+
+    Parameters
+    ----------
+    path
+        A file as Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``, its keys at the top or, as in
+        Kalibr's results, below the name of the only IMU.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, or states no error of a gyroscope.
+    """
+    content = _yaml(path)
+    blocks = [content, *content.values()] if isinstance(content, dict) else []
+    imus = [block for block in blocks if isinstance(block, dict) and IMU_KEYS.keys() & block.keys()]
+    if len(imus) != 1:
+        what = f"describes {len(imus)} IMUs" if imus else f"has none of the keys {listed(IMU_KEYS)}"
+        raise UsageError(Setting("imu"), f": {quoted(path)} {what}")
+    return dict(_values(imus[0], path))
+
+
+def _values(imu: Mapping[str, object], path: str) -> Iterator[tuple[str, float]]:
+    for key, name in IMU_KEYS.items():
+        if (stated := imu.get(key)) is None:
+            continue
+        try:
+            value = number(stated)
+        except UsageError as error:
+            raise UsageError(Setting("imu"), f": {key} in {quoted(path)}: ", error.text) from None
+        if value < 0:
+            raise UsageError(Setting("imu"), f": {key} in {quoted(path)} is below 0")
+        yield name, value
+
+
+def _yaml(path: str) -> object:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    def unusable(reason: str) -> UsageError:
+        return UsageError(Setting("imu"), f": {quoted(path)} {reason}")
+
+    try:
+        with Path(path).open("rb") as file:
+            text = file.read(MAX_IMU_BYTES + 1).decode()
+    except OSError as error:
+        raise unusable(f"cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise unusable("is not YAML") from error
+    if len(text) > MAX_IMU_BYTES:
+        raise unusable("is too large to be the description of an IMU")
+    # How OpenCV begins a file is not YAML.
+    text = text.removeprefix("%YAML:1.0")
+    try:
+        content: object = YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, ValueError) as error:
+        raise unusable("is not YAML") from error
+    return content

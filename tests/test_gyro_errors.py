@@ -1,0 +1,261 @@
+"""The errors of a gyroscope as users state them, and what a run says of the result."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from quatprop import GyroSeries, propagate
+from quatprop.cli import cli
+from quatprop.errors import UsageError
+from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
+from quatprop.pipeline.gyro_errors import read_imu
+from quatprop.settings import parse
+
+SECOND = 1_000_000_000
+KALIBR = """\
+#Accelerometer
+accelerometer_noise_density: 0.0018   #Noise density (continuous-time)
+#Gyroscope
+gyroscope_noise_density:     1.6968e-04
+gyroscope_random_walk:       1.9393e-05
+
+rostopic:                    /imu0      #the IMU ROS topic
+update_rate:                 200.0      #Hz (for discretization of the values above)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("noise_density", "0.2deg/sqrt(h)", 0.2 / 60 * math.pi / 180),
+        ("noise_density", "1.7e-4rad/s/sqrt(Hz)", 1.7e-4),
+        ("noise_density", "1.7e-4 rad/sqrt(s)", 1.7e-4),
+        ("noise_density", "3 mdeg/s/sqrt(Hz)", 0.003 * math.pi / 180),
+        ("noise_density", "36deg/h/sqrt(Hz)", 0.01 * math.pi / 180),
+        ("noise_density", "6e-2rad/sqrt(h)", 1e-3),
+        ("noise_density", 2e-4, 2e-4),
+        ("bias_sigma", "20deg/h", 20 / 206264.80624709636),
+        ("bias_sigma", "0.5deg/s", math.radians(0.5)),
+        ("bias_sigma", "3mrad/s", 3e-3),
+        ("random_walk", "1e-5rad/s^2/sqrt(Hz)", 1e-5),
+        ("random_walk", "1e-5rad/s/sqrt(s)", 1e-5),
+        ("random_walk", "3deg/h/sqrt(h)", 3 / 206264.80624709636 / 60),
+        ("scale_sigma", "1000ppm", 1e-3),
+        ("scale_sigma", "0.1 %", 1e-3),
+        ("scale_sigma", 0.0, 0.0),
+    ],
+)
+def test_quantities_have_the_units_of_data_sheets(name, value, expected):
+    """They become rad/s/sqrt(Hz), rad/s, rad/s^2/sqrt(Hz) and ratios."""
+    assert parse(name, value) == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("noise_density", "0.2", ("'0.2' is not a noise density; write a number with its unit, "
+         "such as 0.2deg/sqrt(h)")),
+        ("noise_density", "0.2deg/h", ("'0.2deg/h' is not a noise density; write a number with its "
+         "unit, such as 0.2deg/sqrt(h)")),
+        ("bias_sigma", "20deg", ("'20deg' is not a rate; write a number with its unit, such as "
+         "20deg/h")),
+        ("random_walk", "1rad/s", ("'1rad/s' is not a rate random walk; write a number with its "
+         "unit, such as 1e-5rad/s^2/sqrt(Hz)")),
+        ("scale_sigma", "5", ("'5' is not a ratio; write a number with its unit, such as "
+         "1000ppm or 0.1%")),
+        ("scale_sigma", -1, "'-1' is below 0"),
+        ("bias_sigma", "-1deg/h", ("'-1deg/h' is not a rate; write a number with its unit, such as "
+         "20deg/h")),
+    ],
+)  # fmt: skip
+def test_other_quantities_are_refused(name, value, message):
+    """With an example of what is right."""
+    with pytest.raises(UsageError) as error:
+        parse(name, value)
+    assert str(error.value) == message
+
+
+# --- files
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        KALIBR,
+        "%YAML:1.0\n---\n" + KALIBR,
+        "imu0:\n" + "".join(f"  {line}\n" for line in KALIBR.splitlines()),
+    ],
+)
+def test_files_of_kalibr_and_of_allan_variance_tools(tmp_path, text):
+    """As Kalibr reads and writes them, and as OpenCV begins them."""
+    path = tmp_path / "imu.yaml"
+    path.write_text(text)
+    assert read_imu(str(path)) == {"noise_density": 1.6968e-4, "random_walk": 1.9393e-5}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot be read: No such file or directory"),
+        (b"\xff\xfe", "is not YAML"),
+        (b"a: [1", "is not YAML"),
+        (b"- 1", "has none of the keys 'gyroscope_noise_density', 'gyroscope_random_walk'"),
+        (b"gyr_n: 1.0", "has none of the keys 'gyroscope_noise_density', 'gyroscope_random_walk'"),
+        (
+            b"imu0: {gyroscope_noise_density: 1}\nimu1: {gyroscope_noise_density: 2}",
+            "describes 2 IMUs",
+        ),
+    ],
+)
+def test_other_files_are_refused(tmp_path, content, message):
+    """In one sentence with the name of the file."""
+    path = tmp_path / "imu.yaml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UsageError) as error:
+        read_imu(str(path))
+    assert str(error.value) == f"imu: '{path}' {message}"
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [("0.005.", "'0.005.' is not a finite number"), ("[1, 2]", "'1,2' is not a finite number")],
+)
+def test_values_that_are_no_numbers_are_refused(tmp_path, value, message):
+    """A script that prints a full stop after each value, and several values."""
+    path = tmp_path / "imu.yaml"
+    path.write_text(f"gyroscope_noise_density: {value}\n")
+    with pytest.raises(UsageError) as error:
+        read_imu(str(path))
+    assert str(error.value) == f"imu: gyroscope_noise_density in '{path}': {message}"
+
+
+# --- runs
+
+
+def noisy(seconds=100, hz=100, density=2e-3, bias=0.01):
+    """Return rates at rest, of a gyroscope with known errors."""
+    random = np.random.default_rng(1)
+    t_ns = np.arange(seconds * hz + 1) * (SECOND // hz)
+    rate = bias + density * np.sqrt(hz) * random.normal(size=(len(t_ns), 3))
+    return GyroSeries(t_ns, rate)
+
+
+def test_rest_gives_the_noise_and_what_is_left_of_the_bias():
+    """N is the scatter times the root of the interval, b is N / sqrt(T): for nothing."""
+    report = propagate(noisy(), bias="static").report
+    uncertainty, rest = report.uncertainty, report.conditioning.rest
+    rest_s = (rest.last_ns - rest.first_ns) / 1e9
+    assert uncertainty.origins == {"noise_density": "rest", "bias_sigma": "rest"}
+    density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
+    assert density == pytest.approx(2e-3, rel=4 / math.sqrt(6 * rest.samples))
+    assert bias == pytest.approx(density / math.sqrt(rest_s), rel=1e-12)
+    sigma = math.hypot(density * math.sqrt(100), bias * 100)
+    assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
+
+
+def test_what_is_given_goes_before_the_file_and_the_file_before_rest(tmp_path):
+    """Each error has its own origin."""
+    path = tmp_path / "imu.yaml"
+    path.write_text(KALIBR)
+    settings = {"bias": "static", "imu": path, "random_walk": "1e-6rad/s/sqrt(s)"}
+    report = propagate(noisy(), **settings).report
+    uncertainty, rest = report.uncertainty, report.conditioning.rest
+    rest_s = (rest.last_ns - rest.first_ns) / 1e9
+    assert uncertainty.origins == {
+        "random_walk": "given", "noise_density": str(path), "bias_sigma": "rest"
+    }  # fmt: skip
+    assert uncertainty.errors == SensorErrors(1.6968e-4, 1.6968e-4 / math.sqrt(rest_s), 1e-6)
+
+
+def test_the_series_has_its_covariance():
+    """The same as of the growth itself, at the samples; the report has that of the last."""
+    series = noisy(2)
+    result = propagate(series, sigma=True, noise_density=1e-3, scale_sigma="1%", method="cubic")
+    errors = SensorErrors(noise_density=1e-3, scale_sigma=0.01)
+    expected = ErrorGrowth(errors).advance(series, result.wxyz)
+    assert np.array_equal(result.covariance, expected)
+    assert np.array_equal(result.sigma, np.sqrt(np.diagonal(expected, axis1=1, axis2=2)))
+    uncertainty = result.report.uncertainty
+    assert uncertainty.sigma_rad == pytest.approx(result.sigma[-1], rel=1e-14)
+    assert uncertainty.largest == "noise_density"
+    assert 0.5 < uncertainty.largest_share < 1
+    assert propagate(series).covariance is None
+    assert propagate(series).report.uncertainty is None
+    names = result.to_arrow().column_names
+    assert names == ["t_ns", "qw", "qx", "qy", "qz", "sigma_x", "sigma_y", "sigma_z"]
+
+
+def test_every_nth_attitude_and_other_times_have_theirs():
+    """Of every tenth sample the same; between samples N sqrt(t)."""
+    series = GyroSeries(np.arange(1001) * SECOND // 100, np.tile([0.3, -0.2, 0.5], (1001, 1)))
+    series = series.with_rate(series.rate + np.arange(1001)[:, None] * 1e-6)
+    settings = {"sigma": True, "noise_density": 1e-3}
+    whole = propagate(series, **settings)
+    tenth = propagate(series, every=10, **settings)
+    assert np.array_equal(tenth.covariance, whole.covariance[::10])
+    other = propagate(series, rate=997, **settings)
+    expected = 1e-3 * np.sqrt(other.t_ns / 1e9)
+    np.testing.assert_allclose(other.sigma, np.tile(expected[:, None], 3), rtol=1e-9, atol=1e-12)
+
+
+def test_other_times_are_between_the_samples():
+    """With all errors, in motion, the covariance at 997 Hz follows that of the samples."""
+    t_ns = np.arange(0, 5 * SECOND + 1, SECOND // 200)
+    t_s = t_ns[:, None] / 1e9
+    rate = np.sin(t_s * [1.0, 1.3, 0.7] + [0, 1, 2]) * 2
+    settings = {
+        "sigma": True, "noise_density": 1e-3, "bias_sigma": 1e-3, "random_walk": 1e-3,
+        "scale_sigma": 1e-3, "method": "cubic",
+    }  # fmt: skip
+    dense = propagate(GyroSeries(t_ns, rate), **settings)
+    sparse = propagate(GyroSeries(t_ns[::4], rate[::4]), rate=200, **settings)
+    assert np.array_equal(sparse.t_ns, dense.t_ns)
+    scale = np.trace(dense.covariance, axis1=1, axis2=2)[:, None, None]
+    # Linear between samples: good to (h/t)^2.
+    assert (np.abs(sparse.covariance - dense.covariance)[200:] < 1e-3 * scale[200:]).all()
+
+
+def test_a_restart_after_a_gap_is_certain_again():
+    """With on_gap split the attitude after the gap is q0, and known."""
+    t_ns = np.concatenate([np.arange(100), np.arange(100) + 500]) * SECOND // 100
+    series = GyroSeries(t_ns, np.tile(np.linspace(0.1, 0.2, 100), (3, 2)).T)
+    with pytest.warns(UserWarning, match="restarted from q0"):
+        result = propagate(series, sigma=True, noise_density=1e-3, on_gap="split")
+    assert not result.covariance[[0, 100]].any()
+    assert np.array_equal(result.covariance[100:], result.covariance[:100])
+
+
+def test_standard_deviations_need_errors():
+    """Nothing is made up."""
+    with pytest.raises(UsageError) as error:
+        propagate(noisy(1), sigma=True)
+    assert str(error.value) == (
+        "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk or "
+        "scale_sigma, a file with imu, or bias='static'"
+    )
+
+
+def test_the_summary_and_the_report_say_it(tmp_path):
+    """The 1-sigma of the final attitude, what contributes most, and what is known."""
+    log = tmp_path / "log.csv"
+    log.write_text("t_ns,wx,wy,wz\n" + "".join(f"{k * 10**7},0,0,0\n" for k in range(36001)))
+    arguments = ["propagate", str(log), "-o", str(tmp_path / "out.csv"), "--rate-unit", "rad/s"]
+    arguments += ["--noise-density", "0.1deg/sqrt(h)", "--bias-sigma", "1deg/h"]
+    result = CliRunner().invoke(cli, [*arguments, "--report", str(tmp_path / "report.json")])
+    assert result.exit_code == 0, result.output
+    # Six minutes: 0.1 sqrt(0.1) and 0.1 deg.
+    sigma = f"{math.hypot(0.1 * math.sqrt(0.1), 0.1):.3g}"
+    assert result.stderr.splitlines()[5:7] == [
+        (
+            f"1 sigma     x {sigma}  y {sigma}  z {sigma} deg about the body axes of the final "
+            "attitude, 91% of the variance by bias"
+        ),
+        "            from noise 0.1 deg/sqrt(h) (given), bias 1 deg/h (given)",
+    ]
+    uncertainty = json.loads((tmp_path / "report.json").read_text())["uncertainty"]
+    assert uncertainty["largest"] == "bias_sigma"
+    assert uncertainty["sigma_rad"] == pytest.approx([math.radians(0.105)] * 3, rel=0.002)
