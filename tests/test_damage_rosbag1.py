@@ -150,15 +150,85 @@ def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
     assert [loss.place for loss in losses] == [f"chunk at byte {begin}"]
 
 
-@pytest.mark.parametrize("is_closed", [True, False])
-def test_a_bag_behind_another_is_counted_as_lost(tmp_path, is_closed):
-    """Its connections have numbers of their own, so it is not read, and that is said."""
-    content = written(tmp_path / "a.bag")
-    first = content if is_closed else content[: index_place(content)]
-    numbers, losses = read(tmp_path / "log.bag", first + content)
-    assert numbers == list(range(MESSAGES))
-    where = "after the index" if is_closed else "there"
-    reason = (
-        f"another bag begins {where}, and {len(content)} bytes are not read; split the file there"
-    )
-    assert losses == [Loss(f"byte {len(first)}", reason)]
+def two_topics(path, topics, first):
+    """Write a bag with messages of two topics in turn, their connections in the given order."""
+    writer = Writer(path)
+    writer.chunk_threshold = 2000
+    with writer:
+        connections = [
+            writer.add_connection(topic, "std_msgs/msg/String", typestore=STORE) for topic in topics
+        ]
+        for number in range(first, first + MESSAGES):
+            content = f"{number:08d}".encode()
+            connection = connections[number % 2]
+            writer.write(connection, 1000 * number, struct.pack("<I", 8) + content)
+    return path.read_bytes()
+
+
+def by_topic(path):
+    """Return the log times and contents of each topic of a bag, by rosbags' own reader."""
+    found = {}
+    with Reader(path) as reader:
+        for connection, log_ns, data in reader.messages():
+            found.setdefault(connection.topic, []).append((log_ns, bytes(data)))
+    return found
+
+
+JOINTS = {
+    "closed": lambda content: (content, b""),
+    "not closed": lambda content: (content[: index_place(content)], b""),
+    "half an index": lambda content: (content[: index_place(content) + 40], b""),
+    "damage between them": lambda content: (content, bytes(30)),
+}
+
+
+@pytest.mark.parametrize("joint", JOINTS)
+def test_a_bag_behind_another_is_read(tmp_path, joint):
+    """The numbers of its connections are its own, and so are the places in its index."""
+    parts = [
+        two_topics(tmp_path / "first.bag", ["/a", "/b"], 0),
+        two_topics(tmp_path / "second.bag", ["/b", "/c"], MESSAGES - 20),
+    ]
+    front, between = JOINTS[joint](parts[0])
+    path = tmp_path / "log.bag"
+    path.write_bytes(front + between + parts[1])
+    expected = by_topic(tmp_path / "first.bag")
+    for topic, messages in by_topic(tmp_path / "second.bag").items():
+        expected[topic] = expected.get(topic, []) + messages
+    with Rosbag1Log(path) as log:
+        found = {
+            channel.topic: sorted(
+                (log_ns, block.data[start:end].tobytes())
+                for block in log.blocks(channel)
+                for start, end, log_ns in zip(
+                    block.starts, block.ends, block.log_ns.tolist(), strict=True
+                )
+            )
+            for channel in log.channels()
+        }
+        counts = {channel.topic: channel.count for channel in log.channels()}
+    assert found == {topic: sorted(messages) for topic, messages in expected.items()}
+    assert counts == {topic: len(messages) for topic, messages in expected.items()}
+    assert bool(log.losses) == (joint in {"half an index", "damage between them"})
+
+
+@pytest.mark.parametrize("at", [2, 13 + 20])
+def test_a_damaged_beginning_of_a_second_bag_gives_no_topic_the_messages_of_another(tmp_path, at):
+    """Where it is not clear what a connection number means, its messages are counted as lost."""
+    first = two_topics(tmp_path / "first.bag", ["/a", "/b"], 0)
+    second = bytearray(two_topics(tmp_path / "second.bag", ["/b", "/c"], MESSAGES))
+    second[at : at + 8] = bytes(8)
+    path = tmp_path / "log.bag"
+    path.write_bytes(first + second)
+    with Rosbag1Log(path) as log:
+        read = {
+            channel.topic: {
+                int(block.data[start:end][4:12].tobytes())
+                for block in log.blocks(channel)
+                for start, end in zip(block.starts, block.ends, strict=True)
+            }
+            for channel in log.channels()
+        }
+    assert log.losses
+    assert read["/a"] == set(range(0, MESSAGES, 2))
+    assert read["/b"] <= set(range(1, MESSAGES, 2)) | set(range(MESSAGES, 2 * MESSAGES, 2))

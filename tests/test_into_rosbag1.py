@@ -169,3 +169,16 @@ def test_attitudes_of_the_bag_are_converted_into_it(tmp_path):
     log, out = write_bag(tmp_path / "log.bag"), tmp_path / "out.bag"
     assert run("convert", log, "--into", out, "-q").exit_code == 0
     assert {wxyz for *_, wxyz in attitudes(out)} == {(0.8, 0.0, 0.0, 0.6)}
+
+
+def test_nothing_is_added_to_joined_bags(tmp_path):
+    """A copy has one set of numbers for all its connections."""
+    log = write_bag(tmp_path / "log.bag")
+    log.write_bytes(2 * log.read_bytes())
+    target = tmp_path / "copy.bag"
+    result = run("propagate", log, "--into", target, "--on-backwards", "drop")
+    assert (result.exit_code, target.exists()) == (2, False)
+    assert result.stderr == (
+        f"Error: {log}: several bags are joined in it, and nothing can be added to them; write the "
+        "attitudes to a file of their own with --output\n"
+    )

@@ -21,7 +21,8 @@ from quatprop.containers.rosbag1.records import (
     index_offsets,
     walked_records,
 )
-from quatprop.errors import DamagedLogError
+from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.text import Setting
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.file import COMPRESSIONS
 
@@ -58,6 +59,13 @@ class BagCopy:
 
     def __init__(self, log: Rosbag1Log) -> None:
         self._path, index = log.path, log.index
+        if any(chunk.first_conn for chunk in index.chunks):
+            raise UnsupportedLogError(
+                log.path,
+                "several bags are joined in it, and nothing can be added to them; write the "
+                "attitudes to a file of their own with ",
+                Setting("output"),
+            )
         self._file = RecordFile(log.source)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
         self._next = 0

@@ -26,9 +26,14 @@ from quatprop.containers.rosbag1.records import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
     from numpy.typing import NDArray
 
-MAGIC = b"#ROSBAG V"
+MAGIC = b"#ROSBAG V2.0\n"
+
+_NUMBERS = 1 << 32
+"""Numbers that the connections of a bag can have."""
 
 MAX_INDEX = 1 << 24
 """Bytes of an index that are read at once."""
@@ -50,6 +55,9 @@ class BagChunk:
         Number of messages of each connection.
     loose
         Whether it is a run of messages outside any chunk.
+    first_conn
+        What is added to the numbers of its connections: bags that were put one behind another
+        have numbers of their own, each counted from 0.
     """
 
     start: int
@@ -57,11 +65,16 @@ class BagChunk:
     start_ns: int = 0
     counts: dict[int, int] = field(default_factory=dict)
     loose: bool = False
+    first_conn: int = 0
 
     @property
     def place(self) -> str:
         """Where it is, for a sentence."""
         return f"{'messages' if self.loose else 'chunk'} at byte {self.start}"
+
+    def inside(self, connections: AbstractSet[int]) -> set[int]:
+        """Return the numbers that some connections of the file have inside the chunk."""
+        return {conn - self.first_conn for conn in connections}
 
 
 @dataclass(slots=True)
@@ -101,11 +114,21 @@ class BagIndex:
         Every chunk.
     losses
         What could not be read.
+    end
+        Where it ends.
+    first_conn
+        What is added to the numbers of connections in the current bag of joined ones.
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
     chunks: list[BagChunk] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
+    end: int = 0
+    first_conn: int = 0
+
+    def begin_bag(self) -> None:
+        """Begin another bag that follows in the same file; no number keeps its meaning."""
+        self.first_conn += _NUMBERS
 
     def add_connection(self, record: Record, data: bytes) -> None:
         """Add a connection record; the first of a connection counts, and later ones repeat it."""
@@ -114,7 +137,8 @@ class BagIndex:
         except MalformedRecordError:
             described = {}
         # Both have a topic; messages were recorded under the one in the header.
-        self.connections.setdefault(record.number(b"conn"), described | record.fields)
+        number = record.number(b"conn") + self.first_conn
+        self.connections.setdefault(number, described | record.fields)
 
 
 def read_chunk(file: RecordFile, chunk: BagChunk) -> ChunkRecords:
@@ -200,16 +224,8 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
         chunk.end = following.start
     if index.chunks:
         index.chunks[-1].end = end
-    if at < file.size:
-        note_rest(file, index, at, "after the index")
+    index.end = at
     return index
-
-
-def note_rest(file: RecordFile, index: BagIndex, at: int, where: str) -> None:
-    """Note that the rest of a file is not read, since connection numbers may differ there."""
-    what = "another bag begins" if file.at(at, len(MAGIC)).startswith(MAGIC) else "data follows"
-    reason = f"{what} {where}, and {file.size - at} bytes are not read; split the file there"
-    index.losses.note(f"byte {at}", reason)
 
 
 def _chunk_of_info(record: Record, data: bytes) -> BagChunk:

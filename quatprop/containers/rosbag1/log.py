@@ -124,7 +124,15 @@ class Rosbag1Log(MessageLog):
                 f"it is encrypted with {quoted(encryptor.decode(errors='replace'))}; "
                 "decrypt it with `rosbag decrypt`",
             )
-        return read_index(self._file, header) or rebuild_index(self._file, header.end)
+        index = read_index(self._file, header)
+        if index is None:
+            index = BagIndex(end=header.end)
+            rebuild_index(self._file, index)
+        elif index.end < self._file.size:
+            # Another bag was joined to it; its index counts from its own beginning.
+            index.begin_bag()
+            rebuild_index(self._file, index)
+        return index
 
     def _channels_of(self, index: BagIndex) -> dict[int, Channel]:
         """Return the channel of each connection."""
@@ -147,7 +155,7 @@ class Rosbag1Log(MessageLog):
         """Return how many messages each connection has."""
         totals: Counter[int] = Counter()
         for chunk in self._chunks:
-            totals.update(chunk.counts)
+            totals.update({conn + chunk.first_conn: n for conn, n in chunk.counts.items()})
         return totals
 
     def channels(self) -> list[Channel]:
@@ -162,7 +170,7 @@ class Rosbag1Log(MessageLog):
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk, in order of their start."""
         wanted = {conn for conn, described in self._channels.items() if described == channel}
-        chunks = [chunk for chunk in self._chunks if not wanted.isdisjoint(chunk.counts)]
+        chunks = [chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()]
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
         load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
         # Decompression is worth threads; uncompressed chunks are read sooner than handed over.
@@ -171,7 +179,7 @@ class Rosbag1Log(MessageLog):
         loaded = prefetch(load, chunks) if is_compressed else (load(chunk) for chunk in chunks)
         with closing(loaded):
             for chunk, bound, (data, messages, damage) in zip(chunks, bounds, loaded, strict=False):
-                expected = sum(chunk.counts.get(conn, 0) for conn in wanted)
+                expected = sum(chunk.counts.get(conn, 0) for conn in chunk.inside(wanted))
                 missing = expected - len(messages.starts)
                 if damage or missing > 0:
                     reason = damage or "it has fewer messages than it says"
@@ -193,6 +201,7 @@ class Rosbag1Log(MessageLog):
         self, wanted: set[int], budget: DecompressionBudget, chunk: BagChunk
     ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
         """Read a chunk and locate the messages of some connections; the string is its damage."""
+        wanted = chunk.inside(wanted)
         part = selected_messages(self._file, chunk, wanted)
         if part is not None and (selected := _indexed(part, chunk, wanted)) is not None:
             return part.data, selected, ""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import zip_longest
 
 import numpy as np
 
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, note_rest, read_chunk
+from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_chunk
 from quatprop.containers.rosbag1.records import (
+    OP_BAG_HEADER,
     OP_CHUNK,
     OP_CONNECTION,
     OP_INDEX_DATA,
@@ -26,9 +28,9 @@ _LOOSE_SIZE = 1 << 20
 """Bytes of messages outside chunks that are read together."""
 
 
-def rebuild_index(file: RecordFile, at: int) -> BagIndex:
-    """Build an index by walking the records from `at` to the end, beyond any damage."""
-    index = BagIndex()
+def rebuild_index(file: RecordFile, index: BagIndex) -> None:
+    """Complete an index by walking the records behind its end, beyond any damage."""
+    at, known = index.end, len(index.chunks)
     while at < file.size:
         try:
             record = file.record(at)
@@ -37,24 +39,25 @@ def rebuild_index(file: RecordFile, at: int) -> BagIndex:
             at = _resumed(file, index, at, str(error))
         else:
             at = record.end
-    chunks = index.chunks
-    for chunk in chunks:
+    index.end = file.size
+    chunks = index.chunks[known:]
+    for chunk, after in zip_longest(chunks, chunks[1:]):
         # The index data of the last chunk may be incomplete, and that of others damaged.
         if (
-            chunk is chunks[-1]
+            after is None
+            or after.first_conn != chunk.first_conn
             or chunk.loose
             or not chunk.counts
-            or not chunk.counts.keys() <= index.connections.keys()
+            or not chunk.counts.keys() <= chunk.inside(index.connections.keys())
         ):
+            index.first_conn = chunk.first_conn
             _read_inside(file, index, chunk)
-    return index
 
 
 def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Note that no record can be read at a place; return where to go on."""
-    if file.at(at, len(MAGIC)).startswith(MAGIC):
-        note_rest(file, index, at, "there")
-        return file.size
+    if file.at(at, len(MAGIC)) == MAGIC:
+        return at + len(MAGIC)  # another bag, which its header begins
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
     if last is not None and not last.loose and last.end == at and not last.counts:
@@ -83,7 +86,8 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
     if record.op == OP_CHUNK:
         if _is_damaged_chunk(file, record):
             raise MalformedRecordError("its chunk is damaged")
-        index.chunks.append(BagChunk(record.start, min(record.end, file.size)))
+        end = min(record.end, file.size)
+        index.chunks.append(BagChunk(record.start, end, first_conn=index.first_conn))
     elif record.op == OP_MESSAGE:
         last = index.chunks[-1] if index.chunks else None
         if (
@@ -94,7 +98,11 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
         ):
             last.end = min(record.end, file.size)
         else:
-            index.chunks.append(BagChunk(record.start, min(record.end, file.size), loose=True))
+            end = min(record.end, file.size)
+            chunk = BagChunk(record.start, end, loose=True, first_conn=index.first_conn)
+            index.chunks.append(chunk)
+    elif record.op == OP_BAG_HEADER:
+        index.begin_bag()
     elif record.end > file.size:
         raise MalformedRecordError("its record is cut off")
     elif record.op == OP_CONNECTION:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.rosbag1.records import (
     INDEX_ENTRY,
+    OP_BAG_HEADER,
     OP_CHUNK,
     OP_CHUNK_INFO,
     OP_CONNECTION,
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
 CHUNKS = frozenset({OP_CHUNK})
 """Kinds of record to look for where messages inside an uncompressed chunk would match, too."""
 
-RECORDS = frozenset({OP_MESSAGE, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION})
+RECORDS = frozenset(
+    {OP_MESSAGE, OP_BAG_HEADER, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION}
+)
 """Kinds of record to look for elsewhere."""
 
 COMPRESSIONS = (b"none", b"bz2", b"lz4")
@@ -136,6 +139,8 @@ def _is_plausible(file: RecordFile, record: Record) -> bool:
         return is_chunk(record)
     if record.end > file.size:
         return False
+    if record.op == OP_BAG_HEADER:
+        return b"index_pos" in record.fields
     if record.op == OP_INDEX_DATA:
         return length == record.number(b"count") * INDEX_ENTRY.itemsize
     if record.op == OP_CHUNK_INFO:

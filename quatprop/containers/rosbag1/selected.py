@@ -94,7 +94,8 @@ def expected_ranges(
     ends = []
     for chunk in chunks:
         is_large = chunk.end - chunk.start >= LARGE
-        in_part = is_large and not compressed and not chunk.counts.keys() <= connections
+        is_all = chunk.counts.keys() <= chunk.inside(connections)
+        in_part = is_large and not compressed and not is_all
         ends.append(chunk.start + HEAD if in_part else max(chunk.end, chunk.start + HEAD))
     return [chunk.start for chunk in chunks], ends
 
