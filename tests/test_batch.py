@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from quatprop.batch.run import BatchTask, propagate_log
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
-from quatprop.errors import LogError, UsageError
+from quatprop.errors import LogError, QuatpropError, UsageError
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.third_party_errors import TRACEBACK
@@ -613,32 +612,48 @@ def test_a_cluster_that_is_not_there(tmp_path):
         list(on_a_cluster([far], "nonsense", Manifest(str(tmp_path))))
 
 
+def raising(task, _version):
+    """Raise what a worker without this package does."""
+    if task.name == "a":
+        raise ModuleNotFoundError("No module named 'quatprop'")
+    return propagate_log(task)
+
+
 def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
-    """A worker without this package, or a scheduler that goes, is an error of each log."""
+    """A worker without this package is an error of the log; others are done, and recorded."""
     distributed = pytest.importorskip("distributed")
-
-    class Client:
-        def __init__(self, *_, **__):
-            pass
-
-        __enter__ = __exit__ = __init__
-
-        def submit(self, _work, task, *_, **__):
-            future = Future()
-            error = distributed.client.FutureCancelledError("b", "lost")
-            if task.name == "a":
-                error = ModuleNotFoundError("No module named 'quatprop'")
-            future.set_exception(error)
-            return future
-
-    monkeypatch.setattr(distributed, "Client", Client)
-    monkeypatch.setattr(Client, "__enter__", lambda self: self)
-    tasks = [task(name, tmp_path / name, name) for name in ("a", "b")]
+    monkeypatch.setattr("quatprop.batch.cluster.propagate_on_worker", raising)
+    tasks = [task(log(tmp_path / f"{n}.csv"), tmp_path / f"{n}.npy", n) for n in ("a", "b")]
     manifest = Manifest(str(tmp_path))
-    errors = [str(result.error) for _, result in on_a_cluster(tasks, "here", manifest)]
-    assert errors[0] == "a: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
-    assert errors[1].startswith("b: the cluster failed (FutureCancelledError: ")
-    assert {entry["state"] for entry in entries(tmp_path).values()} == {"failed"}
+    quiet = {"processes": False, "dashboard_address": None, "threads_per_worker": 1}
+    with distributed.LocalCluster(n_workers=1, **quiet) as cluster:
+        results = dict(on_a_cluster(tasks, cluster.scheduler_address, manifest))
+    assert str(results[0].error).endswith(
+        "a.csv: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
+    )
+    assert results[1].report is not None
+    assert {n: entry["state"] for n, entry in entries(tmp_path).items()} == {
+        "a": "failed", "b": "done",
+    }  # fmt: skip
+
+
+def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
+    """One sentence in seconds for a cluster that does nothing, and for one that goes."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("quatprop.batch.cluster.WORKERS_S", 0.5)
+    far = task(log(tmp_path / "a.csv"), tmp_path / "a.npy", "a.npy")
+    manifest = Manifest(str(tmp_path))
+    quiet = {"processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(n_workers=0, **quiet) as cluster:
+        results = on_a_cluster([far], cluster.scheduler_address, manifest)
+        with pytest.raises(UsageError, match=r"has no workers; start some, and try again$"):
+            list(results)
+    cancelled = distributed.client.FutureCancelledError("a", "lost")
+    monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
+    with distributed.LocalCluster(n_workers=1, **quiet) as cluster:
+        results = on_a_cluster([far], cluster.scheduler_address, manifest)
+        with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
+            list(results)
 
 
 def test_a_worker_of_another_version_is_refused(tmp_path):
