@@ -529,7 +529,8 @@ ONE_LOG = {"output", "to", "into", "report", "plot", "quiet", "verbose"}
 EVERY_LOG = {
     "--layout": "xyzw", "--header-comment": None, "--message": "TFMessage", "--out-topic": "/q",
     "--frames": "map,base", "--method": "coning", "--rates": "inertial", "--q0": "0,1,0,0",
-    "--calibration": __file__, "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
+    "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
+    "--calibration": __file__,
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
     "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--every": "3",
     "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
