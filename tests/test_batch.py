@@ -530,7 +530,9 @@ EVERY_LOG = {
     "--layout": "xyzw", "--header-comment": None, "--message": "TFMessage", "--out-topic": "/q",
     "--frames": "map,base", "--method": "coning", "--rates": "inertial", "--q0": "0,1,0,0",
     "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
-    "--calibration": __file__,
+    "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
+    "--noise-density": "0.2deg/sqrt(h)", "--bias-sigma": "20deg/h", "--scale-sigma": "1000ppm",
+    "--random-walk": "1e-5rad/s/sqrt(s)",
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
     "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--every": "3",
     "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
@@ -544,6 +546,8 @@ WITH = {
     "--heading": ("--q0", "level"),
     "--reference-z": ("--q0", "level"),
     "--q0-layout": ("--q0", "1,0,0,0"),
+    "--sigma": ("--noise-density", "0.2deg/sqrt(h)"),
+    "--sigma-axes": ("--sigma", "--noise-density", "0.2deg/sqrt(h)"),
 }
 """What an option goes with."""
 

@@ -180,11 +180,15 @@ def _absolute(task: BatchTask) -> BatchTask:
     if settings.q0.source in settings.inputs:
         source = _absolute_path(settings.q0.source)
         settings = replace(settings, q0=replace(settings.q0, source=source))
-    settings = replace(settings, at=settings.at and _absolute_path(settings.at))
-    if settings.conditioning.calibration is not None:
-        calibration = _absolute_path(settings.conditioning.calibration)
-        conditioning = replace(settings.conditioning, calibration=calibration)
-        settings = replace(settings, conditioning=conditioning)
+    known, errors = settings.conditioning, settings.errors
+    settings = replace(
+        settings,
+        at=settings.at and _absolute_path(settings.at),
+        conditioning=replace(
+            known, calibration=known.calibration and _absolute_path(known.calibration)
+        ),
+        errors=replace(errors, imu=errors.imu and _absolute_path(errors.imu)),
+    )
     output = replace(job.output, path=_absolute_path(job.output.path))
     return replace(task, job=Job(_absolute_path(job.log), output, settings))
 
