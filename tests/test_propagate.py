@@ -1,5 +1,8 @@
 """Rates to attitudes: closed forms, an 80-bit oracle, and independence of batches to the bit."""
 
+import os
+import subprocess
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -389,3 +392,33 @@ def test_blocks_are_whole_tiles():
     """The blocks of a stream end where tiles end, or the result would depend on them."""
     assert BLOCK % TILE == 0
     assert TILE % PADDING == 0
+
+
+def test_wider_registers_give_the_same_bytes():
+    """Attitudes do not depend on whether the processor has AVX-512."""
+    program = """
+import hashlib
+import numpy as np
+from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.propagate import attitudes
+
+rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
+rate[::7] *= 1000
+t_ns = np.arange(20_000) * 5_000_000
+for method in METHODS:
+    q = attitudes(t_ns, rate, method=method)
+    print(method, hashlib.sha256(q.tobytes()).hexdigest())
+"""
+    digests = []
+    for features in ("", "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"):
+        # numpy warns of features that this processor lacks, or that it knows by other names.
+        run = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", program],
+            env={**os.environ, "NPY_DISABLE_CPU_FEATURES": features},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        digests.append(run.stdout.split())
+    assert len(digests[0]) == 2 * len(METHODS)
+    assert digests[0] == digests[1]

@@ -8,6 +8,9 @@ grow with the depth of the tree instead of its width.
 
 Inside, a quaternion w + xi + yj + zk is a pair of complex numbers, a = w + xi and b = y + zi,
 arrays ``(2, n)``: the product (a c - b d*, a d + b c*) then takes four complex multiplications.
+numpy fuses the multiplications and additions in them where the processor can, so the last bit is
+that of such processors. Real arithmetic would not depend on it, but was measured to take two thirds
+more time.
 """
 
 from __future__ import annotations
