@@ -345,7 +345,8 @@ def write(
     Parameters
     ----------
     series
-        What to write.
+        What to write; where it has covariances, tables get the columns of :meth:`to_arrow
+        <quatprop.AttitudeSeries.to_arrow>`.
     path
         Where; it is replaced when the new content is complete.
     to
@@ -366,20 +367,22 @@ def write(
         The series has positions, and the format has no place for them.
     """
     from quatprop.pipeline.report import convention_of
-    from quatprop.writers import kind_of, layout_of, open_writer
+    from quatprop.writers import WRITERS, kind_of, layout_of, open_writer
 
     if not isinstance(series, AttitudeSeries):
         raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
     _valid("series", series)
     place = _path("path", path)
-    order = layout_of(kind_of(place, to), layout).name
+    kind = kind_of(place, to)
+    order = layout_of(kind, layout).name
+    sigma = "body" if series.covariance is not None and WRITERS[kind].columns else None
     if isinstance(series, PropagatedSeries):
         report = series.report
         convention = replace(report.convention, layout=order)
         provenance = replace(report, convention=convention).as_json()
     else:
         provenance = convention_of(order)
-    with open_writer(place, to, layout=order) as writer:
+    with open_writer(place, to, layout=order, sigma=sigma) as writer:
         writer.write(series)
         writer.commit(provenance)
 

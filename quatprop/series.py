@@ -210,6 +210,9 @@ class AttitudeSeries:
     covariance
         Covariance of small rotations about the body's axes, shape ``(N, 3, 3)``, rad^2; None where
         it is not known.
+    rate
+        Angular rate of the body in its own axes, shape ``(N, 3)``, rad/s; None where it is not
+        known.
 
     Raises
     ------
@@ -221,14 +224,16 @@ class AttitudeSeries:
     wxyz: Float64
     position: Float64 | None = None
     covariance: Float64 | None = None
+    rate: Float64 | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
         wxyz = rows_of("wxyz", self.wxyz, len(self.t_ns), 4)
         object.__setattr__(self, "wxyz", _read_only(wxyz))
-        if self.position is not None:
-            position = rows_of("position", self.position, len(self.t_ns), 3)
-            object.__setattr__(self, "position", _read_only(position))
+        for name in ("position", "rate"):
+            if (values := getattr(self, name)) is not None:
+                rows = rows_of(name, values, len(self.t_ns), 3)
+                object.__setattr__(self, name, _read_only(rows))
         if self.covariance is not None:
             covariance = np.asarray(self.covariance, np.float64)
             if covariance.shape != (len(self.t_ns), 3, 3):
@@ -248,9 +253,11 @@ class AttitudeSeries:
 
     def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> AttitudeSeries:
         """Return some attitudes: views for a slice, copies for a mask or positions."""
-        position = None if self.position is None else self.position[chosen]
-        covariance = None if self.covariance is None else self.covariance[chosen]
-        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], position, covariance)
+        beside = (
+            None if values is None else values[chosen]
+            for values in (self.position, self.covariance, self.rate)
+        )
+        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], *beside)
 
     def __repr__(self) -> str:
         return _summary(self, "attitudes")
@@ -263,7 +270,7 @@ class AttitudeSeries:
             values = [getattr(part, name) for part in parts]
             return None if values[0] is None else np.concatenate(values)
 
-        return AttitudeSeries(*map(column, ("t_ns", "wxyz", "position", "covariance")))
+        return AttitudeSeries(*map(column, ("t_ns", "wxyz", "position", "covariance", "rate")))
 
     @property
     def sigma(self) -> Float64 | None:

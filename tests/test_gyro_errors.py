@@ -4,15 +4,19 @@ import json
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
-from quatprop import GyroSeries, propagate
+from quatprop import GyroSeries, propagate, write
 from quatprop.cli import cli
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
 from quatprop.settings import parse
+from quatprop.writers import WRITERS
 
 SECOND = 1_000_000_000
 KALIBR = """\
@@ -259,3 +263,108 @@ def test_the_summary_and_the_report_say_it(tmp_path):
     uncertainty = json.loads((tmp_path / "report.json").read_text())["uncertainty"]
     assert uncertainty["largest"] == "bias_sigma"
     assert uncertainty["sigma_rad"] == pytest.approx([math.radians(0.105)] * 3, rel=0.002)
+
+
+# --- outputs
+
+
+def run(tmp_path, name, *arguments):
+    """Propagate a short log to a file, with the standard deviations; return its path."""
+    log = tmp_path / "log.csv"
+    series = noisy(2)
+    rows = (f"{t},{x},{y},{z}\n" for t, (x, y, z) in zip(series.t_ns, series.rate, strict=True))
+    log.write_text("t_ns,wx,wy,wz\n" + "".join(rows))
+    out = tmp_path / name
+    given = ["--rate-unit", "rad/s", "--noise-density", "1e-3rad/s/sqrt(Hz)", "--scale-sigma", "5%"]
+    result = CliRunner().invoke(
+        cli, ["propagate", str(log), "-o", str(out), *given, "--sigma", *arguments]
+    )
+    return out, result, propagate(series, sigma=True, noise_density=1e-3, scale_sigma=0.05)
+
+
+@pytest.mark.parametrize("kind", [name for name, form in WRITERS.items() if form.columns])
+@pytest.mark.parametrize("axes", ["body", "reference"])
+def test_every_table_has_the_columns(tmp_path, kind, axes):
+    """sigma_x, sigma_y, sigma_z after the quaternion, rad, to the last bit of the library's."""
+    out, result, expected = run(
+        tmp_path, f"out{WRITERS[kind].suffixes[0]}", "--to", kind, "--sigma-axes", axes
+    )
+    assert result.exit_code == 0, result.output
+    covariance = expected.covariance
+    if axes == "reference":
+        turn = Rotation.from_quat(expected.wxyz, scalar_first=True).as_matrix()
+        covariance = turn @ covariance @ turn.swapaxes(1, 2)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    columns = {
+        "csv": lambda: pd.read_csv(out),
+        "tsv": lambda: pd.read_csv(out, sep="\t"),
+        "jsonl": lambda: pd.DataFrame(map(json.loads, out.read_text().splitlines())),
+        "parquet": lambda: pd.read_parquet(out),
+        "feather": lambda: pd.read_feather(out),
+        "npy": lambda: pd.DataFrame(np.load(out)),
+        "npz": lambda: pd.DataFrame({k: v for k, v in np.load(out).items() if k != "quatprop"}),
+    }[kind]()
+    assert columns.columns[:5].tolist() == ["t_ns", "qw", "qx", "qy", "qz"]
+    found = columns[["sigma_x", "sigma_y", "sigma_z"]].to_numpy()
+    np.testing.assert_allclose(found, sigma, rtol=1e-12, atol=1e-18)
+    assert len(columns.columns) == 8
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("out.tum", [], ("Error: --sigma: tum holds poses only; choose 'csv', 'tsv', 'jsonl', "
+         "'parquet', 'feather', 'npy', 'npz'")),
+        ("out.mcap", [], ("Error: --sigma: QuaternionStamped has no covariance; choose "
+         "'PoseWithCovarianceStamped', 'Imu' with --message")),
+    ],
+)  # fmt: skip
+def test_outputs_without_a_place_for_them_are_refused(tmp_path, name, arguments, message):
+    """Before anything is written."""
+    out, result, _ = run(tmp_path, name, *arguments)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == message
+    assert not out.exists()
+
+
+def test_axes_without_columns_are_refused():
+    """A setting that would do nothing."""
+    with pytest.raises(UsageError, match=r"^sigma_axes goes with sigma$"):
+        propagate(noisy(1), sigma_axes="reference")
+
+
+@pytest.mark.parametrize("name", ["out.mcap", "out.bag", "out"])
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+def test_an_imu_has_orientation_covariance_and_rate(tmp_path, name, frame):
+    """As a filter publishes it, in every container; rates in body axes."""
+    out, result, _ = run(tmp_path, name, "--message", "Imu", "--rates", frame)
+    assert result.exit_code == 0, result.output
+    series = noisy(2)
+    options = {"sigma": True, "noise_density": 1e-3, "scale_sigma": 0.05, "rates": frame}
+    expected = propagate(series, **options)
+    turn = Rotation.from_quat(expected.wxyz, scalar_first=True)
+    rate = series.rate if frame == "body" else turn.inv().apply(series.rate.copy())
+    matrix = turn.as_matrix()
+    covariance = matrix @ expected.covariance @ matrix.swapaxes(1, 2)
+    with AnyReader([out]) as reader:
+        found = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
+    assert {m.header.frame_id for m in found} == {"body"}
+    np.testing.assert_allclose(
+        [[m.angular_velocity.x, m.angular_velocity.y, m.angular_velocity.z] for m in found],
+        rate, atol=1e-15,
+    )  # fmt: skip
+    np.testing.assert_allclose(
+        [m.orientation_covariance.reshape(3, 3) for m in found], covariance, atol=1e-18
+    )
+    assert not any(m.angular_velocity_covariance.any() for m in found)
+    assert {m.linear_acceleration_covariance[0] for m in found} == {-1.0}
+
+
+def test_a_series_is_written_with_its_standard_deviations(tmp_path):
+    """By the library too; a trajectory, which has no place for them, without."""
+    result = propagate(noisy(1), sigma=True, noise_density=1e-3)
+    write(result, tmp_path / "out.csv")
+    write(result, tmp_path / "out.tum")
+    names = (tmp_path / "out.csv").read_text().splitlines()[0]
+    assert names == "t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z"
+    assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8

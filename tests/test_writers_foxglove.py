@@ -179,7 +179,8 @@ def test_ros_bags_refuse_them(tmp_path, name, kind):
     """Bags hold messages of ROS, and the error says what would do."""
     words = (
         f"^'{name}' is Foxglove's own, in protobuf, and ROS bags hold ROS messages; write mcap, "
-        "or choose 'QuaternionStamped', 'PoseStamped', 'TFMessage'$"
+        "or choose 'QuaternionStamped', 'PoseStamped', 'TFMessage', "
+        "'PoseWithCovarianceStamped', 'Imu'$"
     )
     with pytest.raises(UsageError, match=words):
         open_writer(tmp_path / "a", kind, message=Message(name))

@@ -11,6 +11,7 @@ from mcap_doctor import examine
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
+from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
@@ -52,8 +53,8 @@ def content(path):
 # Messages
 
 
-def told_to_the_library(store, message, wxyz, stamp, seq):
-    """Return a message as an object of rosbags."""
+def told_to_the_library(store, message, wxyz, stamp, seq, known=None):  # noqa: PLR0913, PLR0917
+    """Return a message as an object of rosbags; `known` are a covariance and a rate."""
     types = store.types
     seqs = {"seq": seq} if "seq" in types["std_msgs/msg/Header"].__dataclass_fields__ else {}
     header = types["std_msgs/msg/Header"](
@@ -65,6 +66,29 @@ def told_to_the_library(store, message, wxyz, stamp, seq):
     rotation = types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
     nowhere = {"x": 0.0, "y": 0.0, "z": 0.0}
     short = message.type.rpartition("/")[2]
+    covariance, rate = known or (np.zeros((3, 3)), np.zeros(3))
+    if short == "Imu":
+        header.frame_id = message.child
+        absent = np.array([-1.0, *[0.0] * 8])
+        vector = types["geometry_msgs/msg/Vector3"]
+        return types["sensor_msgs/msg/Imu"](
+            header=header,
+            orientation=rotation,
+            orientation_covariance=covariance.reshape(9),
+            angular_velocity=vector(*rate),
+            angular_velocity_covariance=np.zeros(9) if known else absent,
+            linear_acceleration=vector(**nowhere),
+            linear_acceleration_covariance=absent,
+        )
+    if short == "PoseWithCovarianceStamped":
+        point = types["geometry_msgs/msg/Point"](**nowhere)
+        pose = types["geometry_msgs/msg/Pose"](position=point, orientation=rotation)
+        full = np.zeros((6, 6))
+        full[3:, 3:] = covariance
+        with_covariance = types["geometry_msgs/msg/PoseWithCovariance"](
+            pose=pose, covariance=full.reshape(36)
+        )
+        return types[f"geometry_msgs/msg/{short}"](header=header, pose=with_covariance)
     if short == "QuaternionStamped":
         return types["geometry_msgs/msg/QuaternionStamped"](header=header, quaternion=rotation)
     if short == "PoseStamped":
@@ -100,6 +124,36 @@ def test_messages_are_what_the_library_would_encode(name, frame, child, ros1):
         assert row.tobytes() == bytes(serialize(expected, MESSAGES[name].name))
 
 
+@pytest.mark.parametrize("ros1", [False, True])
+@pytest.mark.parametrize("name", ["Imu", "PoseWithCovarianceStamped"])
+def test_covariances_are_about_the_axes_of_the_reference(name, ros1):
+    """R P R' with scipy's R; with the rate of the body in an Imu."""
+    store = ros1_types() if ros1 else get_typestore(Stores.ROS2_HUMBLE)
+    random = np.random.default_rng(3)
+    root = random.normal(size=(5, 3, 3)) * 1e-2
+    bare = turning(5)
+    series = AttitudeSeries(
+        bare.t_ns, bare.wxyz, None, root @ root.swapaxes(1, 2), random.normal(size=(5, 3))
+    )
+    rows = RosEncoder(Message(name), ros1=ros1).encode(series, "a")
+    turn = Rotation.from_quat(series.wxyz, scalar_first=True).as_matrix()
+    expected = turn @ series.covariance @ turn.swapaxes(1, 2)
+    deserialize = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    for k, row in enumerate(rows):
+        found = deserialize(row.tobytes(), MESSAGES[name].name)
+        if name == "Imu":
+            covariance = found.orientation_covariance.reshape(3, 3)
+        else:
+            covariance = found.pose.covariance.reshape(6, 6)[3:, 3:]
+        np.testing.assert_allclose(covariance, expected[k], rtol=0, atol=1e-18)
+        known = covariance, series.rate[k]
+        same = told_to_the_library(
+            store, Message(name), series.wxyz[k], int(series.t_ns[k]), k, known
+        )
+        assert row.tobytes() == bytes(serialize(same, MESSAGES[name].name))
+
+
 @pytest.mark.parametrize("stamp", [-1, (2**31) * 10**9])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_stamp_beyond_ros_is_refused(tmp_path, kind, stamp):
@@ -111,12 +165,13 @@ def test_a_stamp_beyond_ros_is_refused(tmp_path, kind, stamp):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["Imu", "nav_msgs/QuaternionStamped", "sensor_msgs/msg/Imu"])
+@pytest.mark.parametrize("name", ["Pose", "nav_msgs/QuaternionStamped", "nav_msgs/msg/Odometry"])
 def test_another_message_is_refused(tmp_path, name):
     """Types that are not in the table are refused with those that are."""
     words = (
         f"^attitudes cannot be written as '{name}'; "
-        "choose 'QuaternionStamped', 'PoseStamped', 'TFMessage', 'FrameTransform', 'PoseInFrame'$"
+        "choose 'QuaternionStamped', 'PoseStamped', 'TFMessage', 'PoseWithCovarianceStamped', "
+        "'Imu', 'FrameTransform', 'PoseInFrame'$"
     )
     with pytest.raises(UsageError, match=words):
         write(tmp_path, "mcap", turning(1), message=Message(name))
@@ -167,6 +222,8 @@ def test_rosbags_reads_every_bit(tmp_path, kind, name):
             "QuaternionStamped": lambda m: m.quaternion,
             "PoseStamped": lambda m: m.pose.orientation,
             "TFMessage": lambda m: m.transform.rotation,
+            "PoseWithCovarianceStamped": lambda m: m.pose.pose.orientation,
+            "Imu": lambda m: m.orientation,
         }[name](inner)
         wxyz.append([quaternion.w, quaternion.x, quaternion.y, quaternion.z])
     np.testing.assert_array_equal(stamps, series.t_ns)

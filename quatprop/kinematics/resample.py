@@ -15,7 +15,8 @@ from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import with_next
-from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotation_matrix
+from quatprop.kinematics.quaternion import conjugate, exp, multiply
+from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
@@ -193,29 +194,33 @@ def at_times(
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
                 between = np.where(inside[:, None], wxyz[at], between)
-            yield AttitudeSeries(wanted, between, covariance=_covariance(known, wanted, between))
+            yield _with_columns(known, wanted, between)
 
 
-def _covariance(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> Float64 | None:
-    """Return the covariances of attitudes between known ones, ``(M, 3, 3)``, body axes.
+def _with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> AttitudeSeries:
+    """Return attitudes between known ones, with what those have beside them.
 
-    In reference axes they are continuous, and taken as linear in time.
+    Rates are taken as linear in time, and so are covariances in reference axes.
     """
-    if known.covariance is None:
-        return None
+    if known.covariance is None and known.rate is None:
+        return AttitudeSeries(wanted, wxyz)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
     elapsed = wanted - known.t_ns[before]
     fraction = np.divide(elapsed, interval, out=np.zeros(len(wanted)), where=interval > 0)
-    ends = []
-    for index in (before, after):
-        turn = rotation_matrix(known.wxyz[index])
-        ends.append(turn @ known.covariance[index] @ turn.swapaxes(-1, -2))
-    reference = ends[0] + fraction[:, None, None] * (ends[1] - ends[0])
-    turn = rotation_matrix(wxyz)
-    covariance: Float64 = turn.swapaxes(-1, -2) @ reference @ turn
-    return covariance
+    covariance = rate = None
+    if known.covariance is not None:
+        first, second = (
+            reference_covariance(known.wxyz[index], known.covariance[index])
+            for index in (before, after)
+        )
+        reference = first + fraction[:, None, None] * (second - first)
+        covariance = reference_covariance(conjugate(wxyz), reference)
+    if known.rate is not None:
+        first, second = known.rate[before], known.rate[after]
+        rate = first + fraction[:, None] * (second - first)
+    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate)
 
 
 def _curvature(

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from quatprop.kinematics.quaternion import rotation_matrix
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -236,6 +237,21 @@ def rotation_elements(wxyz: Float64) -> Float64:
         np.add(product, turn, out=elements[below])
         np.subtract(product, turn, out=elements[above])
     return elements
+
+
+def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
+    """Return covariances of rotations about body axes as of rotations about reference axes.
+
+    Parameters
+    ----------
+    wxyz
+        Attitudes body -> reference, shape ``(N, 4)``.
+    covariance
+        Shape ``(N, 3, 3)``, rad^2.
+    """
+    turn = rotation_matrix(wxyz)
+    reference: Float64 = turn @ covariance @ turn.swapaxes(-1, -2)
+    return reference
 
 
 def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:

@@ -67,6 +67,8 @@ class AttitudeStream:
         Looks at rates and attitudes as they pass.
     sensitivity
         Whether to compute how far the final attitude can be trusted.
+    rate
+        Whether the attitudes are to have their rate.
 
     Raises
     ------
@@ -83,9 +85,10 @@ class AttitudeStream:
         *,
         observer: Observer | None = None,
         sensitivity: bool = True,
+        rate: bool = False,
     ) -> None:
         self._path, self._log, self._source, self._settings = path, log, source, settings
-        self._observer, self._sensitivity = observer, sensitivity
+        self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         beside = None if log is None else signals_beside(log, source, settings.selection)
         self._batches, self._conditioned = condition(
@@ -142,6 +145,7 @@ class AttitudeStream:
             chain([first], used),
             sensitivity=self._sensitivity,
             covariance=self._settings.errors.sigma,
+            rate=self._rate,
         )
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
@@ -252,7 +256,7 @@ class AttitudeStream:
         growth = self._segments.growth
         if self._errors is None or growth is None:
             return None
-        return uncertainty_report(*self._errors, growth)
+        return uncertainty_report(self._errors, growth, self._settings.errors.columns_axes)
 
 
 def _times(settings: PropagationSettings) -> Times | None:

@@ -57,6 +57,15 @@ class ErrorSettings:
     sigma: bool = False
     sigma_axes: str | None = None
 
+    def __post_init__(self) -> None:
+        if self.sigma_axes is not None and not self.sigma:
+            raise UsageError(Setting("sigma_axes"), " goes with ", Setting("sigma"))
+
+    @property
+    def columns_axes(self) -> str | None:
+        """The axes of the columns of standard deviations; None where there are to be none."""
+        return (self.sigma_axes or "body") if self.sigma else None
+
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyReport:
@@ -68,6 +77,8 @@ class UncertaintyReport:
         Standard deviations of the gyroscope's errors.
     origins
         Where each of them comes from: ``"given"``, a file, or ``"rest"``.
+    columns_axes
+        The axes of the columns of standard deviations; None where there are none.
     sigma_rad
         Standard deviations of the final attitude about body axes, shape ``(3,)``, rad.
     largest
@@ -78,6 +89,7 @@ class UncertaintyReport:
 
     errors: SensorErrors
     origins: Mapping[str, str]
+    columns_axes: str | None
     sigma_rad: NDArray[np.float64]
     largest: str
     largest_share: float
@@ -127,14 +139,16 @@ def known_errors(
 
 
 def uncertainty_report(
-    errors: SensorErrors, origins: Mapping[str, str], growth: ErrorGrowth
+    known: tuple[SensorErrors, Mapping[str, str]],
+    growth: ErrorGrowth,
+    columns_axes: str | None,
 ) -> UncertaintyReport:
-    """Return what errors have led to at the last sample."""
+    """Return what known errors have led to at the last sample."""
     largest = max(growth.variances, key=lambda name: growth.variances[name])
     total = sum(growth.variances.values())
     return UncertaintyReport(
-        errors,
-        origins,
+        *known,
+        columns_axes,
         growth.final.diagonal() ** 0.5,
         largest,
         growth.variances[largest] / total if total else 0.0,

@@ -112,7 +112,13 @@ def run(
             output.path, output.to, comment=output.comment
         )
         stream = AttitudeStream(
-            job.log, source, settings, log, observer=observer, sensitivity=summary or kept
+            job.log,
+            source,
+            settings,
+            log,
+            observer=observer,
+            sensitivity=summary or kept,
+            rate=output.message is not None and "rate" in output.message.definition.parts,
         )
         with (
             ReportFile(output.report) as report_file,
@@ -141,6 +147,7 @@ def _open_output(
         "layout": output.layout,
         "message": output.message,
         "comment": output.comment,
+        "sigma": settings.errors.columns_axes,
     }
     if not output.into:
         return open_writer(output.path, output.to, **options)

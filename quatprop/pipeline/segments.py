@@ -11,6 +11,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.kinematics.propagate import Propagation
+from quatprop.kinematics.quaternion import conjugate, rotate
 from quatprop.kinematics.resample import at_times
 from quatprop.kinematics.sensitivity import Sensitivity
 from quatprop.kinematics.uncertainty import ErrorGrowth
@@ -71,7 +72,12 @@ class Segments:
         self.growth = None if errors is None else ErrorGrowth(errors, rates)
 
     def attitudes(
-        self, samples: Iterable[GyroSeries], *, sensitivity: bool = True, covariance: bool = False
+        self,
+        samples: Iterable[GyroSeries],
+        *,
+        sensitivity: bool = True,
+        covariance: bool = False,
+        rate: bool = False,
     ) -> Iterator[AttitudeSeries]:
         """Return the attitudes at every sample, or at the times that are wanted.
 
@@ -83,8 +89,10 @@ class Segments:
             Whether to find out how much the final attitude depends on method and sampling.
         covariance
             Whether attitudes are to have their covariance, if the errors are known.
+        rate
+            Whether they are to have their rate.
         """
-        self._covariance = covariance
+        self._covariance, self._rate = covariance, rate
         if sensitivity:
             self.sensitivity = Sensitivity(self._q0, self._method, self._rates)
         segments = map(self._propagated, self._timeline.segments(samples))
@@ -129,6 +137,13 @@ class Segments:
                 covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
                 if self._covariance:
                     attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
+            if self._rate:
+                attitudes = replace(attitudes, rate=self._body_rate(block, attitudes))  # noqa: PLW2901
             yield block, attitudes
         if self.sensitivity is not None:
             self.sensitivity.finish()
+
+    def _body_rate(self, block: GyroSeries, attitudes: AttitudeSeries) -> NDArray[np.float64]:
+        return (
+            block.rate if self._rates == "body" else rotate(conjugate(attitudes.wxyz), block.rate)
+        )

@@ -43,16 +43,18 @@ __all__ = [
     "open_messages",
     "open_table",
     "open_writer",
+    "refuse_sigma",
 ]
 
 
-def open_writer(
+def open_writer(  # noqa: PLR0913  # what is written, where and how
     target: Path | str,
     kind: str | None = None,
     *,
     layout: str | None = None,
     comment: bool = False,
     message: Message | None = None,
+    sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
@@ -70,6 +72,9 @@ def open_writer(
         Write the provenance in a comment at the beginning.
     message
         The message to write the attitudes as, in a format of messages.
+    sigma
+        ``"body"`` or ``"reference"``: add columns of standard deviations about these axes. Messages
+        with a covariance hold what the attitudes have, about reference axes, as ROS defines it.
 
     Returns
     -------
@@ -82,9 +87,10 @@ def open_writer(
         The kind or the suffix is unknown, the target is a folder, its folder does not exist,
         writing there is not permitted, or the kind cannot go to stdout.
     UsageError
-        The layout is unknown or not that of the format, or the format has no comments or no
-        messages.
+        The layout is unknown or not that of the format, or the format has no comments, no messages
+        or no place for standard deviations.
     """
+    from quatprop.series import SIGMA_COLUMNS
     from quatprop.writers.base import AttitudeMessages, AttitudeTable
 
     kind = kind_of(target, kind)
@@ -92,8 +98,10 @@ def open_writer(
     if message is not None and not chosen.encodings:
         raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
     order = layout_of(kind, layout)
+    refuse_sigma(kind, message, sigma)
     if not chosen.encodings:
-        return AttitudeTable(_open_columns(target, kind, order.columns, comment=comment), order)
+        names = order.columns if sigma is None else (*order.columns, *SIGMA_COLUMNS)
+        return AttitudeTable(_open_columns(target, kind, names, comment=comment), order, sigma)
     from quatprop.writers.messages.encoders import attitude_encoder
     from quatprop.writers.messages.kinds import Message
 
@@ -101,6 +109,35 @@ def open_writer(
     _refuse_stdout(target, kind)
     encoder = attitude_encoder(message or Message(), chosen.encodings)
     return AttitudeMessages(open_messages(target, kind, encoder.topic), encoder, target)
+
+
+def refuse_sigma(kind: str, message: Message | None, sigma: str | None) -> None:
+    """Refuse standard deviations where a format or a message has no place for them.
+
+    Parameters
+    ----------
+    kind
+        A key of :data:`WRITERS`.
+    message, sigma
+        As for :func:`open_writer`.
+
+    Raises
+    ------
+    UsageError
+        They cannot be written.
+    """
+    from quatprop.writers.messages.kinds import MESSAGES, Message
+
+    chosen = WRITERS[kind]
+    message = message or Message()
+    if sigma is None or chosen.columns or (chosen.encodings and message.definition.has_covariance):
+        return
+    if chosen.encodings:
+        able = listed(name for name, one in MESSAGES.items() if one.has_covariance)
+        reason = f"{message.type} has no covariance; choose {able} with "
+        raise UsageError(Setting("sigma"), f": {reason}", Setting("message"))
+    tables = listed(name for name, form in WRITERS.items() if form.columns)
+    raise UsageError(Setting("sigma"), f": {kind} holds poses only; choose {tables}")
 
 
 def open_table(

@@ -6,6 +6,9 @@ import json
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.provenance import as_json
 
 if TYPE_CHECKING:
@@ -13,7 +16,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any, Self
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.conventions.layout import Layout
@@ -209,12 +211,14 @@ class AttitudeTable(AttitudeWriter):
         A table with the columns of `layout`.
     layout
         Order of the components.
+    sigma
+        The axes of the columns of standard deviations at the end; None where there are none.
     """
 
-    def __init__(self, table: TableWriter, layout: Layout) -> None:
+    def __init__(self, table: TableWriter, layout: Layout, sigma: str | None = None) -> None:
         super().__init__(table)
         self._table = table
-        self._order = layout.order
+        self._order, self._sigma = layout.order, sigma
         self.holds_positions = table.holds_positions
 
     def write(self, series: AttitudeSeries) -> None:
@@ -222,6 +226,11 @@ class AttitudeTable(AttitudeWriter):
         columns = [series.wxyz[:, component] for component in self._order]
         if self.holds_positions and series.position is not None:
             columns += list(series.position.T)
+        if self._sigma is not None and series.covariance is not None:
+            covariance = series.covariance
+            if self._sigma == "reference":
+                covariance = reference_covariance(series.wxyz, covariance)
+            columns += [np.sqrt(covariance[:, axis, axis]) for axis in range(3)]
         self._table.write(series.t_ns, columns)
 
 

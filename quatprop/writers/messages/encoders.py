@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from quatprop.errors import UsageError
+from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.text import listed, quoted
 from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder
 from quatprop.writers.messages.kinds import MESSAGES
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
     from quatprop.writers.messages.topics import Topic
+
+
+_ABSENT = [-1.0, *[0.0] * 8]
+"""The covariance of a part of an Imu message that is not known."""
 
 
 class AttitudeEncoder(Protocol):
@@ -94,10 +99,21 @@ class RosEncoder:
             "count": "<u4",
             "position": "3<f8",
             "xyzw": "4<f8",
+            "pose_covariance": "(6,6)<f8",
+            "covariance": "(3,3)<f8",
+            "rate": "3<f8",
+            "rate_covariance": "9<f8",
+            "acceleration": "3<f8",
+            "acceleration_covariance": "9<f8",
         }
+        self._has_covariance = definition.has_covariance
         self.holds_positions = "position" in definition.parts
         fields = {part: formats[part] for part in definition.parts}
-        self._records = RosRecords(fields, {"count": 1} if "count" in fields else {}, ros1=ros1)
+        constants = {"count": 1, "acceleration_covariance": _ABSENT}
+        self._records = RosRecords(
+            fields, {name: constants[name] for name in constants if name in fields}, ros1=ros1
+        )
+        self._parts = definition.parts
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
         """Return the messages of a batch."""
@@ -105,4 +121,15 @@ class RosEncoder:
         rows["xyzw"][:, :3], rows["xyzw"][:, 3] = series.wxyz[:, 1:], series.wxyz[:, 0]
         if self.holds_positions and series.position is not None:
             rows["position"] = series.position
+        if series.covariance is not None and self._has_covariance:
+            covariance = reference_covariance(series.wxyz, series.covariance)
+            if "covariance" in self._parts:
+                rows["covariance"] = covariance
+            else:
+                rows["pose_covariance"][:, 3:, 3:] = covariance
+        if "rate" in self._parts:
+            if series.rate is None:
+                rows["rate_covariance"] = _ABSENT
+            else:
+                rows["rate"] = series.rate
         return rows

@@ -2,7 +2,9 @@
 
 A position or translation is zero where the attitudes have none. The message's frame is the
 reference; the child of a transform is the body, so that it maps body to reference, as the attitude
-does. All of these types define the quaternion as x, y, z, w: there is no other layout.
+does, and so is the frame of an Imu. Covariances are about the axes of the reference, as ROS defines
+them; zeros say that one is not known, and -1 that the value itself is not. All of these types
+define the quaternion as x, y, z, w: there is no other layout.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ class MessageType:
         The type, as ROS 2 names it, or as Foxglove does.
     parts
         Its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
-        ``position`` and ``xyzw``, or a ``pose`` of both.
+        ``position`` and ``xyzw``, or a ``pose`` of both; the ``covariance`` of the orientation, or
+        ``pose_covariance`` with it; ``rate``, ``acceleration`` and the covariance of each.
     topic
         The topic it is usually published under.
     """
@@ -35,6 +38,11 @@ class MessageType:
     name: str
     parts: tuple[str, ...]
     topic: str = "/attitude"
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether it has a place for the covariance of the orientation."""
+        return not {"covariance", "pose_covariance"}.isdisjoint(self.parts)
 
     @property
     def is_ros(self) -> bool:
@@ -51,6 +59,17 @@ MESSAGES: Mapping[str, MessageType] = {
     ),
     "TFMessage": MessageType(
         "tf2_msgs/msg/TFMessage", ("count", "stamp", "frame", "child", "position", "xyzw"), "/tf"
+    ),
+    "PoseWithCovarianceStamped": MessageType(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        ("stamp", "frame", "position", "xyzw", "pose_covariance"),
+    ),
+    "Imu": MessageType(
+        "sensor_msgs/msg/Imu",
+        (
+            *("stamp", "child", "xyzw", "covariance", "rate", "rate_covariance"),
+            *("acceleration", "acceleration_covariance"),
+        ),
     ),
     "FrameTransform": MessageType(
         "foxglove.FrameTransform", ("stamp", "frame", "child", "position", "xyzw"), "/tf"
