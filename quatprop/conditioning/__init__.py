@@ -16,9 +16,7 @@ from quatprop.conditioning.calibration import read_calibration
 from quatprop.conditioning.cells import cells_of
 from quatprop.conditioning.mounting import mounting
 from quatprop.conditioning.static_detection import SignalsBeside, find_rest
-from quatprop.errors import UsageError
-from quatprop.text import Setting, Text
-from quatprop.times import duration_text
+from quatprop.conditioning.time_range import absolute_range, clipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -26,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conditioning.static_detection import Rest
+    from quatprop.conditioning.time_range import PartOfLog, PartReader
     from quatprop.series import GyroSeries
     from quatprop.times import Instant
 
@@ -84,9 +83,11 @@ class ConditioningReport:
     start_ns, end_ns
         The part of the log that was used, ends included, ns.
     outside
-        Samples left out before and after that part, so far.
+        Samples left out before and after that part, so far; those that were read.
     remarks
         What of the calibration is not applied.
+    part
+        The part of the log that was read, where it was not the whole.
     """
 
     bias_rad_s: NDArray[np.float64] | None
@@ -97,18 +98,21 @@ class ConditioningReport:
     end_ns: int | None
     outside: list[int]
     remarks: tuple[str, ...] = ()
+    part: PartOfLog | None = None
 
 
 LOOK_AHEAD_CELL_NS = 1_000_000_000
 """Only the first and the last stamp matter where no rest is looked for."""
 
 
-def condition(
+def condition(  # noqa: PLR0913  # how to read, and what beside
     read: Callable[[], Iterable[GyroSeries]],
     settings: Conditioning,
     unit: float,
     beside: SignalsBeside | None = None,
     topic: str = "",
+    *,
+    part_reader: Callable[[], PartReader | None] = lambda: None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
     """Return the conditioned samples, and what is done to them.
 
@@ -124,6 +128,8 @@ def condition(
         What was measured beside the rates, read only where rest is looked for; None for nothing.
     topic
         Of the rates: which IMU of a calibration of several.
+    part_reader
+        Returns what reads only the part of the log that is used, if its index allows that.
 
     Returns
     -------
@@ -147,7 +153,12 @@ def condition(
         bias = np.array(settings.bias) * unit
     first_ns = last_ns = 0
     rest = None
-    if settings.looks_ahead:
+    clips = settings.start is not None or settings.end is not None
+    parts = part_reader() if clips else None
+    ends = parts.ends() if parts and settings.looks_ahead and settings.static_ns is None else None
+    if ends is not None:
+        first_ns, last_ns = ends
+    elif settings.looks_ahead:
         shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
         cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
         if len(cells):
@@ -155,49 +166,19 @@ def condition(
         if settings.static_ns is not None:
             rest = find_rest(cells, beside or SignalsBeside(), shortest_ns)
             bias = rest.mean_rad_s
-    start_ns = _absolute(settings.start, first_ns, last_ns)
-    end_ns = _absolute(settings.end, first_ns, last_ns)
-    if start_ns is not None and end_ns is not None and start_ns > end_ns:
-        raise UsageError(
-            Setting("start"),
-            f" is {duration_text(start_ns - end_ns)} after ",
-            Setting("end"),
-            "; swap them, or check units",
-        )
+    start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
     matrix = None if calibration is None else calibration.matrix
     remarks = (calibration.remark,) if calibration is not None and calibration.remark else ()
-    report = ConditioningReport(bias, rest, matrix, mount, start_ns, end_ns, [0, 0], remarks)
-    batches = iter(read())
-    if start_ns is not None or end_ns is not None:
+    part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)
+    report = ConditioningReport(bias, rest, matrix, mount, start_ns, end_ns, [0, 0], remarks, part)
+    batches = iter(read()) if part_batches is None else part_batches
+    if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
     if bias is not None or matrix is not None:
         batches = conditioned(batches, bias=bias, matrix=matrix)
     return batches, report
-
-
-def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:
-    """Return a remark for each absolute end of the part that leaves nothing out.
-
-    Parameters
-    ----------
-    settings, report
-        What to do, and what was done once all samples have passed.
-    """
-    before, after = report.outside
-    ends = (
-        ("start", "before the first", settings.start, before),
-        ("end", "after the last", settings.end, after),
-    )
-    return [
-        Text(
-            Setting(name),
-            f" is {side} sample and leaves nothing out; a number without a unit is in ns",
-        )
-        for name, side, instant, left_out in ends
-        if instant is not None and instant.origin == "clock" and not left_out
-    ]
 
 
 def conditioned(
@@ -233,33 +214,3 @@ def _transformed(rate: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDAr
     """
     x, y, z = rate.T
     return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)
-
-
-def clipped(
-    batches: Iterable[GyroSeries],
-    start_ns: int | None,
-    end_ns: int | None,
-    outside: list[int] | None = None,
-) -> Iterator[GyroSeries]:
-    """Yield the samples with start <= t <= end; None leaves an end open.
-
-    The samples before and after are counted in the two numbers of `outside`.
-    """
-    outside = [0, 0] if outside is None else outside
-    low = np.iinfo(np.int64).min if start_ns is None else start_ns
-    high = np.iinfo(np.int64).max if end_ns is None else end_ns
-    for batch in batches:
-        inside = (batch.t_ns >= low) & (batch.t_ns <= high)
-        outside[0] += int(np.count_nonzero(batch.t_ns < low))
-        outside[1] += int(np.count_nonzero(batch.t_ns > high))
-        if inside.all():
-            yield batch
-        elif inside.any():
-            yield batch[inside]
-
-
-def _absolute(instant: Instant | None, first_ns: int, last_ns: int) -> int | None:
-    """Return an instant on the log's clock, ns, given the log's first and last stamps."""
-    if instant is None:
-        return None
-    return instant.ns + {"clock": 0, "first": first_ns, "last": last_ns}[instant.origin]

@@ -74,6 +74,29 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
+class TimeRange:
+    """A range of time, ends included.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        Its ends, ns.
+    """
+
+    first_ns: int
+    last_ns: int
+
+    @property
+    def length_ns(self) -> int:
+        """Its length, ns."""
+        return self.last_ns - self.first_ns
+
+    def overlaps(self, first_ns: int, last_ns: int) -> bool:
+        """Return whether it has a moment in common with another range, given by its ends."""
+        return first_ns <= self.last_ns and self.first_ns <= last_ns
+
+
+@dataclass(frozen=True, slots=True)
 class MessageBlock:
     """Messages of one channel in one buffer, usually a chunk.
 
@@ -236,6 +259,27 @@ class MessageLog(Log):
         channel
             One of :meth:`channels`.
         """
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of some kinds
+        """Return when a channel was recorded by an index that says it of each part of the log.
+
+        None where there is no such index: then only the whole log can be read.
+        """
+        return None
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel that were logged in a time range, and some others.
+
+        Only the parts of the log that the index has in the range are read, or checked.
+
+        Parameters
+        ----------
+        channel
+            One of :meth:`channels` that has a :meth:`recorded_span`.
+        within
+            The range of log times.
+        """
+        raise NotImplementedError
 
     def complete(self, files: MsgFiles) -> None:
         """Add definitions that channels lack; nothing where the format always has them."""

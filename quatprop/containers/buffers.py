@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 BUFFER = 1 << 23
 """Bytes in a buffer: the chunks in it stay in the processor's cache until they are decoded."""
 
+FIRST = 1 << 19
+"""Bytes in the first buffer, for who reads only the beginning; each is twice as large as the one
+before, up to :data:`BUFFER`."""
+
 
 class Buffers:
     """Buffers in which pieces of memory are handed out, one after another."""
@@ -28,6 +32,7 @@ class Buffers:
         self._free: deque[bytearray] = deque()
         self._current = np.empty(0, np.uint8)
         self._used = 0
+        self._size = FIRST
 
     def take(self, size: int) -> Bytes:
         """Return uninitialised memory of so many bytes; its base is the whole buffer.
@@ -36,7 +41,8 @@ class Buffers:
         """
         if self._used + size > len(self._current):
             self._current = np.empty(0, np.uint8)  # it may be free now
-            self._current, self._used = self._buffer(max(size, BUFFER)), 0
+            self._current, self._used = self._buffer(max(size, self._size)), 0
+            self._size = min(BUFFER, 2 * self._size)
         begin, self._used = self._used, self._used + size
         return self._current[begin : self._used]
 

@@ -6,7 +6,8 @@ from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from quatprop.conditioning import clipping_remarks, condition
+from quatprop.conditioning import condition
+from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -92,7 +93,13 @@ class AttitudeStream:
         self._rows = 0
         beside = None if log is None else signals_beside(log, source, settings.selection)
         self._batches, self._conditioned = condition(
-            source.batches, settings.conditioning, UNITS[source.unit], beside, source.name
+            source.batches,
+            settings.conditioning,
+            UNITS[source.unit],
+            beside,
+            source.name,
+            # Sorted, samples may belong to the range wherever they are in the log.
+            lambda: None if settings.policy.on_backwards == "sort" else source.part_reader(),
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)
@@ -102,6 +109,11 @@ class AttitudeStream:
     @property
     def _needs_growth(self) -> bool:
         return self._sensitivity or self._settings.errors.sigma
+
+    @property
+    def reads_all(self) -> bool:
+        """Whether the whole log is read."""
+        return self._conditioned.part is None
 
     @property
     def samples(self) -> int:

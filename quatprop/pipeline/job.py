@@ -123,7 +123,7 @@ def run(
         with (
             ReportFile(output.report) as report_file,
             _open_output(output, settings, log) as writer,
-            DigestThread(job.log, hashed=kept) as digest,
+            DigestThread(job.log, hashed=kept and stream.reads_all) as digest,
             closing(in_background(stream)) as attitudes,
         ):
             for series in attitudes:

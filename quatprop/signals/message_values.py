@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog, TimeRange
     from quatprop.signals.clock import Clock
 
     Int64 = NDArray[np.int64]
@@ -139,7 +139,7 @@ def as_rows(fields: list[NDArray[Any]]) -> Float64:
 
 
 def timed_values(
-    log: MessageLog, channel: Channel, reader: MessageReader
+    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
 ) -> Iterator[tuple[NDArray[Any], ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
@@ -151,6 +151,8 @@ def timed_values(
         One of its channels.
     reader
         Turns its blocks into rows.
+    within
+        Only the parts of the log that have this range of log times by its index; None is all.
 
     Yields
     ------
@@ -158,12 +160,12 @@ def timed_values(
         What the reader gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
         ``(N, k)``, float64, first.
     """
-    for columns in _in_log_order(log, channel, reader):
+    for columns in _in_log_order(log, channel, reader, within):
         yield columns.values
 
 
 def stamps_logged(
-    log: MessageLog, channel: Channel, reader: MessageReader
+    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
 ) -> Iterator[tuple[Int64, Int64]]:
     """Yield the stamps of one channel and their log times, in order of the log times.
 
@@ -172,12 +174,15 @@ def stamps_logged(
     tuple
         Shapes ``(N,)``, int64 ns.
     """
-    for columns in _in_log_order(log, channel, reader):
+    for columns in _in_log_order(log, channel, reader, within):
         yield columns.values[0], columns.log_ns
 
 
-def _in_log_order(log: MessageLog, channel: Channel, reader: MessageReader) -> Iterator[Columns]:
-    blocks = metered(coalesce_blocks(log.blocks(channel)), channel.count)
+def _in_log_order(
+    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None
+) -> Iterator[Columns]:
+    every = log.blocks(channel) if within is None else log.blocks_within(channel, within)
+    blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
     batches = (_readable(log, channel, reader, block) for block in blocks)
     return merge_by_time([batches])
 

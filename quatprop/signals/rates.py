@@ -14,14 +14,15 @@ from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RATES, Candidate, RateSignal, choose, message_candidates
+from quatprop.signals.time_ranges import RangeReader
 from quatprop.tables.base import is_table
 from quatprop.tables.matching.choose import match_rates
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
-    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.base import Channel, MessageLog, TimeRange
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import MessageReader
@@ -147,6 +148,24 @@ def _of_field(
         unit=unit,
         method=field.method,
         increments=field.span is not None,
+        part_reader=partial(_part_reader, log, channel, field, reader, UNITS[unit]),
+    )
+
+
+def _part_reader(
+    log: MessageLog,
+    channel: Channel,
+    field: RateField,
+    reader: Callable[[], MessageReader],
+    scale: float,
+) -> RangeReader | None:
+    span = log.recorded_span(channel)
+    if span is None:
+        return None
+    return RangeReader(
+        span,
+        lambda within: stamps_logged(log, channel, reader(), within),
+        lambda within: _samples(log, channel, field, reader(), scale, within),
     )
 
 
@@ -162,11 +181,16 @@ def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
         )
 
 
-def _samples(
-    log: MessageLog, channel: Channel, field: RateField, reader: MessageReader, scale: float
+def _samples(  # noqa: PLR0913, PLR0917  # what to read, and how
+    log: MessageLog,
+    channel: Channel,
+    field: RateField,
+    reader: MessageReader,
+    scale: float,
+    within: TimeRange | None = None,
 ) -> Iterator[GyroSeries]:
     """Yield the rates of one channel in order of their log times."""
     averages = field.method == "end"
-    for t_ns, rate, *spans in timed_values(log, channel, reader):
+    for t_ns, rate, *spans in timed_values(log, channel, reader, within):
         span_ns = spans[0] if spans else None
         yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, span_ns, averages)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.conditioning.time_range import PartReader
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
@@ -40,6 +41,10 @@ if TYPE_CHECKING:
     Poses: TypeAlias = Iterator[tuple[Int64, Float64, Float64]]
 
 TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
+
+
+def _no_parts() -> None:
+    return None
 
 
 def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
@@ -95,6 +100,7 @@ class RateSignal(Signal):
     unit: str
     method: str | None = None
     increments: bool = False
+    part_reader: Callable[[], PartReader | None] = _no_parts
 
     @property
     def samples(self) -> str:

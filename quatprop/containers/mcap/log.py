@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
 from quatprop.containers.file_source import source_of
 from quatprop.containers.mcap.index import build_index
 from quatprop.containers.mcap.loading import load_regions
@@ -20,7 +20,7 @@ from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.containers.compression import Buffer
@@ -123,9 +123,37 @@ class McapLog(MessageLog):
         MessageBlock
             The messages of one chunk in the order of the chunk.
         """
+        ids, regions = self._regions_of(channel)
+        count = yield from self._blocks(channel, ids, regions)
+        self._check_count(channel.topic, ids, count)
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return when a channel was recorded; None where the file has no chunk index."""
+        _, regions = self._regions_of(channel)
+        last = [region.last_ns for region in regions if region.last_ns is not None]
+        if not regions or len(last) < len(regions):
+            return None
+        return TimeRange(regions[0].first_ns, max(last))
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages of the chunks that overlap a range of log times."""
+        ids, regions = self._regions_of(channel)
+        yield from self._blocks(
+            channel,
+            ids,
+            [r for r in regions if r.last_ns is None or within.overlaps(r.first_ns, r.last_ns)],
+        )
+
+    def _regions_of(self, channel: Channel) -> tuple[list[int], list[Region]]:
+        """Return the ids of a channel, and the regions that may hold it, in order of time."""
         ids = self._ids.get(channel, [])
         regions = [r for r in self._regions if r.holds is None or not set(ids).isdisjoint(r.ids)]
-        regions.sort(key=lambda region: (region.first_ns, region.start))
+        return ids, sorted(regions, key=lambda region: (region.first_ns, region.start))
+
+    def _blocks(
+        self, channel: Channel, ids: list[int], regions: list[Region]
+    ) -> Generator[MessageBlock, None, int]:
+        """Yield the messages in some regions, and return how many there were or are lost."""
         bounds = [*(region.first_ns for region in regions), LATEST][1:]
         count = 0
         with closing(load_regions(self.source, regions, ids)) as loaded:
@@ -145,7 +173,7 @@ class McapLog(MessageLog):
                     count += len(messages)
                     self._remark_on_clamped(messages)
                     yield _block(data, messages, bound)
-        self._check_count(channel.topic, ids, count)
+        return count
 
     def complete(self, files: MsgFiles) -> None:
         """Add definitions that channels lack."""

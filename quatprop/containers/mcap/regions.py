@@ -63,6 +63,8 @@ class Region:
         None if it is unknown which channels the region holds.
     counts
         Number of messages of each channel, by channel id, where they were counted.
+    last_ns
+        Its latest log time, ns; None if it is unknown.
     first_id
         What is added to its channel ids to tell them from those defined elsewhere in the file.
     """
@@ -75,6 +77,7 @@ class Region:
     holds: dict[int, int] | None = None
     counts: dict[int, int] | None = None
     first_id: int = 0
+    last_ns: int | None = None
 
     @property
     def end(self) -> int:

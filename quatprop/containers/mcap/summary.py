@@ -204,10 +204,13 @@ def _indexed_chunk(content: memoryview, data_end: int) -> Region:
 
     Read without the library, for speed: a file has as many of these as chunks.
     """
-    first, _, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
+    first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
     holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
     (index_length,) = struct.unpack_from("<Q", content, begin + map_size)
     if start < len(MAGIC) or length < RECORD.size or start + length + index_length > data_end:
         raise EndOfFile
-    return Region(start, length, True, min(first, LATEST), index_length, holds or None)
+    return Region(
+        *(start, length, True, min(first, LATEST), index_length, holds or None),
+        last_ns=min(last, LATEST),
+    )

@@ -58,6 +58,8 @@ class BagChunk:
     first_conn
         What is added to the numbers of its connections: bags that were put one behind another
         have numbers of their own, each counted from 0.
+    end_ns
+        Log time of its latest message; None if it is unknown.
     """
 
     start: int
@@ -66,6 +68,7 @@ class BagChunk:
     counts: dict[int, int] = field(default_factory=dict)
     loose: bool = False
     first_conn: int = 0
+    end_ns: int | None = None
 
     @property
     def place(self) -> str:
@@ -235,4 +238,5 @@ def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
     counts = np.frombuffer(data, "<u4").reshape(-1, 2)
     start = record.number(b"chunk_pos", 8)
     start_ns = record.time(b"start_time") if len(counts) else 0
-    return BagChunk(start, start, start_ns, dict(counts.tolist()))
+    end_ns = record.time(b"end_time") if len(counts) else 0
+    return BagChunk(start, start, start_ns, dict(counts.tolist()), end_ns=end_ns)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import source_of
 from quatprop.containers.limits import DecompressionBudget
@@ -169,8 +169,33 @@ class Rosbag1Log(MessageLog):
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk, in order of their start."""
+        wanted, chunks = self._chunks_of(channel)
+        return self._blocks(channel, wanted, chunks)
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return when a channel was recorded; None where the bag has no index."""
+        _, chunks = self._chunks_of(channel)
+        ends = [chunk.end_ns for chunk in chunks if chunk.end_ns is not None]
+        if not chunks or len(ends) < len(chunks):
+            return None
+        return TimeRange(chunks[0].start_ns, max(ends))
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages of the chunks that overlap a range of log times."""
+        wanted, chunks = self._chunks_of(channel)
+        chunks = [c for c in chunks if c.end_ns is None or within.overlaps(c.start_ns, c.end_ns)]
+        return self._blocks(channel, wanted, chunks)
+
+    def _chunks_of(self, channel: Channel) -> tuple[set[int], list[BagChunk]]:
+        """Return the connections of a channel, and the chunks that hold it, in order of time."""
         wanted = {conn for conn, described in self._channels.items() if described == channel}
-        chunks = [chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()]
+        return wanted, [
+            chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()
+        ]
+
+    def _blocks(
+        self, channel: Channel, wanted: set[int], chunks: list[BagChunk]
+    ) -> Iterator[MessageBlock]:
         bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
         load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
         # Decompression is worth threads; uncompressed chunks are read sooner than handed over.

@@ -1,0 +1,141 @@
+"""The part of a log that is used: which samples it has, and which of the log have to be read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from quatprop.errors import UsageError
+from quatprop.text import Setting, Text
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.conditioning import Conditioning, ConditioningReport
+    from quatprop.series import GyroSeries
+    from quatprop.times import Instant
+
+
+@dataclass(frozen=True, slots=True)
+class PartOfLog:
+    """The part of a log that holds a time range, found by the index of the log.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        The part, by log times, ends included, ns.
+    leaves_out
+        Whether the range leaves out samples before it, and after it.
+    """
+
+    first_ns: int
+    last_ns: int
+    leaves_out: tuple[bool, bool]
+
+
+class PartReader(Protocol):
+    """Reads parts of a log by its index."""
+
+    def ends(self) -> tuple[int, int] | None:
+        """Return the first and the last stamp, ns; None where only the whole log tells them."""
+
+    def read(
+        self, first_ns: int | None, last_ns: int | None
+    ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
+        """Return the part with the stamps of a range, and the samples of that part.
+
+        None where the whole log has to be read.
+        """
+
+
+def absolute_range(
+    settings: Conditioning, first_ns: int, last_ns: int
+) -> tuple[int | None, int | None]:
+    """Return the first and the last stamp to use, ns; None is open.
+
+    Parameters
+    ----------
+    settings
+        What is asked for.
+    first_ns, last_ns
+        The first and the last stamp of the log.
+
+    Raises
+    ------
+    UsageError
+        The range ends before it starts.
+    """
+    start_ns = _absolute(settings.start, first_ns, last_ns)
+    end_ns = _absolute(settings.end, first_ns, last_ns)
+    if start_ns is not None and end_ns is not None and start_ns > end_ns:
+        raise UsageError(
+            Setting("start"),
+            f" is {duration_text(start_ns - end_ns)} after ",
+            Setting("end"),
+            "; swap them, or check units",
+        )
+    return start_ns, end_ns
+
+
+def _absolute(instant: Instant | None, first_ns: int, last_ns: int) -> int | None:
+    """Return an instant on the log's clock, ns, given the log's first and last stamps."""
+    if instant is None:
+        return None
+    return instant.ns + {"clock": 0, "first": first_ns, "last": last_ns}[instant.origin]
+
+
+def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:
+    """Return a remark for each absolute end that leaves nothing out, and on what was not read.
+
+    Parameters
+    ----------
+    settings, report
+        What to do, and what was done once all samples have passed.
+    """
+    before, after = report.outside if report.part is None else report.part.leaves_out
+    ends = (
+        ("start", "before the first", settings.start, before),
+        ("end", "after the last", settings.end, after),
+    )
+    remarks = [
+        Text(
+            Setting(name),
+            f" is {side} sample and leaves nothing out; a number without a unit is in ns",
+        )
+        for name, side, instant, left_out in ends
+        if instant is not None and instant.origin == "clock" and not left_out
+    ]
+    if report.part is not None:
+        remarks.append(
+            Text(
+                "only the part of the log around the time range was read, by its index: what is "
+                "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log"
+            )
+        )
+    return remarks
+
+
+def clipped(
+    batches: Iterable[GyroSeries],
+    start_ns: int | None,
+    end_ns: int | None,
+    outside: list[int] | None = None,
+) -> Iterator[GyroSeries]:
+    """Yield the samples with start <= t <= end; None leaves an end open.
+
+    The samples before and after are counted in the two numbers of `outside`.
+    """
+    outside = [0, 0] if outside is None else outside
+    low = np.iinfo(np.int64).min if start_ns is None else start_ns
+    high = np.iinfo(np.int64).max if end_ns is None else end_ns
+    for batch in batches:
+        inside = (batch.t_ns >= low) & (batch.t_ns <= high)
+        outside[0] += int(np.count_nonzero(batch.t_ns < low))
+        outside[1] += int(np.count_nonzero(batch.t_ns > high))
+        if inside.all():
+            yield batch
+        elif inside.any():
+            yield batch[inside]

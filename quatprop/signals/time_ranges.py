@@ -1,0 +1,143 @@
+"""Read only the part of a log that a time range needs, by the index of the log.
+
+The index has log times. Stamps of messages differ from them by a delay: the way from the sensor to
+the recorder, or all the time since, where a log was recorded again. So the part that is read is
+wider than the range by the delays at both ends of the log and a margin on either side. It is read
+once beforehand: if a delay in it differs from those at the ends by more than half the margin, or if
+nothing in it is in the range, the whole log is read instead. A sample can be missed only if its
+delay differs by more than the margin from all of those.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from quatprop.conditioning.time_range import PartOfLog
+from quatprop.containers.base import LATEST, TimeRange
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.series import GyroSeries
+
+    Int64 = NDArray[np.int64]
+
+MARGIN_NS = 60 * NS_PER_S
+"""By how much delays may differ: far more than buffers and networks hold messages back."""
+
+SHARE = 4
+"""Only parts of at most 1/SHARE of the log are read by themselves, since they are read twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Zone:
+    """Extremes of the stamps in a part of the log, and of their delays, ns."""
+
+    first_ns: int
+    last_ns: int
+    least_delay_ns: int
+    largest_delay_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class RangeReader:
+    """Reads ranges of stamps of a signal.
+
+    Parameters
+    ----------
+    span
+        When it was recorded, by the index.
+    stamps
+        Reads stamps and log times, shape ``(N,)`` each, int64 ns, of a range of log times.
+    batches
+        Reads the samples of a range of log times.
+    """
+
+    span: TimeRange
+    stamps: Callable[[TimeRange], Iterator[tuple[Int64, Int64]]]
+    batches: Callable[[TimeRange], Iterator[GyroSeries]]
+    _zones: list[tuple[_Zone, _Zone] | None] = field(default_factory=list, init=False)
+
+    def ends(self) -> tuple[int, int] | None:
+        """Return the first and the last stamp, ns; None where only the whole log tells them."""
+        zones = self._end_zones()
+        return None if zones is None else (zones[0].first_ns, zones[1].last_ns)
+
+    def read(
+        self, first_ns: int | None, last_ns: int | None
+    ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
+        """Return the part of the log with the stamps of a range, and the samples of that part.
+
+        Parameters
+        ----------
+        first_ns, last_ns
+            The range, ends included; None is open.
+
+        Returns
+        -------
+        tuple or None
+            None where the whole log has to be read.
+        """
+        zones = self._end_zones()
+        if zones is None:
+            return None
+        head, tail = zones
+        least = min(zone.least_delay_ns for zone in zones)
+        largest = max(zone.largest_delay_ns for zone in zones)
+        begin = 0 if first_ns is None else first_ns + least - MARGIN_NS
+        end = LATEST if last_ns is None else last_ns + largest + MARGIN_NS
+        window = TimeRange(max(begin, self.span.first_ns), min(end, self.span.last_ns))
+        if window.length_ns < 0 or window.length_ns * SHARE > self.span.length_ns:
+            return None
+        found = self._zone(window, TimeRange(first_ns or 0, LATEST if last_ns is None else last_ns))
+        if (
+            found is None
+            or found.least_delay_ns < least - MARGIN_NS // 2
+            or found.largest_delay_ns > largest + MARGIN_NS // 2
+        ):
+            return None
+        leaves_out = (
+            first_ns is not None and first_ns > head.first_ns,
+            last_ns is not None and last_ns < tail.last_ns,
+        )
+        part = PartOfLog(window.first_ns, window.last_ns, leaves_out)
+        return part, self.batches(window)
+
+    def _end_zones(self) -> tuple[_Zone, _Zone] | None:
+        """Return what is at the beginning and at the end of the log, read once."""
+        if not self._zones:
+            self._zones.append(self._read_end_zones())
+        return self._zones[0]
+
+    def _read_end_zones(self) -> tuple[_Zone, _Zone] | None:
+        first_ns, last_ns = self.span.first_ns, self.span.last_ns
+        if self.span.length_ns <= 2 * SHARE * MARGIN_NS:
+            return None
+        head = self._zone(TimeRange(first_ns, first_ns + MARGIN_NS))
+        tail = self._zone(TimeRange(last_ns - MARGIN_NS, last_ns))
+        return None if head is None or tail is None else (head, tail)
+
+    def _zone(self, within: TimeRange, wanted: TimeRange | None = None) -> _Zone | None:
+        """Return the extremes in a range of log times; None where no stamp is a wanted one."""
+        extremes: list[tuple[int, int, int, int]] = []
+        is_wanted = wanted is None
+        for t_ns, log_ns in self.stamps(within):
+            if not len(t_ns):
+                continue
+            first, last = int(t_ns.min()), int(t_ns.max())
+            if first <= 0 or int(log_ns.min()) <= 0:
+                return None  # never set, or relative: delays say nothing, or do not fit 64 bits
+            delay = log_ns - t_ns
+            extremes.append((first, last, int(delay.min()), int(delay.max())))
+            if wanted is not None:
+                hits = (t_ns >= wanted.first_ns) & (t_ns <= wanted.last_ns)
+                is_wanted = is_wanted or bool(hits.any())
+        if not extremes or not is_wanted:
+            return None
+        first_of, last_of, least_of, largest_of = zip(*extremes, strict=True)
+        return _Zone(min(first_of), max(last_of), min(least_of), max(largest_of))

@@ -1,0 +1,215 @@
+"""Time ranges of indexed logs: the same attitudes as of the whole log, and little of it read."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from quatprop.conditioning import Conditioning
+from quatprop.containers.mcap import loading
+from quatprop.containers.rosbag1 import log as rosbag1
+from quatprop.errors import NoSamplesError
+from quatprop.pipeline import plausibility
+from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings, PropagationSettings
+from quatprop.signals import time_ranges
+from quatprop.simulate.gyroscope import Gyroscope
+from quatprop.simulate.motion import Shape
+from quatprop.simulate.run import simulate
+from quatprop.timeline import Policy
+from quatprop.times import NS_PER_S, instant
+from quatprop.writers.rosbag1 import writer as rosbag1_writer
+
+SECONDS = 2000
+RATE = 20
+T0_NS = 1000 * NS_PER_S
+MARGIN_S = 10
+
+RANGES = (
+    ("-30s", None),
+    ("+500s", "+530s"),
+    (None, "+7s"),
+    ("-100s", "-90s"),
+    ("+1999.95s", None),
+    ("1970-01-01T00:25:00Z", "1970-01-01T00:25:01.5Z"),
+)
+
+
+@pytest.fixture(autouse=True)
+def _narrow(monkeypatch):
+    """Use a margin that suits short logs, and compare fewer samples with the orientation."""
+    monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 100)
+    monkeypatch.setattr(time_ranges, "MARGIN_NS", MARGIN_S * NS_PER_S)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Return a folder with a log in many chunks, as MCAP and as a ROS 1 bag."""
+    folder = tmp_path_factory.mktemp("logs")
+    gyroscope = Gyroscope(RATE, SECONDS * RATE, noise=1e-3, start_ns=T0_NS)
+    with pytest.MonkeyPatch.context() as patched:
+        small = partial(rosbag1_writer.BagFile, chunk_bytes=50_000)
+        patched.setattr(rosbag1_writer, "BagFile", small)
+        for name, kind in {"one.mcap": "mcap", "log.bag": "bag"}.items():
+            simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
+    rewrite(folder / "one.mcap", folder / "log.mcap")
+    return folder
+
+
+def rewrite(source, target, logged=lambda log_ns: log_ns):
+    """Write the messages of an MCAP file in small chunks, at other log times."""
+    with source.open("rb") as stream, target.open("wb") as file:
+        writer = Writer(file, chunk_size=50_000, compression=CompressionType.ZSTD)
+        writer.start("ros2")
+        ids = None
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if ids is None:
+                one = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids = writer.register_channel(channel.topic, channel.message_encoding, one)
+            log_ns = logged(message.log_time)
+            writer.add_message(ids, log_ns, message.data, log_ns)
+        writer.finish()
+
+
+def attitudes(log, folder, start, end, **settings):
+    """Return the report of a run over a range, and its attitudes."""
+    part = Conditioning(start=start and instant(start), end=end and instant(end))
+    target = folder / "out.parquet"
+    report = run(
+        Job(
+            str(log),
+            OutputSettings(str(target)),
+            PropagationSettings(conditioning=part, **settings),
+        )
+    )
+    return report, pyarrow.parquet.read_table(target)
+
+
+def whole(log, folder, start, end):
+    """Return the same as :func:`attitudes`, with the whole log read."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(time_ranges, "SHARE", 10**6)
+        report, table = attitudes(log, folder, start, end)
+    assert report.conditioning.part is None
+    return report, table
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
+@pytest.mark.parametrize(("start", "end"), RANGES)
+def test_a_range_gives_the_same_attitudes_as_the_whole_log(logs, tmp_path, name, start, end):
+    """Relative and absolute ranges, at the ends of the log and within it."""
+    expected, table = whole(logs / name, tmp_path, start, end)
+    report, part = attitudes(logs / name, tmp_path, start, end)
+    assert report.conditioning.part is not None
+    assert part.equals(table)
+    assert part.num_rows > 0
+    assert report.conditioning.start_ns == expected.conditioning.start_ns
+    assert report.conditioning.end_ns == expected.conditioning.end_ns
+    assert report.as_json()["result"] == expected.as_json()["result"]
+    assert report.source.digest.sha256 is None
+
+
+@pytest.mark.parametrize(
+    ("name", "reading"),
+    [("log.mcap", (loading, "load")), ("log.bag", (rosbag1, "read_chunk"))],
+)
+def test_little_of_the_log_is_read(logs, tmp_path, monkeypatch, name, reading):
+    """Only chunks around the range and at the ends of the log."""
+    counted = []
+    original = getattr(*reading)
+
+    def counting(*read, **options):
+        counted.append(read)
+        return original(*read, **options)
+
+    monkeypatch.setattr(*reading, counting)
+    attitudes(logs / name, tmp_path, "+900s", "+905s")
+    few = len(counted)
+    whole(logs / name, tmp_path, "+900s", "+905s")
+    assert few < (len(counted) - few) / 4
+
+
+@pytest.mark.parametrize("offset_s", [-0.3, 4.0, 1.7e9])
+def test_log_times_of_another_recording_lead_to_the_stamps(logs, tmp_path, offset_s):
+    """A log that was recorded again has stamps far from its log times, and always as far."""
+    log, offset = tmp_path / "again.mcap", int(offset_s * NS_PER_S)
+    rewrite(logs / "log.mcap", log, lambda log_ns: log_ns + offset)
+    report, table = attitudes(log, tmp_path, "+700s", "+705s")
+    assert report.conditioning.part is not None
+    assert table.equals(whole(log, tmp_path, "+700s", "+705s")[1])
+
+
+def test_delays_that_differ_let_the_whole_log_be_read(logs, tmp_path):
+    """Where a recorder hung for longer than half the margin, no sample is missed."""
+    hung = T0_NS + 700 * NS_PER_S, T0_NS + 720 * NS_PER_S
+    log = tmp_path / "hung.mcap"
+    rewrite(
+        logs / "log.mcap",
+        log,
+        lambda log_ns: max(log_ns, hung[1]) if hung[0] <= log_ns <= hung[1] else log_ns,
+    )
+    report, table = attitudes(log, tmp_path, "+700s", "+705s")
+    assert report.conditioning.part is None
+    assert table.num_rows == 5 * RATE + 1
+
+
+def test_a_range_without_samples_is_refused_as_ever(logs, tmp_path):
+    """The error counts the samples on both sides, of the whole log."""
+    middle = T0_NS + 700 * NS_PER_S + 1
+    settings = (str(middle), str(middle + 1))
+    with pytest.raises(NoSamplesError, match="14001 are before, 25999 after"):
+        attitudes(logs / "log.mcap", tmp_path, *settings)
+
+
+def test_the_report_says_what_was_not_read(logs, tmp_path):
+    """Which part was read, and that nothing is known of the rest."""
+    report, _ = attitudes(logs / "log.mcap", tmp_path, "-30s", None)
+    part = report.conditioning.part
+    last_ns = T0_NS + (SECONDS * RATE - 1) * NS_PER_S // RATE
+    # The recorder is late by some milliseconds.
+    late = part.last_ns - last_ns
+    assert 0 < late < NS_PER_S // 100
+    assert abs(part.first_ns - (last_ns - (30 + MARGIN_S) * NS_PER_S)) < NS_PER_S // 100
+    assert part.leaves_out == (True, False)
+    assert any("only the part of the log around" in str(remark) for remark in report.remarks)
+    assert report.as_json()["conditioning"]["part"]["first_ns"] == part.first_ns
+
+
+def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
+    """What lies outside the range cannot be known; what lies in it is reported."""
+    content = bytearray((logs / "log.mcap").read_bytes())
+    with (logs / "log.mcap").open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    damaged = next(chunk for chunk in chunks if chunk.message_start_time > T0_NS + 1000 * NS_PER_S)
+    place = damaged.chunk_start_offset + damaged.chunk_length - 10
+    content[place : place + 4] = bytes(4)
+    log = tmp_path / "damaged.mcap"
+    log.write_bytes(content)
+    report, _ = attitudes(log, tmp_path, "+300s", "+310s")
+    assert report.conditioning.part is not None
+    assert not report.losses
+    second = (damaged.message_start_time - T0_NS) // NS_PER_S
+    report, _ = attitudes(log, tmp_path, f"+{second - 20}s", f"+{second + 20}s")
+    assert report.conditioning.part is not None
+    (loss,) = report.losses
+    assert loss.place == f"chunk at byte {damaged.chunk_start_offset}"
+
+
+def test_what_is_sorted_is_read_whole(logs, tmp_path):
+    """Samples far out of order may belong to the range."""
+    report, _ = attitudes(
+        logs / "log.mcap", tmp_path, "-30s", None, policy=replace(Policy(), on_backwards="sort")
+    )
+    assert report.conditioning.part is None
+
+
+def test_a_start_before_the_log_is_remarked_on(logs, tmp_path):
+    """It may be a slip of the unit, however little is read."""
+    report, table = attitudes(logs / "log.mcap", tmp_path, "5", str(T0_NS + 5 * NS_PER_S))
+    assert np.array_equal(table["t_ns"], T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
+    assert report.conditioning.part is not None
+    assert any("leaves nothing out" in str(remark) for remark in report.remarks)
