@@ -22,6 +22,7 @@ from quatprop.provenance import Digest
 from quatprop.signals.beside_rates import signals_beside
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
+from quatprop.signals.signal import no_parts
 from quatprop.text import Setting
 from quatprop.threads import in_background
 from quatprop.timeline import Timeline
@@ -99,7 +100,7 @@ class AttitudeStream:
             beside,
             source.name,
             # Sorted, samples may belong to the range wherever they are in the log.
-            lambda: None if settings.policy.on_backwards == "sort" else source.part_reader(),
+            part_reader=no_parts if settings.policy.on_backwards == "sort" else source.part_reader,
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
 
 
-def _no_parts() -> None:
-    return None
+def no_parts() -> None:
+    """Return nothing: only the whole log can be read."""
 
 
 def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
@@ -100,7 +100,7 @@ class RateSignal(Signal):
     unit: str
     method: str | None = None
     increments: bool = False
-    part_reader: Callable[[], PartReader | None] = _no_parts
+    part_reader: Callable[[], PartReader | None] = no_parts
 
     @property
     def samples(self) -> str:
