@@ -1,6 +1,8 @@
 """Batches whose logs or outputs are in an object store."""
 
 import json
+import os
+import re
 import shutil
 import subprocess
 import sys
@@ -10,6 +12,8 @@ import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
 
+import quatprop
+from quatprop.batch.logs import FoundLog, shard
 from quatprop.batch.store_manifest import manifest_in
 from quatprop.cli import cli
 from quatprop.containers.stores import get, list_objects, put, upload
@@ -183,3 +187,37 @@ def test_a_dropped_connection_is_one_sentence(bucket, tmp_path, store_server, na
     assert done.stderr.count("\n") == 1
     assert done.stderr.endswith("; check the network and the address of the store\n")
     assert not list((tmp_path / "out").glob("[!m]*"))
+
+
+FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX")
+@pytest.mark.parametrize(
+    ("scheduler", "variables"),
+    [
+        ("Slurm", {"SLURM_ARRAY_TASK_ID": 1, "SLURM_ARRAY_TASK_COUNT": 20}),
+        ("Kubernetes", {"JOB_COMPLETION_INDEX": 0}),
+        ("AWS Batch", {"AWS_BATCH_JOB_ARRAY_INDEX": 0, "AWS_BATCH_JOB_ARRAY_SIZE": 20}),
+    ],
+)
+def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_path):
+    """With the variables of each scheduler, the 20 jobs together are given every log once."""
+    section = FLEETS.read_text().split(f"### {scheduler}\n")[1].split("\n## ")[0]
+    command = re.search(r"quatprop batch [^\n]*", section)[0].split('"],')[0]
+    shim = tmp_path / "quatprop"
+    shim.write_text('#!/bin/sh\nfor each; do last=$each; done\necho "$last"\n')
+    shim.chmod(0o755)
+    shards = []
+    first = next(iter(variables))
+    for job in range(20):
+        values = {name: str(value) for name, value in variables.items()}
+        values[first] = str(variables[first] + job)
+        environment = {**os.environ, **values, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        done = subprocess.run(
+            ["/bin/sh", "-c", command], env=environment, capture_output=True, text=True, check=True
+        )
+        shards.append(done.stdout.strip())
+    every = [FoundLog(f"{number}.csv", f"{number}") for number in range(50)]
+    parts = [log.name for text in shards for log in shard(every, text)]
+    assert sorted(parts) == sorted(log.name for log in every)
