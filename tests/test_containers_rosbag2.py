@@ -379,8 +379,14 @@ def test_a_damaged_part_loses_only_itself(tmp_path):
     path, expected = split_bag(tmp_path / "bag", FORMS[3])
     (path / "bag_1.mcap").write_bytes(b"")
     found, losses = messages(path)
-    assert [loss.place for loss in losses] == ["bag_1.mcap: the whole part"]
     imu = "/imu", "sensor_msgs/msg/Imu"
+    text = "/text", "std_msgs/msg/String"
+    assert [(loss.place, loss.messages) for loss in losses] == [
+        ("bag_1.mcap: the whole part", None),
+        ("metadata.yaml", 300),
+        ("metadata.yaml", len(expected[text]) - len(found[text])),
+    ]
+    assert losses[1].reason == "it counts 300 messages of topic '/imu' more than there are"
     assert found[imu] == expected[imu][:300] + expected[imu][600:]
 
 

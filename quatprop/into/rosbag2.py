@@ -11,7 +11,7 @@ import apsw
 import numpy as np
 
 from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.rosbag2.parts import folder
+from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import OutputError, UnsupportedLogError
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     Int64 = NDArray[np.int64]
 
-METADATA = "metadata.yaml"
 _LATEST = int(np.iinfo(np.int64).max)
 
 

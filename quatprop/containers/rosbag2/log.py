@@ -13,7 +13,7 @@ from quatprop.containers.compressed_files import DecompressedCopy, file_compress
 from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.rosbag2.parts import folder
+from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import plain, quoted
@@ -103,6 +103,7 @@ class Rosbag2Log(MessageLog):
             raise DamagedLogError(
                 path, f"none of its parts can be read; {first.place}: {first.reason}"
             )
+        self._stated = found.counts
         self._channels = self._unite_channels(found.counts)
 
     def _add(self, file: Path) -> None:
@@ -200,6 +201,7 @@ class Rosbag2Log(MessageLog):
         ]
         waiting = [(NO_BOUND, 0)] if len(streams) == 1 else self._starts(streams)
         heapq.heapify(waiting)
+        count = 0
         running: dict[int, Iterator[MessageBlock]] = {}
         while waiting:
             _, k = heapq.heappop(waiting)
@@ -211,7 +213,20 @@ class Rosbag2Log(MessageLog):
             # Not after the block's end, so that a part that has ended is closed at once.
             bound = min(block.not_before_ns, int(block.log_ns.max()))
             heapq.heappush(waiting, (bound, k))
+            count += len(block)
             yield replace(block, not_before_ns=waiting[0][0])
+        self._check_count(channel, count)
+
+    def _check_count(self, channel: Channel, count: int) -> None:
+        """Note messages that metadata.yaml counts, and that are neither read nor noted as lost."""
+        name = channel.topic, channel.type_name
+        namesakes = sum((each.topic, each.type_name) == name for each in self._channels)
+        lost = sum(loss.messages or 0 for loss in self.losses if loss.place != METADATA)
+        missing = self._stated.get(name, 0) - count - lost
+        if missing > 0 and namesakes == 1:
+            topic = quoted(channel.topic)
+            reason = f"it counts {missing} messages of topic {topic} more than there are"
+            self.losses.note(METADATA, reason, missing)
 
     def _starts(self, streams: list[tuple[_Part, Channel]]) -> list[tuple[int, int]]:
         """Return the number of each stream, after a time that none of its messages precedes.

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from quatprop.provenance import JsonObject
 
+METADATA = "metadata.yaml"
+
 _PART = re.compile(
     r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
 )
@@ -85,7 +87,7 @@ def folder(path: Path) -> Folder:
         file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
     }
     losses = Losses()
-    metadata = _metadata(path / "metadata.yaml", losses)
+    metadata = _metadata(path / METADATA, losses)
     found = Folder(losses=losses)
     if metadata is None:
         found.parts = _numbered(path, there)
@@ -107,7 +109,7 @@ def _metadata(path: Path, losses: Losses) -> JsonObject | None:
                 return metadata
     except (OSError, KeyError, ValueError):
         pass
-    losses.note("metadata.yaml", "it is damaged; the parts are found by their names")
+    losses.note(METADATA, "it is damaged; the parts are found by their names")
     return None
 
 
