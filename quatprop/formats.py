@@ -6,6 +6,7 @@ the log is refused, and the user names the kind.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager, suppress
@@ -28,6 +29,7 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.temp_files import temp_folder
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.third_party_errors import as_errors_of
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
 HEAD_BYTES = 4096
 """Bytes at the beginning of a file by which its kind is recognised."""
 
+_MAGIC_BYTES = 16
 
 _CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
 """Bytes that do not occur in text."""
@@ -84,11 +87,12 @@ READERS: dict[str, Reader] = {
         "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
     ),
     "tum": Reader("quatprop.tables.csv.tum:TumLog", (), (".tum",)),
+    "kitti": Reader("quatprop.tables.csv.tum:KittiLog", (), (".kitti",)),
     "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }
 """Every kind of log, in the order in which errors and help list them."""
 
-_TEXT_KINDS = ("csv", "tum")
+_TEXT_KINDS = ("csv", "tum", "kitti")
 
 _INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
 """Kinds of which only a part is read from an object store: they say where everything is."""
@@ -110,7 +114,7 @@ def open_log(
     ----------
     path
         A file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"`` for
-        CSV on stdin.
+        stdin.
     kind
         A key of :data:`READERS`; None to recognise it by the content, then by the suffix.
     msg_path
@@ -136,9 +140,7 @@ def open_log(
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
         if str(path) == "-":
-            if kind not in (None, *_TEXT_KINDS):
-                raise UnsupportedLogError("-", f"stdin is read as CSV, not as {kind}; name a file")
-            yield _enter(kind or "csv", sys.stdin.buffer, stack)
+            yield _open_stdin(kind, msg_path, stack)
         elif is_address(path):
             stack.enter_context(_renamed_errors(without_secret(path)))
             yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
@@ -264,6 +266,27 @@ def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
         Setting("kind"),
         " out, or name the log itself",
     )
+
+
+def _open_stdin(
+    kind: str | None, msg_path: str | Path | None, stack: ExitStack
+) -> MessageLog | TableLog:
+    """Open text as it comes; a binary log, which is read at places, from a temporary copy."""
+    stream: Any = sys.stdin.buffer
+    if kind == "rosbag2":
+        raise UnsupportedLogError("-", "a ROS 2 bag is a folder; name it")
+    head = stream.peek(_MAGIC_BYTES) if hasattr(stream, "peek") else b""
+    named = (name for name, reader in READERS.items() if head.startswith(reader.magic))
+    kind = kind or next(named, "csv")
+    if kind in _TEXT_KINDS:
+        return _enter(kind, stream, stack)
+    folder = temp_folder()
+    stack.callback(folder.remove)
+    copy = folder.path / "stdin"
+    with copy.open("wb") as file:
+        shutil.copyfileobj(stream, file)
+    stack.enter_context(_renamed_errors("-"))
+    return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
 
 
 def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | TableLog:

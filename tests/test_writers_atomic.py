@@ -208,11 +208,19 @@ def test_an_unknown_kind_is_refused(tmp_path):
         write(tmp_path / "a.csv", "xls")
 
 
-def test_binary_kinds_do_not_go_to_stdout():
-    """Parquet on standard output is refused."""
-    with pytest.raises(
-        OutputError, match=r"^-: standard output takes text only; name a file for this kind$"
-    ):
+@pytest.mark.parametrize("kind", ["rosbag2", "rosbag2-mcap"])
+def test_a_folder_does_not_go_to_stdout(kind):
+    """Nor does what is written from its end, such as a NumPy file."""
+    with pytest.raises(OutputError, match=r"^-: a ROS 2 bag is a folder; name one$"):
+        write("-", kind)
+    with pytest.raises(OutputError, match=r"^-: a pipe or a device cannot take a NumPy file, "):
+        write("-", "npy")
+
+
+def test_binary_kinds_do_not_go_to_a_terminal(monkeypatch):
+    """It would show nothing readable."""
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    with pytest.raises(OutputError, match=r"^-: a terminal cannot show parquet; send it to a file"):
         write("-", "parquet")
 
 

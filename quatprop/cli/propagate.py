@@ -41,7 +41,7 @@ EXAMPLES = (
     "--output",
     type=PATH,
     metavar="PATH|-",
-    help="Where the attitudes go; - is CSV on stdout.  [default: none, required without --into]",
+    help="Where the attitudes go; - is stdout.  [default: none, required without --into]",
 )
 @into_option
 @with_options(OUTPUT_OPTIONS)

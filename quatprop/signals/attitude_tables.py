@@ -74,9 +74,9 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         clock=columns.clock,
         remarks=_remarks(columns),
         provenance=provenance,
-        rows=partial(_quaternion_rows if is_quaternion else _rotation_rows, log, columns, meaning),
+        rows=partial(_rows, log, columns, meaning),
         representation=representation,
-        poses=_poses(log, columns, meaning) if is_quaternion else None,
+        poses=_poses(log, columns, meaning),
     )
 
 
@@ -115,13 +115,13 @@ def _remarks(columns: ColumnMatch) -> tuple[str, ...]:
     return (sign,)
 
 
-def _quaternion_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
+def _rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
     for t_ns, numbers in log.metered_rows(columns.timed):
-        yield t_ns, meaning.converted(_marked(numbers))
+        yield t_ns, meaning.converted(_attitudes(numbers, columns))
 
 
 def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[], Poses] | None:
-    """Return what reads the positions beside quaternions; None where there is no single set."""
+    """Return what reads the positions beside attitudes; None where there is no single set."""
     sets: dict[str, dict[str, int]] = {}
     for number, name in enumerate(map(parse_name, log.columns())):
         match = _POSITION.fullmatch(name.key)
@@ -134,10 +134,20 @@ def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[]
 
     def poses() -> Poses:
         for t_ns, numbers in log.metered_rows(timed):
-            wxyz = _marked(numbers[:, :-AXES])
+            wxyz = _attitudes(numbers[:, :-AXES], columns)
             yield t_ns, meaning.converted(wxyz), numbers[:, -AXES:]
 
     return poses
+
+
+def _attitudes(numbers: NDArray[np.float64], columns: ColumnMatch) -> NDArray[np.float64]:
+    """Return the quaternions that columns hold, in whatever representation."""
+    if columns.representation == "quaternion":
+        return _marked(numbers)
+    values = np.radians(numbers) if columns.unit == "deg" else numbers
+    # What is not finite is reported later, row by row.
+    with np.errstate(invalid="ignore", over="ignore"):
+        return REPRESENTATIONS[columns.representation].attitudes(values)
 
 
 def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -146,13 +156,3 @@ def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
     for absent in numbers[:, 4:].T:
         wxyz[absent == ABSENT] = np.nan
     return wxyz
-
-
-def _rotation_rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
-    representation = REPRESENTATIONS[columns.representation]
-    for t_ns, numbers in log.metered_rows(columns.timed):
-        values = np.radians(numbers) if columns.unit == "deg" else numbers
-        # What is not finite is reported later, row by row.
-        with np.errstate(invalid="ignore", over="ignore"):
-            wxyz = representation.attitudes(values)
-        yield t_ns, meaning.converted(wxyz)

@@ -11,6 +11,7 @@ its content. What is not committed leaves no trace::
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError
@@ -206,8 +207,12 @@ def _open_columns(
 
 
 def _refuse_stdout(target: Path | str, kind: str) -> None:
-    if is_stdout(target) and not WRITERS[kind].is_text:
-        raise OutputError(target, "standard output takes text only; name a file for this kind")
+    if not is_stdout(target) or WRITERS[kind].is_text:
+        return
+    if "cdr" in WRITERS[kind].encodings and kind != "mcap":
+        raise OutputError(target, "a ROS 2 bag is a folder; name one")
+    if sys.stdout is not None and sys.stdout.isatty():
+        raise OutputError(target, f"a terminal cannot show {kind}; send it to a file or a program")
 
 
 def _refuse_comment(kind: str, *, comment: bool) -> None:

@@ -11,6 +11,7 @@ from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
 from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
+    COMPONENT,
     GENERIC,
     ORIENTATION_ABSENT,
     QUATERNION_PARTS,
@@ -191,7 +192,8 @@ def _named_quaternion(
 ) -> tuple[int, ...]:
     """Return the columns that the user names, in the order w, x, y, z."""
     stored = matcher.named(quat_cols)
-    for wxyz in (*matcher.sets(dialect.quaternion), *matcher.sets(GENERIC.quaternion)):
+    patterns = (dialect.quaternion, GENERIC.quaternion, COMPONENT)
+    for wxyz in (columns for pattern in patterns for columns in matcher.sets(pattern)):
         if set(wxyz) == set(stored):
             given = _layout(stored, wxyz)
             if layout not in (None, given):

@@ -54,11 +54,12 @@ class Dialect:
 
 
 _XYZ = r"(?P<part>[xyz])"
-_WXYZ = r"(?P<part>[wxyz])"
+COMPONENT = r"(?P<part>[wxyz])"
+"""A name that is a component alone means a quaternion only where a user says so."""
 _INDEX = r"\[(?P<part>[012])\]"
 _Q_INDEX = r"q\[(?P<part>[0123])\]"
 _ROS_RATE = r"(?:.*\.)?(?:angular_velocity|twist\.angular)\." + _XYZ
-_ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + _WXYZ
+_ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + COMPONENT
 _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
 TIME_NAMES = r"t|time|timestamp|time_?stamp|stamp"
@@ -70,7 +71,7 @@ _NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
 _NOT_ROTATION = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint|rate|speed|vel|acc))"
 _QUATERNION = (
     rf"{_NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
-    rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){_WXYZ}"
+    rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
 )
 ROTATION_VECTOR = (
     rf"{_NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
@@ -79,10 +80,10 @@ EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
 _MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
 
 DIALECTS = (
-    Dialect("quatprop", "w" + _XYZ, "q" + _WXYZ, ("t",), "rad/s", "ns", needs=("t_ns",)),
+    Dialect("quatprop", "w" + _XYZ, "q" + COMPONENT, ("t",), "rad/s", "ns", needs=("t_ns",)),
     Dialect(
         "TUM",
-        quaternion="q" + _WXYZ,
+        quaternion="q" + COMPONENT,
         time=(r"timestamp|time|t",),
         time_unit="s",
         needs=("tx", "ty", "tz"),
@@ -90,7 +91,7 @@ DIALECTS = (
     Dialect(
         "EuRoC",
         r"w_[a-z]+_[a-z]+_" + _XYZ,
-        r"q_[a-z]+_" + _WXYZ,
+        r"q_[a-z]+_" + COMPONENT,
         ("timestamp",),
         "rad/s",
         "ns",
@@ -163,8 +164,8 @@ DIALECTS = (
         log_time="time",
     ),
     Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
-    Dialect("x-io", "gyroscope_" + _XYZ, _WXYZ + "_element", ("time|timestamp",)),
-    Dialect("x-io", quaternion="quaternion_" + _WXYZ, time=("time|timestamp",)),
+    Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
+    Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
     Dialect(
         "Sensor Logger",
         _XYZ,
@@ -176,7 +177,7 @@ DIALECTS = (
     ),
     Dialect(
         "Sensor Logger",
-        quaternion="q" + _WXYZ,
+        quaternion="q" + COMPONENT,
         time=("time",),
         time_unit="ns",
         needs=("seconds_elapsed",),
