@@ -85,7 +85,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes, or - for stdin; OUT is a file, or -
-    for CSV on stdout. With --into instead, a copy of IN that holds them too.
+    for stdout. With --into instead, a copy of IN that holds them too.
     """
     from quatprop.cli.progress import progress
     from quatprop.conventions import Meaning

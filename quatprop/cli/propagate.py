@@ -56,7 +56,7 @@ def command(**chosen: Any) -> None:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
-    CSV on stdin. N samples give N attitudes, which go to a file of their own (-o) or into a copy of
+    stdin. N samples give N attitudes, which go to a file of their own (-o) or into a copy of
     LOG (--into).
     """
     from quatprop.cli.progress import progress
