@@ -207,8 +207,9 @@ sample_rate, clock
         Intervals longer than this count as gaps (text such as ``"20ms"``, or ns); by default 10
         median intervals.
     on_gap : str
-        ``"hold"`` (the default) propagates across gaps, ``"zero"`` takes the rate across as zero,
-        ``"split"`` begins again at q0, ``"error"`` refuses them.
+        ``"hold"`` (the default) propagates across a gap like over any interval, by the method,
+        ``"zero"`` takes the rate across as zero, ``"split"`` begins again at q0, ``"error"``
+        refuses gaps.
     every : int
         Keep every N-th attitude.
     rate : float, Fraction or str

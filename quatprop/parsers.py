@@ -258,16 +258,27 @@ def length(value: object) -> int:
     return parsed
 
 
+_FEW_NS = 1_000_000
+"""A whole number below this is meant in seconds: nobody cuts a log at its first microseconds."""
+
+
 def moment(value: object) -> Instant:
     """Return an instant: text, whole nanoseconds, or a datetime with its zone."""
     if isinstance(value, Instant):
         return value
+    if (ns := _whole(value)) is None and isinstance(value, str) and value.isdecimal():
+        ns = int(value)
+    if ns is not None and 0 < ns < _FEW_NS:
+        raise UsageError(
+            f"{shown(value)} is a time of the log's clock in ns, not in seconds; write '{ns}s' for "
+            "seconds after the first sample"
+        )
     if isinstance(value, datetime):
         if value.tzinfo is None:
             raise UsageError(f"{shown(value)} needs a time zone, such as tzinfo=datetime.UTC")
         return instant(value.isoformat())
-    if (whole := _whole(value)) is not None:
-        return Instant(whole, "clock")
+    if ns is not None:
+        return Instant(ns, "clock")
     if isinstance(value, str):
         return instant(value)
     raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")

@@ -293,3 +293,14 @@ def test_relative_times_count_from_the_earliest_and_latest_sample(options, first
     assert result.exit_code == 0, result.output
     stamps = [int(line.split(",")[0]) for line in out.read_text().splitlines()[1:]]
     assert stamps == list(range(first, last + 1, 10))
+
+
+def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_logs, tmp_path):
+    """Topics of attitudes without rates are no way out, since the rates have their own topic."""
+    log = shared_logs / "ulog" / "sample.ulg"
+    result = run(log, "-o", tmp_path / "out.csv", "--q0", "log")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {log}: the messages of 'sensor_combined/0', which carry the rates, carry no "
+        "orientation; give another --q0, such as a file of attitudes that convert wrote\n"
+    )

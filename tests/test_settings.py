@@ -26,8 +26,9 @@ from quatprop.times import Instant
         ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
+        ("end", ["0", 0], Instant(0, "clock")),
+        ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),
         ("start", ["+10s", Instant(10_000_000_000, "first")], Instant(10_000_000_000, "first")),
-        ("end", ["17", 17], Instant(17, "clock")),
         (
             "end",
             ["1970-01-01T00:00:01Z", dt.datetime(1970, 1, 1, 0, 0, 1, tzinfo=dt.UTC)],
@@ -63,6 +64,13 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("bias", "static:soon", "bias: 'soon' is not a duration"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
         ("start", True, "start: 'True' is not a time"),
+        (
+            "start",
+            "5",
+            "start: '5' is a time of the log's clock in ns, not in seconds; write '5s' for "
+            "seconds after the first sample",
+        ),
+        ("end", 999_999, "end: '999999' is a time of the log's clock in ns, not in seconds"),
         ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
         ("rate", 0, "rate: '0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         ("rate", "1/0", "rate: '1/0' is not a rate in Hz"),

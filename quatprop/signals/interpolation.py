@@ -12,6 +12,7 @@ from quatprop.errors import (
     NoAttitudesError,
     NoRatesError,
     NoSamplesError,
+    NoSuchTopicError,
     QuatpropError,
     TimelineError,
     UndeclaredError,
@@ -149,8 +150,17 @@ def first_orientation(
     LogError
         The log cannot be used as asked.
     """
-    with _about("q0"):
-        signal = own_orientation(log, source, selection)
+    try:
+        with _about("q0"):
+            signal = own_orientation(log, source, selection)
+    except NoSuchTopicError:
+        raise LogError(
+            log.path,
+            f"the messages of {quoted(source.name)}, which carry the rates, carry no orientation; "
+            "give another ",
+            Setting("q0"),
+            ", such as a file of attitudes that convert wrote",
+        ) from None
     if signal.placeholder:
         raise LogError(
             log.path,

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.summary import McapIndex
     from quatprop.containers.msg_files import MsgFiles
 
-_CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
 _ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from mcap.records import McapRecord
 
-_FOOTER_BYTES = 20
 _CRC_BYTES = 4
 
 
