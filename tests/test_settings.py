@@ -67,8 +67,8 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         (
             "start",
             "5",
-            "start: '5' is a time of the log's clock in ns, not in seconds; write '5s' for "
-            "seconds after the first sample",
+            ("start: '5' is a time of the log's clock in ns, not in seconds; write '5s' for "
+            "seconds after the first sample"),
         ),
         ("end", 999_999, "end: '999999' is a time of the log's clock in ns, not in seconds"),
         ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
