@@ -185,10 +185,11 @@ sample_rate, clock
         For ``q0="level"``: where that axis points, ``"up"`` (the default) or ``"down"``.
     q0_layout : str
         ``"scalar-first"`` (the default) or ``"scalar-last"``.
-    bias : sequence of float or str
+    bias : sequence of float, str or path
         Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
         mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
-        whole log.
+        whole log; or a series of biases, a file (EuRoC's ground truth, PX4's estimator_sensor_bias)
+        or a topic of the log, interpolated in time.
     calibration : path
         Scale, misalignment and bias of the gyroscope: YAML or JSON with ``matrix``, 3x3, and
         ``bias``, rad/s, applied as matrix (w - bias), or kalibr's file of an IMU. A bias given

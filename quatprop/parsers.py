@@ -54,6 +54,19 @@ class StaticBias:
     window_ns: int = STATIC_WINDOW_NS
 
 
+@dataclass(frozen=True, slots=True)
+class BiasSource:
+    """Take the bias from a series of them.
+
+    Parameters
+    ----------
+    name
+        A file, or a topic of the log.
+    """
+
+    name: str
+
+
 def text(value: object) -> str:
     """Return text that is not empty."""
     if not isinstance(value, str) or not value:
@@ -298,17 +311,24 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias:
+def bias(value: object) -> tuple[float, ...] | StaticBias | BiasSource:
     """Return three rates, or where to take the bias from."""
-    if isinstance(value, StaticBias):
+    if isinstance(value, StaticBias | BiasSource):
         return value
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
         window = value.partition(":")[2]
         return StaticBias(duration_ns(window)) if window else StaticBias()
+    if isinstance(value, PathLike) or (isinstance(value, str) and _names_something(value)):
+        return BiasSource(path(value))
     try:
         return numbers("X,Y,Z")(value)
     except UsageError as error:
         raise UsageError(error.text, ", nor static[:DUR]") from None
+
+
+def _names_something(value: str) -> bool:
+    """Tell whether text may be a file or a topic: not numbers, and no attempt at them."""
+    return bool(value) and not _is_numbers(value) and ("," not in value or Path(value).exists())
 
 
 def mounting(value: object) -> str:

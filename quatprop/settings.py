@@ -102,7 +102,7 @@ class PropagateOptions(RateOptions, total=False):
     heading: float
     reference_z: str
     q0_layout: str
-    bias: str | Sequence[float]
+    bias: str | PathLike[str] | Sequence[float]
     calibration: str | PathLike[str]
     mount: str | Sequence[float]
     start: str | int | datetime

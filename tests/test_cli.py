@@ -378,7 +378,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
             "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z, 4 numbers",
         ),
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
-        (["--bias", "statically"], "'statically' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
+        (["--bias", "1,2"], "'1,2' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
         (["--rate", "0"], "'0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),

@@ -110,7 +110,7 @@ def chosen(seed):
         "method": one_of(None, "start", "end", "mean", "coning", "cubic"),
         "rates": one_of(None, "body", "inertial"),
         "mount": one_of(None, "y,-x,z", ",".join(map(repr, MOUNT_QUATERNION.tolist()))),
-        "bias": one_of(None, "given", "static"),
+        "bias": one_of(None, "given", "static", "series"),
         "calibration": one_of(None, None, "file"),
         "q0": one_of(None, "numbers", "scalar-last", "level", "log", "series"),
         "start": one_of(None, None, "+105ms", BEGIN_NS + 95_000_000),
@@ -134,6 +134,18 @@ def both(options, raw, unit, folder):
     if options.get("bias") == "given":
         given["bias"] = BIAS * (1 if unit == "rad" else 180 / np.pi)
         expected["bias"] = BIAS
+    if options.get("bias") == "series":
+        t = BEGIN_NS + np.arange(4) * 600_000_000
+        biases = np.random.default_rng(6).normal(0, 0.01, (4, 3))
+        given["bias"] = folder / "bias.csv"
+        names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
+        rows = [
+            f"{at},{','.join(map(repr, row))}" for at, row in zip(t, biases.tolist(), strict=True)
+        ]
+        given["bias"].write_text("\n".join([f"t_ns,{names}", *rows, ""]))
+        after = (raw["t"] - BEGIN_NS) / NS
+        known = np.arange(4) * 0.6
+        expected["bias"] = np.stack([np.interp(after, known, axis) for axis in biases.T], axis=1)
     if (q0 := options.get("q0")) in {"numbers", "scalar-last"}:
         layout = {"scalar-last": "xyzw"} if q0 == "scalar-last" else {}
         q = Rotation.from_euler("xyz", [1.0, -0.5, 0.25])
@@ -331,6 +343,8 @@ def test_the_layout_that_is_written(layout, files, tmp_path):
 def test_every_option_is_in_some_test():
     """A new option of propagate has to be tested here too, or to be named with where it is."""
     elsewhere = {"msg_path": "test_containers_msg_files.py", "threads": "test_threads.py"}
+    errors = ("noise_density", "bias_sigma", "random_walk", "scale_sigma", "imu", "sigma")
+    elsewhere |= dict.fromkeys((*errors, "sigma_axes"), "test_gyro_errors.py")
     here = {"rate_cols", "rate_unit", "time_col", "time_unit", "sample_rate", "q0_layout"}
     here |= {"topic", "kind", "clock", "time_field", "rate_field"}
     for seed in range(130):

@@ -60,7 +60,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("q0", (1, 0, 0), "q0: '1,0,0' is not W,X,Y,Z, 4 numbers"),
         ("q0", "nowhere.csv", "q0: 'nowhere.csv' is neither four numbers W,X,Y,Z nor level or log"),
         ("q0", object, "q0: "),
-        ("bias", "statically", "bias: 'statically' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
+        ("bias", "1,2,z", "bias: '1,2,z' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
         ("bias", "static:soon", "bias: 'soon' is not a duration"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
         ("start", True, "start: 'True' is not a time"),

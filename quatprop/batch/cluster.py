@@ -181,11 +181,16 @@ def _absolute(task: BatchTask) -> BatchTask:
         source = _absolute_path(settings.q0.source)
         settings = replace(settings, q0=replace(settings.q0, source=source))
     known, errors = settings.conditioning, settings.errors
+    biases = known.bias_from
+    if biases is not None and biases in settings.inputs:
+        biases = _absolute_path(biases)
     settings = replace(
         settings,
         at=settings.at and _absolute_path(settings.at),
         conditioning=replace(
-            known, calibration=known.calibration and _absolute_path(known.calibration)
+            known,
+            bias_from=biases,
+            calibration=known.calibration and _absolute_path(known.calibration),
         ),
         errors=replace(errors, imu=errors.imu and _absolute_path(errors.imu)),
     )

@@ -49,6 +49,9 @@ OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 PATHS = {"at": (), "calibration": (), "msg_path": (), "q0": FROM_THE_LOG}
 """Settings that name a file, and their values that do not."""
 
+MAY_BE_PATHS = {"bias"}
+"""Settings that name a file where there is one of that name."""
+
 
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     """Read a suite and make its cases.
@@ -235,6 +238,10 @@ class _CaseParser:
             if isinstance(text, str) and key in PATHS and text not in PATHS[key]:
                 path = self._suite.path.parent / text
                 if "," not in text or path.exists():
+                    value = self._inputs[key] = str(path)
+            if isinstance(text, str) and key in MAY_BE_PATHS:
+                path = self._suite.path.parent / text
+                if path.is_file():
                     value = self._inputs[key] = str(path)
             try:
                 parsed[keys[key]] = PARSERS[key](value)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
 """Settings whose value is a name in the log."""
 
-PATHS = {"msg_path", "q0", "at", "calibration"}
+PATHS = {"msg_path", "q0", "at", "bias", "calibration"}
 """Settings whose value may be a file."""
 
 EXAMPLES = (

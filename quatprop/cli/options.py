@@ -44,7 +44,7 @@ VALUES = {
     "frame": "[PARENT:]CHILD",
     "q0": "W,X,Y,Z|level|log|FILE",
     "heading": "DEG",
-    "bias": "X,Y,Z|static[:DUR]",
+    "bias": "X,Y,Z|static[:DUR]|FILE|TOPIC",
     "calibration": "FILE",
     "mount": "W,X,Y,Z|x,-y,-z",
     "start": "TIME",
@@ -118,8 +118,8 @@ HELP = {
     "north-east-down).  [default: up]",
     "q0_layout": "Order of the four numbers of --q0.  [default: scalar-first]",
     "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate over a rest of "
-    "at least DUR (1s), found in the whole log by rate, accelerometer and orientation.  [default: "
-    "none]",
+    "at least DUR (1s), found in the whole log by rate, accelerometer and orientation; FILE or "
+    "TOPIC is a series of biases, interpolated in time.  [default: none]",
     "calibration": "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) "
     "and bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.  [default: none]",
     "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "

@@ -49,6 +49,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
+    if (series := report.conditioning.bias_series) is not None:
+        yield "bias", f"{series.values} of {plain(series.source)} ({plain(series.field)}), in time"
     if (matrix := report.conditioning.calibration) is not None:
         yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
     if convention.q0_from != "given":

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.bias_series import BiasSeries
 from quatprop.conditioning.calibration import read_calibration
 from quatprop.conditioning.cells import cells_of
 from quatprop.conditioning.mounting import mounting
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.conditioning.bias_series import BiasSeriesReport
     from quatprop.conditioning.static_detection import Rest
     from quatprop.conditioning.time_range import PartOfLog, PartReader
     from quatprop.series import GyroSeries
@@ -39,6 +41,8 @@ class Conditioning:
         Subtracted from every rate, x, y, z, in the unit of the source.
     static_ns
         Take the mean over the log's rest as the bias; shorter than this, ns, is no rest.
+    bias_from
+        Take the bias from a series of them: a file, or a topic of the log.
     calibration
         Path of a calibration, as :func:`quatprop.conditioning.calibration.read_calibration` reads
         it. A bias given beside it takes the place of its own.
@@ -53,6 +57,7 @@ class Conditioning:
 
     bias: tuple[float, ...] | None = None
     static_ns: int | None = None
+    bias_from: str | None = None
     calibration: str | None = None
     mount: str | None = None
     rates: str = "body"
@@ -76,6 +81,8 @@ class ConditioningReport:
         Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s.
     rest
         The rest from which the bias was taken.
+    bias_series
+        The series from which it was taken, interpolated in time.
     calibration
         What the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``.
     mount
@@ -92,6 +99,7 @@ class ConditioningReport:
 
     bias_rad_s: NDArray[np.float64] | None
     rest: Rest | None
+    bias_series: BiasSeriesReport | None
     calibration: NDArray[np.float64] | None
     mount: NDArray[np.float64] | None
     start_ns: int | None
@@ -100,17 +108,22 @@ class ConditioningReport:
     remarks: tuple[str, ...] = ()
     part: PartOfLog | None = None
 
+    @property
+    def all_remarks(self) -> list[str]:
+        """What a reader should know, once all samples have passed."""
+        biases = () if self.bias_series is None else self.bias_series.remarks()
+        return [*self.remarks, *biases]
+
 
 LOOK_AHEAD_CELL_NS = 1_000_000_000
 """Only the first and the last stamp matter where no rest is looked for."""
 
 
-def condition(  # noqa: PLR0913  # how to read, and what beside
+def condition(  # how to read, and what beside
     read: Callable[[], Iterable[GyroSeries]],
     settings: Conditioning,
     unit: float,
     beside: SignalsBeside | None = None,
-    topic: str = "",
     *,
     part_reader: Callable[[], PartReader | None] = lambda: None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
@@ -125,9 +138,7 @@ def condition(  # noqa: PLR0913  # how to read, and what beside
     unit
         rad/s in the unit of the bias.
     beside
-        What was measured beside the rates, read only where rest is looked for; None for nothing.
-    topic
-        Of the rates: which IMU of a calibration of several.
+        What was measured beside the rates; None for nothing.
     part_reader
         Returns what reads only the part of the log that is used, if its index allows that.
 
@@ -144,10 +155,11 @@ def condition(  # noqa: PLR0913  # how to read, and what beside
         The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
         before it starts.
     """
+    beside = beside or SignalsBeside()
     mount = None if settings.mount is None else mounting(settings.mount)
     calibration = None
     if settings.calibration is not None:
-        calibration = read_calibration(settings.calibration, topic)
+        calibration = read_calibration(settings.calibration, beside.topic)
     bias = None if calibration is None else calibration.bias_rad_s
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
@@ -164,27 +176,39 @@ def condition(  # noqa: PLR0913  # how to read, and what beside
         if len(cells):
             first_ns, last_ns = int(cells["first_ns"].min()), int(cells["last_ns"].max())
         if settings.static_ns is not None:
-            rest = find_rest(cells, beside or SignalsBeside(), shortest_ns)
+            rest = find_rest(cells, beside, shortest_ns)
             bias = rest.mean_rad_s
     start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
     matrix = None if calibration is None else calibration.matrix
     remarks = (calibration.remark,) if calibration is not None and calibration.remark else ()
     part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)
-    report = ConditioningReport(bias, rest, matrix, mount, start_ns, end_ns, [0, 0], remarks, part)
+    biases = beside.biases
+    report = ConditioningReport(
+        bias_rad_s=bias if biases is None else None,
+        rest=rest,
+        bias_series=None if biases is None else biases.report,
+        calibration=matrix,
+        mount=mount,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        outside=[0, 0],
+        remarks=remarks,
+        part=part,
+    )
     batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
-    if bias is not None or matrix is not None:
-        batches = conditioned(batches, bias=bias, matrix=matrix)
+    if bias is not None or biases is not None or matrix is not None:
+        batches = conditioned(batches, bias=bias if biases is None else biases, matrix=matrix)
     return batches, report
 
 
 def conditioned(
     batches: Iterable[GyroSeries],
     *,
-    bias: NDArray[np.float64] | None = None,
+    bias: NDArray[np.float64] | BiasSeries | None = None,
     matrix: NDArray[np.float64] | None = None,
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.
@@ -194,13 +218,15 @@ def conditioned(
     batches
         Raw rates in sensor axes, rad/s.
     bias
-        Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes.
+        Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time.
     matrix
         What the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting.
     """
     for batch in batches:
         rate = batch.rate
-        if bias is not None:
+        if isinstance(bias, BiasSeries):
+            rate = rate - bias.at(batch.t_ns)
+        elif bias is not None:
             rate = rate - bias
         if matrix is not None:
             rate = _transformed(rate, matrix)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.conditioning.bias_series import BiasSeries
     from quatprop.conditioning.cells import Cells, Rows
 
     Float64 = NDArray[np.float64]
@@ -65,10 +66,16 @@ class SignalsBeside:
         Reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes.
     orientation
         Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
+    biases
+        The series of biases, where one was asked for.
+    topic
+        That of the rates.
     """
 
     force: Callable[[], Rows] | None = None
     orientation: Callable[[], Rows] | None = None
+    biases: BiasSeries | None = None
+    topic: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, 
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.signals.beside_rates import signals_beside
+from quatprop.signals.biases import read_biases
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
@@ -92,13 +94,14 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
-        beside = None if log is None else signals_beside(log, source, settings.selection)
+        beside = signals_beside(log, source, settings.selection)
+        if (bias_from := settings.conditioning.bias_from) is not None:
+            beside = replace(beside, biases=read_biases(bias_from, log, settings.selection))
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,
             UNITS[source.unit],
             beside,
-            source.name,
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=no_parts if settings.policy.on_backwards == "sort" else source.part_reader,
         )
@@ -217,7 +220,7 @@ class AttitudeStream:
             *source.method_remarks(settings.method),
             *remarks(counts, settings.policy),
             *clipping_remarks(settings.conditioning, self._conditioned),
-            *self._conditioned.remarks,
+            *self._conditioned.all_remarks,
             *self._checks.remarks(counts.median_dt_ns),
         ]
         if log is not None and self._path != "-":

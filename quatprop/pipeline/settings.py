@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import Conditioning
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
-from quatprop.parsers import FROM_THE_LOG, StaticBias
+from quatprop.parsers import FROM_THE_LOG, BiasSource, StaticBias
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
@@ -105,7 +106,10 @@ class PropagationSettings:
     def inputs(self) -> list[str]:
         """Files that are read beside the log."""
         beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
-        paths = (beside, self.at, self.conditioning.calibration, self.errors.imu)
+        biases, calibration = self.conditioning.bias_from, self.conditioning.calibration
+        if biases is not None and not Path(biases).exists():
+            biases = None  # a topic of the log
+        paths = (beside, self.at, biases, calibration, self.errors.imu)
         return [path for path in paths if path]
 
 
@@ -174,7 +178,8 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         ),
         q0=_initial_attitude(values),
         conditioning=Conditioning(
-            bias=None if isinstance(bias, StaticBias) else bias,
+            bias=bias if isinstance(bias, tuple) else None,
+            bias_from=bias.name if isinstance(bias, BiasSource) else None,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
             rates=values.get("rates", "body"),
             **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},

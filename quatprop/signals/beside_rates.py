@@ -105,9 +105,17 @@ def own_orientation(
 
 
 def signals_beside(
-    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection
+    log: MessageLog | TableLog | None, source: RateSignal, selection: RateSelection
 ) -> SignalsBeside:
-    """Return how to read what tells rest from motion; parameters as for :func:`specific_forces`."""
+    """Return how to read what is beside rates.
+
+    Parameters
+    ----------
+    log, source, selection
+        As for :func:`specific_forces`; no log for rates in memory.
+    """
+    if log is None:
+        return SignalsBeside()
 
     def force() -> Rows:
         return specific_forces(log, source, selection) or iter(())
@@ -121,7 +129,7 @@ def signals_beside(
             for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
                 yield series.t_ns, series.wxyz
 
-    return SignalsBeside(force, orientation)
+    return SignalsBeside(force, orientation, topic=source.name)
 
 
 def _beside(log: MessageLog, source: RateSignal) -> str | None:

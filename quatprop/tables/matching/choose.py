@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
+from quatprop.selection import RateSelection
 from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
     COMPONENT,
@@ -18,12 +19,12 @@ from quatprop.tables.matching.dialects import (
     RATE_PARTS,
 )
 from quatprop.tables.matching.matcher import ColumnMatcher
-from quatprop.text import Setting, Text, plain
+from quatprop.text import Setting, Text, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.selection import AttitudeSelection, RateSelection
+    from quatprop.selection import AttitudeSelection
     from quatprop.tables.base import TableLog, TimedColumns
     from quatprop.tables.matching.dialects import Dialect
 
@@ -113,6 +114,38 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
         method=convention.method,
         remarks=tuple(_remarks(matcher, dialect)),
     )
+
+
+def match_bias(log: TableLog) -> ColumnMatch:
+    """Return which columns hold time and the biases of a gyroscope, and their units.
+
+    Raises
+    ------
+    UndeclaredError
+        The time, or one of several sets, is not declared.
+    UsageError
+        No columns look like biases, or their unit is not declared.
+    """
+    matcher = ColumnMatcher(log, RateSelection(), "rate_cols", RATE_PARTS)
+    dialect = matcher.dialect("bias")
+    sets = matcher.sets(dialect.bias)
+    if not sets:
+        raise UsageError(
+            Setting("bias"),
+            f" {plain(log.path)}: no columns are named as biases of a gyroscope, such as "
+            f"b_w_RS_S_x or gyro_bias_x; there are {listed(log.columns())}",
+        )
+    bias = matcher.only_set(sets, "set of biases", "x")
+    unit = matcher.declared(bias) or dialect.rate_unit
+    matcher.refuse_unknown(bias, unit, RATE_UNITS)
+    if not unit:
+        raise UsageError(
+            Setting("bias"),
+            f" {plain(log.path)}: the unit of {matcher.names(bias)} is not declared; name it in "
+            "the header, such as gyro_bias_x [rad/s]",
+        )
+    timed = matcher.timed(bias, dialect)
+    return ColumnMatch(timed, *matcher.describe(bias, timed), unit, dialect.name)
 
 
 def _remarks(matcher: ColumnMatcher, dialect: Dialect) -> Iterator[Text]:

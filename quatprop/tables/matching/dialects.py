@@ -22,7 +22,7 @@ class Dialect:
     ----------
     name
         What the summary calls it.
-    rate, quaternion
+    rate, quaternion, bias
         The columns of each; the group ``part`` is the component, the rest of the name must be the
         same in all of them. ``""`` where it has none.
     time
@@ -51,6 +51,7 @@ class Dialect:
     needs: tuple[str, ...] = ()
     file: str = ""
     method: str | None = None
+    bias: str = ""
 
 
 _XYZ = r"(?P<part>[xyz])"
@@ -95,6 +96,14 @@ DIALECTS = (
         ("timestamp",),
         "rad/s",
         "ns",
+        bias=r"b_w_[a-z]+_[a-z]+_" + _XYZ,
+    ),
+    Dialect(
+        "PX4 ulog2csv",
+        time=("timestamp_sample", "timestamp"),
+        rate_unit="rad/s",
+        time_unit="us",
+        bias="gyro_bias" + _INDEX,
     ),
     Dialect(
         "PX4 ulog2csv",
@@ -185,7 +194,14 @@ DIALECTS = (
 )
 """The conventions, tried in this order."""
 
-GENERIC = Dialect("", GYROSCOPE, _QUATERNION, (_ROS_STAMP, r"(?:stamp[._])?secs?", TIME_NAMES))
+GENERIC = Dialect(
+    "",
+    GYROSCOPE,
+    _QUATERNION,
+    (_ROS_STAMP, r"(?:stamp[._])?secs?", TIME_NAMES),
+    bias=r"(?:.*[._])?(?:gyro(?:scope)?_?bias|bias_?gyro(?:scope)?|b_?g)[._]?"
+    r"(?P<part>[xyz]|\[[012]\])",
+)
 """Names that clearly mean a quantity and time, but declare no units."""
 
 ROTATIONS = (
