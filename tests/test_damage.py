@@ -3,7 +3,9 @@
 import io
 import os
 import shutil
+import sqlite3
 import struct
+from contextlib import closing
 
 import numpy as np
 import pyarrow as pa
@@ -84,29 +86,84 @@ def samples(log):
 
 def held(name, path):
     """Return where parts of a log end and how many samples they end with, by others' count."""
-    if name.endswith((".csv", ".jsonl")):
-        lines = path.read_bytes().splitlines(keepends=True)
-        ends = np.cumsum([len(line) for line in lines])
-        return list(zip(ends.tolist(), range(SAMPLES - len(lines) + 1, SAMPLES + 1), strict=True))
-    if name.endswith(".mcap"):
-        parts = []
-        file = io.BytesIO(path.read_bytes())
-        for record in StreamReader(file, emit_chunks=True).records:
-            inside = breakup_chunk(record) if isinstance(record, Chunk) else [record]
-            parts.append((file.tell(), sum(isinstance(one, Message) for one in inside)))
-        counts = np.cumsum([count for _, count in parts])
-        return [(end, int(count)) for (end, _), count in zip(parts, counts, strict=True)]
-    if name.endswith(".bag"):
-        with BagReader(path) as reader:
-            chunks = sorted(reader.chunk_infos, key=lambda chunk: chunk.pos)
-        counts = np.cumsum([sum(chunk.connection_counts.values()) for chunk in chunks])
-        return list(zip([chunk.pos for chunk in chunks[1:]], counts[:-1].tolist(), strict=True))
-    if name.endswith(".npy"):
-        (header,) = struct.unpack_from("<H", path.read_bytes(), 8)
-        return [(10 + header + 4 * 8 * count, count) for count in range(1, SAMPLES + 1)]
-    if name.endswith(".ulg"):
-        return [(end, count) for end, count, _ in ulog_records(path.read_bytes())]
-    return []
+    walk = WALKS.get(f".{name.rpartition('.')[2]}")
+    return walk(path) if walk else []
+
+
+def line_ends(path):
+    """Return where each row ends, and how many rows come before there."""
+    lines = path.read_bytes().splitlines(keepends=True)
+    ends = np.cumsum([len(line) for line in lines])
+    return list(zip(ends.tolist(), range(SAMPLES - len(lines) + 1, SAMPLES + 1), strict=True))
+
+
+def mcap_ends(path):
+    """Return where each record ends, and how many messages come before there."""
+    parts = []
+    file = io.BytesIO(path.read_bytes())
+    for record in StreamReader(file, emit_chunks=True).records:
+        inside = breakup_chunk(record) if isinstance(record, Chunk) else [record]
+        parts.append((file.tell(), sum(isinstance(one, Message) for one in inside)))
+    counts = np.cumsum([count for _, count in parts])
+    return [(end, int(count)) for (end, _), count in zip(parts, counts, strict=True)]
+
+
+def chunk_ends(path):
+    """Return where each chunk of a ROS 1 bag ends, and how many messages come before there."""
+    with BagReader(path) as reader:
+        chunks = sorted(reader.chunk_infos, key=lambda chunk: chunk.pos)
+    counts = np.cumsum([sum(chunk.connection_counts.values()) for chunk in chunks])
+    return list(zip([chunk.pos for chunk in chunks[1:]], counts[:-1].tolist(), strict=True))
+
+
+def array_ends(path):
+    """Return where each row of a NumPy array ends, and how many rows come before there."""
+    (header,) = struct.unpack_from("<H", path.read_bytes(), 8)
+    return [(10 + header + 4 * 8 * count, count) for count in range(1, SAMPLES + 1)]
+
+
+def ulog_ends(path):
+    """Return where each record ends, and how many samples come before there."""
+    return [(end, count) for end, count, _ in ulog_records(path.read_bytes())]
+
+
+def batch_ends(path):
+    """Return where each batch of a Feather file ends, and how many rows come before there."""
+    with path.open("rb") as file:
+        file.seek(8)
+        messages, count, found = pa.ipc.MessageReader.open_stream(file), 0, []
+        schema = pa.ipc.read_schema(messages.read_next_message())
+        while (message := messages.read_next_message()).type == "record batch":
+            count += pa.ipc.read_record_batch(message, schema).num_rows
+            found.append((file.tell(), count))
+            if count == SAMPLES:
+                return found
+    return found
+
+
+def page_ends(path):
+    """Return where the page with each message of a database ends, and how many come before."""
+    content = path.read_bytes()
+    size = int.from_bytes(content[16:18], "big")
+    with closing(sqlite3.connect(path)) as database:
+        rows = database.execute("SELECT data FROM messages ORDER BY timestamp").fetchall()
+    ends = [(content.index(data) // size + 1) * size for (data,) in rows]
+    # A message is among the first that are left where those before it are, too.
+    ends = np.maximum.accumulate(ends)
+    return list(zip(ends.tolist(), range(1, len(ends) + 1), strict=True))
+
+
+WALKS = {
+    ".csv": line_ends,
+    ".jsonl": line_ends,
+    ".mcap": mcap_ends,
+    ".bag": chunk_ends,
+    ".npy": array_ends,
+    ".ulg": ulog_ends,
+    ".feather": batch_ends,
+    ".db3": page_ends,
+}
+"""Independent walks of intact logs."""
 
 
 def ulog_records(data):
@@ -122,8 +179,12 @@ def ulog_records(data):
 
 def ends_a_row(name, data, ends):
     """Tell whether a log without an end of its own ends with a whole row, and says no more."""
-    is_text = name.endswith((".csv", ".jsonl"))
-    return data.endswith(b"\n") if is_text else name.endswith(".ulg") and len(data) in ends
+    return data.endswith(b"\n") if is_text(name) else name.endswith(".ulg") and len(data) in ends
+
+
+def is_text(name):
+    """Tell whether the rows of a log are lines."""
+    return name.endswith((".csv", ".jsonl"))
 
 
 @pytest.mark.parametrize("name", CUT_LOGS)
@@ -154,6 +215,22 @@ def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs
         ):
             wrong.append((size, count, least, lost))
     assert wrong == []
+
+
+@pytest.mark.parametrize("name", ["mcap-zstd.mcap", "bag-none.bag", "gyro.ulg", "small.csv",
+                                  "rows.jsonl", "small.db3", "zstd.feather"])  # fmt: skip
+def test_the_attitudes_of_a_cut_log_are_a_prefix_of_those_of_the_whole(logs, tmp_path, name):
+    """As a CSV to the byte, the first line with the hash of the log aside."""
+    data, outputs = (logs / name).read_bytes(), []
+    for size in (len(data), *(len(data) * part // 10 for part in (9, 7, 5))):
+        log, out = tmp_path / name, tmp_path / "out.csv"
+        # A last line that may have lost digits is a sample of its own.
+        log.write_bytes(data[: data.rfind(b"\n", 0, size) + 1] if is_text(name) else data[:size])
+        result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(out)])
+        assert result.exit_code in ({0} if size == len(data) else {0, 3})
+        outputs.append(out.read_bytes().partition(b"\n")[2])
+    assert all(outputs[0].startswith(part) for part in outputs[1:])
+    assert 1000 < len(outputs[-1]) < len(outputs[0])
 
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
