@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from quatprop import GyroSeries, propagate, write
+from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.cli import cli
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
@@ -368,3 +368,109 @@ def test_a_series_is_written_with_its_standard_deviations(tmp_path):
     names = (tmp_path / "out.csv").read_text().splitlines()[0]
     assert names == "t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z"
     assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8
+
+
+# --- read again, and compared
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.parquet", "out.npz"])
+@pytest.mark.parametrize("axes", ["body", "reference"])
+def test_standard_deviations_are_read_again(tmp_path, name, axes):
+    """About body axes; metadata say where the columns are about those of the reference."""
+    if (name, axes) == ("out.csv", "reference"):
+        return
+    out, result, expected = run(tmp_path, name, "--sigma-axes", axes)
+    assert result.exit_code == 0, result.output
+    series = read_attitudes(out)
+    if axes == "body":
+        np.testing.assert_allclose(series.sigma, expected.sigma, rtol=1e-12)
+        assert not series.covariance[:, [0, 0, 1], [1, 2, 2]].any()
+    else:
+        turn = Rotation.from_quat(expected.wxyz, scalar_first=True).as_matrix()
+        found = turn @ series.covariance @ turn.swapaxes(1, 2)
+        wanted = turn @ expected.covariance @ turn.swapaxes(1, 2)
+        diagonals = (np.diagonal(one, axis1=1, axis2=2) for one in (found, wanted))
+        np.testing.assert_allclose(*diagonals, rtol=1e-9, atol=1e-18)
+
+
+def test_an_error_is_given_in_standard_deviations():
+    """A sum of squares on paper: 2 and 1 sigma about two axes are sqrt(5/3) in the mean."""
+    t_ns = np.arange(4) * SECOND
+    identity = np.tile([1.0, 0, 0, 0], (4, 1))
+    covariance = np.tile(np.diag([1e-4, 4e-4, 9e-4]), (4, 1, 1))
+    covariance[0] = 0.0
+    error = Rotation.from_rotvec([[0, 0, 0], [0.02, 0.02, 0], [0, 0, 0.09], [0.01, 0, 0]])
+    a = AttitudeSeries(t_ns, identity, covariance=covariance)
+    b = AttitudeSeries(t_ns, np.roll(error.as_quat(), 1, axis=1))
+    sigmas = compare(a, b).sigmas
+    assert sigmas.final == pytest.approx(math.sqrt(1 / 3), rel=1e-9)
+    assert sigmas.max == pytest.approx(3 / math.sqrt(3), rel=1e-9)
+    assert sigmas.rms == pytest.approx(math.sqrt((5 + 9 + 1) / 9), rel=1e-9)
+    assert compare(b, a).sigmas.rms == pytest.approx(sigmas.rms, rel=1e-9)
+    assert compare(b, b).sigmas is None
+    assert not compare(a, b, max_sigma=1.7).passed
+    assert compare(a, b, max_sigma=1.8).passed
+    both = compare(a, AttitudeSeries(t_ns, b.wxyz, covariance=covariance)).sigmas
+    assert both.rms == pytest.approx(sigmas.rms / math.sqrt(2), rel=1e-9)
+
+
+def test_errors_of_a_simulated_sensor_are_about_one_sigma():
+    """A noisy series against the true one: its own standard deviations explain its error."""
+    random = np.random.default_rng(7)
+    t_ns = np.arange(0, 100 * SECOND + 1, SECOND // 50)
+    rate = np.sin(t_ns[:, None] / 1e9 * [0.5, 0.7, 0.3] + [0, 1, 2])
+    noisy_rate = rate + 1e-3 * math.sqrt(50) * random.normal(size=rate.shape)
+    truth = propagate(GyroSeries(t_ns, rate), method="cubic")
+    found = propagate(GyroSeries(t_ns, noisy_rate), method="cubic", sigma=True, noise_density=1e-3)
+    sigmas = compare(found, truth).sigmas
+    assert 0.4 < sigmas.rms < 1.8
+    half = propagate(GyroSeries(t_ns, noisy_rate), method="cubic", sigma=True, noise_density=5e-4)
+    assert compare(half, truth).sigmas.rms == pytest.approx(2 * sigmas.rms, rel=1e-6)
+
+
+def test_compare_and_its_limit_on_the_command_line(tmp_path):
+    """The final error, and exit code 1 above the limit."""
+    out, _, _ = run(tmp_path, "out.csv")
+    truth = tmp_path / "truth.csv"
+    rows = out.read_text().splitlines()[1:]
+    stamps = [row.split(",")[0] for row in rows]
+    truth.write_text("t_ns,qw,qx,qy,qz\n" + "".join(f"{t},1,0,0,0\n" for t in stamps))
+    result = CliRunner().invoke(cli, ["compare", str(out), str(truth), "--max-sigma", "2"])
+    assert result.exit_code == 1
+    assert "sigma     the final error is " in result.stdout
+    assert "failed    largest error " in result.stdout
+    result = CliRunner().invoke(cli, ["compare", str(truth), str(truth), "--max-sigma", "2"])
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == (
+        "Error: neither series has standard deviations, which --max-sigma needs; write them with "
+        "--sigma"
+    )
+
+
+def test_a_suite_has_the_limit(tmp_path):
+    """With sigma and the errors among the settings of a case, and a reference of its own."""
+    out, _, _ = run(tmp_path, "out.csv")
+    suite = tmp_path / "suite.toml"
+    suite.write_text(
+        """[case.still]
+log = "log.csv"
+rate-unit = "rad/s"
+noise-density = "1e-3rad/s/sqrt(Hz)"
+scale-sigma = "5%"
+sigma = true
+reference-log = "out.csv"
+max-sigma = 0.1
+"""
+    )
+    for arguments in (["--update"], []):
+        result = CliRunner().invoke(cli, ["check", str(suite), *arguments])
+        assert result.exit_code == 0, result.output
+    # An error of 1 rad at the end is far more than the errors of the sensor explain.
+    *before, last = out.read_text().splitlines()
+    stamp, *_ = last.split(",")
+    sigma = last.split(",")[5:]
+    changed = ",".join([stamp, "0.8775825618903728", "0.479425538604203", "0", "0", *sigma])
+    out.write_text("\n".join([*before, changed, ""]))
+    result = CliRunner().invoke(cli, ["check", str(suite), "--update"])
+    assert result.exit_code == 1
+    assert "sigma, at most 0.1 sigma" in result.output

@@ -207,9 +207,10 @@ class _CaseParser:
         return reference
 
     def _comparison_texts(self, *, stored: bool) -> dict[str, object]:
-        if "tol" not in self._values and not stored:
+        if not ({"tol", "max-sigma"} & self._values.keys() or stored):
             self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
-        return {"tol": DEFAULT_TOLERANCE, **self._texts(COMPARISON_KEYS)}
+        usual = {"tol": DEFAULT_TOLERANCE} if stored else {}
+        return {**usual, **self._texts(COMPARISON_KEYS)}
 
     def _path(self, key: str) -> str:
         value = self._values[key]

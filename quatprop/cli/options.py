@@ -67,6 +67,7 @@ VALUES = {
     "window_rms_tol": "ANGLE",
     "drift_tol": "DRIFT",
     "min_coverage": "PERCENT",
+    "max_sigma": "N",
     "time_offset": "DUR|auto",
     "max_dt": "DUR",
     "min_matched": "PERCENT",
@@ -164,6 +165,8 @@ HELP = {
     "drift_tol": "Largest drift that passes, in either direction, such as 10deg/h.  "
     "[default: none]",
     "min_coverage": "Least part of {log}, of its time and of its samples, that must be compared.  "
+    "[default: none]",
+    "max_sigma": "Largest error that passes, in standard deviations, where a series has them.  "
     "[default: none]",
     "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or by "
     "the mean of all; or its reference and body frame (mount), from the motion.  [default: none]",

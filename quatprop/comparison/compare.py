@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from quatprop.comparison.criteria import coverage, judge
 from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
 from quatprop.comparison.settings import ComparisonSettings
+from quatprop.comparison.sigmas import sigma_statistics
 from quatprop.comparison.statistics import (
     drift_deg_h,
     error_statistics,
@@ -93,7 +95,8 @@ def compare(
         window = window_statistics(pairs.t_ns, pairs.a, alignment.apply(pairs.b), settings.window)
     statistics, drift = error_statistics(errors), drift_deg_h(pairs.t_ns, errors)
     covered = coverage(pairs, b)
-    criteria = tuple(judge(settings, statistics, window, drift, covered))
+    sigmas = sigma_statistics(a, b, pairs, alignment)
+    criteria = tuple(judge(settings, statistics, window, drift, covered, sigmas))
     passed = all(criterion.passed for criterion in criteria)
     limit = np.inf if settings.tol is None else settings.tol
     above = statistics.max > limit
@@ -108,6 +111,7 @@ def compare(
         drift_deg_h=drift,
         worst=sample(int(np.argmax(errors))),
         window=window,
+        sigmas=sigmas,
         coverage=covered,
         tolerance_rad=settings.tol,
         criteria=criteria,
@@ -151,14 +155,14 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSe
             wxyz[rows] = normalize(series.wxyz[rows])
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
-        return AttitudeSeries(t_ns, wxyz)
+        return replace(series, wxyz=wxyz)
     _, first = np.unique(t_ns, return_index=True)
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
     remarks.append(
         f"{name} was sorted by time: its timestamps step back {backwards} times, and {repeated} "
         "repeated ones were left out"
     )
-    return AttitudeSeries(t_ns[first], wxyz[first])
+    return replace(series, wxyz=wxyz)[first]
 
 
 def _matching(pairs: Pairs) -> Matching:

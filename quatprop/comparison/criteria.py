@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.errors import ComparisonError
+from quatprop.text import Setting
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.comparison.association import Pairs
     from quatprop.comparison.settings import ComparisonSettings
+    from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
     from quatprop.series import AttitudeSeries
 
@@ -32,7 +36,7 @@ class Criterion:
     value, limit
         What was measured and what is allowed, in `unit`.
     unit
-        ``"rad"``, ``"deg/h"`` or ``"%"``.
+        ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``.
     passed
         Whether the value is within the limit: not above it, or for a coverage not below it.
     """
@@ -76,14 +80,21 @@ def coverage(pairs: Pairs, reference: AttitudeSeries) -> Coverage:
     return Coverage(time, 100 * len(pairs) / len(reference) if counted else None)
 
 
-def judge(
+def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
     settings: ComparisonSettings,
     errors: ErrorStatistics,
     window: WindowStatistics | None,
     drift_deg_h: float | None,
     covered: Coverage,
+    sigmas: SigmaStatistics | None,
 ) -> Iterator[Criterion]:
-    """Yield the verdict on each criterion that the settings have."""
+    """Yield the verdict on each criterion that the settings have.
+
+    Raises
+    ------
+    ComparisonError
+        There is a limit in standard deviations, and neither series has any.
+    """
     limits = [
         ("tol", "largest error", errors.max),
         ("rms_tol", "RMS error", errors.rms),
@@ -105,3 +116,14 @@ def judge(
     if settings.min_coverage is not None:
         value, least = covered.least, settings.min_coverage
         yield Criterion("min_coverage", "coverage", value, least, "%", value >= least)
+    if (limit := settings.max_sigma) is not None:
+        if sigmas is None:
+            raise ComparisonError(
+                "neither series has standard deviations, which ",
+                Setting("max_sigma"),
+                " needs; write them with ",
+                Setting("sigma"),
+            )
+        yield Criterion(
+            "max_sigma", "largest error", sigmas.max, limit, "sigma", sigmas.max <= limit
+        )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.criteria import Coverage, Criterion
     from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
     from quatprop.text import Text
 
@@ -107,6 +108,8 @@ class Comparison:
         The pair with the largest error.
     window
         Errors of the rotations over windows, where they were asked for.
+    sigmas
+        The errors in standard deviations; None where neither series has any.
     coverage
         How much of B was compared.
     tolerance_rad
@@ -132,6 +135,7 @@ class Comparison:
     drift_deg_h: float | None
     worst: ComparedSample
     window: WindowStatistics | None
+    sigmas: SigmaStatistics | None
     coverage: Coverage
     tolerance_rad: float | None
     criteria: tuple[Criterion, ...]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 from quatprop.errors import UsageError
 from quatprop.parsers import RAD_PER_UNIT, Choice, duration, length, number, quantity
 from quatprop.settings import parse_all
-from quatprop.text import Setting, quoted
+from quatprop.text import Setting, quoted, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -41,6 +41,8 @@ class ComparisonSettings:
         Largest drift in either direction that passes, deg/h.
     min_coverage
         Least percentage of the reference, B, that must be compared: of its time and its samples.
+    max_sigma
+        Largest error that passes, in standard deviations.
     align
         One of :data:`ALIGNMENTS`.
     time_offset
@@ -69,6 +71,7 @@ class ComparisonSettings:
     window_rms_tol: float | None = None
     drift_tol: float | None = None
     min_coverage: float | None = None
+    max_sigma: float | None = None
     align: str = "none"
     time_offset: int | Literal["auto"] = 0
     match: str | None = None
@@ -143,6 +146,12 @@ def _percentage(value: object) -> float:
     return percentage
 
 
+def _positive(value: object) -> float:
+    if (parsed := number(value)) <= 0:
+        raise UsageError(f"{shown(value)} is not a number above 0")
+    return parsed
+
+
 COMPARE: Mapping[str, Parser] = {
     "tol": angle_rad,
     "rms_tol": angle_rad,
@@ -152,6 +161,7 @@ COMPARE: Mapping[str, Parser] = {
     "window_rms_tol": angle_rad,
     "drift_tol": drift_deg_h,
     "min_coverage": _percentage,
+    "max_sigma": _positive,
     "align": Choice(*ALIGNMENTS),
     "time_offset": time_offset_ns,
     "match": Choice(*MATCHES),
@@ -176,6 +186,7 @@ class CompareOptions(TypedDict, total=False):
     window_rms_tol: float | str | None
     drift_tol: float | str | None
     min_coverage: float | None
+    max_sigma: float | None
     align: str
     time_offset: int | str
     match: str | None

@@ -47,6 +47,14 @@ def comparison_rows(
     yield "worst", _sample(comparison.worst, first_ns)
     if comparison.window:
         yield "window", _window(comparison.window, first_ns)
+    if sigmas := comparison.sigmas:
+        yield (
+            "sigma",
+            (
+                f"the final error is {sigmas.final:.3g} sigma, RMS {sigmas.rms:.3g}, "
+                f"at most {sigmas.max:.3g}"
+            ),
+        )
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
@@ -71,6 +79,8 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             return f"above {tolerance}, first at {first}"
         case "drift_tol":
             return f"{label} {value:+.6g} deg/h, at most {limit:.6g} deg/h"
+        case "max_sigma":
+            return f"{label} {value:.3g} sigma, at most {limit:.6g} sigma"
         case "min_coverage":
             covered = comparison.coverage
             samples = ""

@@ -166,16 +166,12 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
                 Setting("topic"),
             )
         check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        read = signal.poses if wanted.positions and signal.poses else signal.rows
+        poses = signal.poses if wanted.positions else None
+        read = signal.covariances or poses or signal.rows
         parts = list(check.apply(read()))
         if not parts:
             raise NoSamplesError(wanted.path, signal.name)
-        positions = [part.position for part in parts if part.position is not None]
-        series = AttitudeSeries(
-            np.concatenate([part.t_ns for part in parts]),
-            np.concatenate([part.wxyz for part in parts]),
-            np.concatenate(positions) if positions else None,
-        )
+        series = AttitudeSeries.joined(parts)
         signal = replace(signal, remarks=(*signal.remarks, *log.remarks))
         zeros = int(np.count_nonzero(series.t_ns == 0))
         # A series may begin at 0.

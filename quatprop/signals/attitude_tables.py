@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import NoAttitudesError, UsageError
+from quatprop.kinematics.quaternion import conjugate
+from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.message_values import ABSENT
 from quatprop.signals.signal import AttitudeSignal
@@ -20,11 +24,13 @@ from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from typing import Any
 
     from numpy.typing import NDArray
 
     from quatprop.conventions import Meaning
+    from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Poses, Rows
     from quatprop.tables.base import TableLog
@@ -77,6 +83,7 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         rows=partial(_rows, log, columns, meaning),
         representation=representation,
         poses=_poses(log, columns, meaning),
+        covariances=_covariances(log, columns, meaning, provenance),
     )
 
 
@@ -122,15 +129,10 @@ def _rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
 
 def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[], Poses] | None:
     """Return what reads the positions beside attitudes; None where there is no single set."""
-    sets: dict[str, dict[str, int]] = {}
-    for number, name in enumerate(map(parse_name, log.columns())):
-        match = _POSITION.fullmatch(name.key)
-        if match and name.unit in {"", "m"}:
-            sets.setdefault(match["set"], {})[match["axis"]] = number
-    positions = [[found[axis] for axis in "xyz"] for found in sets.values() if len(found) == AXES]
-    if len(positions) != 1:
+    places = _positions(log)
+    if not places:
         return None
-    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *positions[0]))
+    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *places))
 
     def poses() -> Poses:
         for t_ns, numbers in log.metered_rows(timed):
@@ -148,6 +150,45 @@ def _attitudes(numbers: NDArray[np.float64], columns: ColumnMatch) -> NDArray[np
     # What is not finite is reported later, row by row.
     with np.errstate(invalid="ignore", over="ignore"):
         return REPRESENTATIONS[columns.representation].attitudes(values)
+
+
+def _positions(log: TableLog) -> list[int]:
+    """Return the columns of the only position; none where there is no single one."""
+    sets: dict[str, dict[str, int]] = {}
+    for number, name in enumerate(map(parse_name, log.columns())):
+        match = _POSITION.fullmatch(name.key)
+        if match and name.unit in {"", "m"}:
+            sets.setdefault(match["set"], {})[match["axis"]] = number
+    positions = [[found[axis] for axis in "xyz"] for found in sets.values() if len(found) == AXES]
+    return positions[0] if len(positions) == 1 else []
+
+
+def _covariances(
+    log: TableLog, columns: ColumnMatch, meaning: Meaning, provenance: JsonObject
+) -> Callable[[], Iterator[tuple[Any, ...]]] | None:
+    """Return what reads the standard deviations beside attitudes; None where there are none.
+
+    They are about body axes, unless the metadata of the file say otherwise.
+    """
+    names = [parse_name(name).key for name in log.columns()]
+    if meaning != HAMILTON or not set(SIGMA_COLUMNS) <= set(names):
+        return None
+    positions = _positions(log)
+    beside = (*(names.index(name) for name in SIGMA_COLUMNS), *positions)
+    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *beside))
+    uncertainty = provenance.get("uncertainty")
+    axes = uncertainty.get("columns_axes") if isinstance(uncertainty, dict) else "body"
+
+    def covariances() -> Iterator[tuple[Any, ...]]:
+        for t_ns, numbers in log.metered_rows(timed):
+            split = numbers.shape[1] - len(beside)
+            wxyz = meaning.converted(_attitudes(numbers[:, :split], columns))
+            covariance = numbers[:, split : split + AXES, None] ** 2 * np.eye(AXES)
+            if axes == "reference":
+                covariance = reference_covariance(conjugate(wxyz), covariance)
+            yield t_ns, wxyz, numbers[:, split + AXES :] if positions else None, covariance
+
+    return covariances
 
 
 def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:

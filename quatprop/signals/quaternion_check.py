@@ -106,7 +106,7 @@ class QuaternionCheck:
         self._drop = drop
 
     def apply(
-        self, batches: Iterable[tuple[Int64, Float64] | tuple[Int64, Float64, Float64]]
+        self, batches: Iterable[tuple[Int64, Float64, *tuple[Float64 | None, ...]]]
     ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
@@ -114,7 +114,7 @@ class QuaternionCheck:
         ----------
         batches
             Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps positions,
-            shape ``(N, 3)``.
+            shape ``(N, 3)``, and covariances, shape ``(N, 3, 3)``.
 
         Raises
         ------
@@ -122,16 +122,14 @@ class QuaternionCheck:
             Rows are invalid. Nothing is yielded from the first of them on; all are counted before
             the error is raised.
         """
-        for t_ns, wxyz, *position in batches:
+        for t_ns, wxyz, *beside in batches:
             valid, scaled = self._valid(t_ns, wxyz)
             if self.counts.invalid and not self._drop:
                 continue
             if valid.all():
-                series = AttitudeSeries(t_ns, scaled, *position)
+                series = AttitudeSeries(t_ns, scaled, *beside)
             else:
-                series = AttitudeSeries(
-                    t_ns[valid], scaled[valid], *(rows[valid] for rows in position)
-                )
+                series = AttitudeSeries(t_ns, scaled, *beside)[valid]
             self.counts.used += len(series)
             if len(series):
                 yield series

@@ -8,7 +8,7 @@ candidates; :func:`choose` takes the only one. Nothing is guessed silently: what
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -173,6 +173,9 @@ class AttitudeSignal(Signal):
     poses
         Reads positions of the body in the reference frame beside them, shape ``(N, 3)``, m; None
         where there are none.
+    covariances
+        Reads stamps, quaternions, positions or None, and covariances about body axes, shape
+        ``(N, 3, 3)``, rad^2; None where there are none.
     placeholder
         Whether it is the identity in every message of a sensor: never set.
     """
@@ -183,6 +186,7 @@ class AttitudeSignal(Signal):
     provenance: JsonObject
     representation: str = "quaternion"
     poses: Callable[[], Poses] | None = None
+    covariances: Callable[[], Iterator[tuple[Any, ...]]] | None = None
     placeholder: bool = False
 
 
