@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quatprop.kinematics.cubic import curvature, curvature_of_averages
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
@@ -157,6 +158,31 @@ def test_one_sided_parabolas_need_steps_more_alike():
     t_ns = np.cumsum([0, 1e7, 2.1e7, 1e7]).astype(np.int64)
     cubic, coning = (rotation_vectors(t_ns, rate, method) for method in ("cubic", "coning"))
     assert (cubic == coning).all(axis=1).tolist() == [True, False, True]
+
+
+def test_an_interval_as_long_as_the_limit_is_no_gap():
+    """Only a longer one keeps parabolas from passing."""
+    t_ns = np.arange(6) * 10_000_000
+    rate = np.random.default_rng(5).normal(size=(3, 6))
+    free, limited, cut = (curvature(t_ns, rate, gap_ns) for gap_ns in (None, 10_000_000, 9_999_999))
+    assert np.array_equal(free.a, limited.a)
+    assert np.array_equal(free.b, limited.b)
+    assert not cut.a.any()
+    assert not cut.b.any()
+
+
+@pytest.mark.parametrize(
+    ("stamp_ms", "is_there"), [(30, True), (35, True), (36, False), (40, False)]
+)
+def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
+    """Stamps more than half an integration too far apart mean that a rotation is missing."""
+    t_ns = np.array([0, 10, 20, stamp_ms]) * 1_000_000
+    span_ns = np.full(4, 10_000_000)
+    rate = np.array([[9.0, 1, 2, 4]] * 3)
+    found = curvature_of_averages(t_ns, rate, span_ns)
+    # The second divided difference of the angles, 1 and 2 rad/s over 10 ms each, is 50 rad/s^2.
+    assert found.a[0, 0] == pytest.approx(50.0)
+    assert (found.a[0, 2] != 0) == is_there
 
 
 def gapped(on_gap, times=None, size=1000):
