@@ -196,7 +196,8 @@ sample_rate, clock
         beside it takes the place of its own.
     mount : str or sequence
         Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
-        with v_body = m v_sensor m*.
+        with v_body = m v_sensor m*; or ``"tf:FRAME"``, the axes of a frame by the log's own
+        ``/tf_static``, from the frame in the header of the rates.
     start, end : str, int or datetime
         The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
         first (``"+10s"``) or the last sample (``"-30s"``).

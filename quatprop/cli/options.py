@@ -46,7 +46,7 @@ VALUES = {
     "heading": "DEG",
     "bias": "X,Y,Z|static[:DUR]|FILE|TOPIC",
     "calibration": "FILE",
-    "mount": "W,X,Y,Z|x,-y,-z",
+    "mount": "W,X,Y,Z|x,-y,-z|tf:FRAME",
     "start": "TIME",
     "end": "TIME",
     "max_gap": "DUR",
@@ -123,7 +123,8 @@ HELP = {
     "TOPIC is a series of biases, interpolated in time.  [default: none]",
     "calibration": "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) "
     "and bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.  [default: none]",
-    "mount": "Sensor axes to body axes: a quaternion, or the sensor axes that become x, y and z.  "
+    "mount": "Sensor axes to body axes: a quaternion, the sensor axes that become x, y and z, or "
+    "those of a frame by the log's own /tf_static.  "
     "[default: the same]",
     "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "
     " [default: all]",

@@ -53,6 +53,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
         yield "bias", f"{series.values} of {plain(series.source)} ({plain(series.field)}), in time"
     if (matrix := report.conditioning.calibration) is not None:
         yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
+    if (frames := report.conditioning.mount_frames) is not None:
+        yield "mount", f"{plain(' -> '.join(frames))}, by the static transforms of the log"
     if convention.q0_from != "given":
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if result.method_sensitivity_rad is not None:

@@ -47,7 +47,7 @@ class Conditioning:
         Path of a calibration, as :func:`quatprop.conditioning.calibration.read_calibration` reads
         it. A bias given beside it takes the place of its own.
     mount
-        Sensor axes to body axes, as :func:`mounting` reads it.
+        Sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``.
     rates
         ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
         reference frame are not turned by the mounting.
@@ -87,6 +87,8 @@ class ConditioningReport:
         What the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``.
     mount
         Matrix from sensor to body axes, shape ``(3, 3)``.
+    mount_frames
+        Where the mounting is from the log's transforms: the frames from the sensor's to the body's.
     start_ns, end_ns
         The part of the log that was used, ends included, ns.
     outside
@@ -102,6 +104,7 @@ class ConditioningReport:
     bias_series: BiasSeriesReport | None
     calibration: NDArray[np.float64] | None
     mount: NDArray[np.float64] | None
+    mount_frames: tuple[str, ...] | None
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
@@ -156,7 +159,9 @@ def condition(  # how to read, and what beside
         before it starts.
     """
     beside = beside or SignalsBeside()
-    mount = None if settings.mount is None else mounting(settings.mount)
+    mount = None if beside.mounting is None else beside.mounting.matrix
+    if settings.mount is not None and mount is None:
+        mount = mounting(settings.mount)
     calibration = None
     if settings.calibration is not None:
         calibration = read_calibration(settings.calibration, beside.topic)
@@ -189,6 +194,7 @@ def condition(  # how to read, and what beside
         bias_series=None if biases is None else biases.report,
         calibration=matrix,
         mount=mount,
+        mount_frames=None if beside.mounting is None else beside.mounting.frames,
         start_ns=start_ns,
         end_ns=end_ns,
         outside=[0, 0],

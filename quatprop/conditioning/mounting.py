@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AXES = {"x": 0, "y": 1, "z": 2}
+
+
+FROM_TRANSFORMS = "tf:"
+"""Begins a mounting that is taken from the transforms of the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameMounting:
+    """A mounting from the static transforms of a log.
+
+    Parameters
+    ----------
+    matrix
+        Sensor axes to body axes, shape ``(3, 3)``.
+    frames
+        The frames on the way, from the sensor's to the body's.
+    """
+
+    matrix: NDArray[np.float64]
+    frames: tuple[str, ...]
 
 
 def mounting(text: str) -> NDArray[np.float64]:
@@ -58,7 +79,7 @@ def mounting(text: str) -> NDArray[np.float64]:
     if wxyz.shape != (4,) or not np.isfinite(wxyz).all() or not wxyz.any():
         raise UsageError(
             f"{quoted(text)} is not a mounting; write three signed axes such as x,-y,-z, "
-            "or a quaternion W,X,Y,Z that takes sensor axes to body axes"
+            "a quaternion W,X,Y,Z that takes sensor axes to body axes, or tf:FRAME"
         )
     length = float(np.linalg.norm(wxyz))
     if abs(length - 1) > UNIT_TOLERANCE:

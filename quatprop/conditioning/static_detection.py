@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning.bias_series import BiasSeries
     from quatprop.conditioning.cells import Cells, Rows
+    from quatprop.conditioning.mounting import FrameMounting
 
     Float64 = NDArray[np.float64]
 
@@ -68,6 +69,8 @@ class SignalsBeside:
         Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
     biases
         The series of biases, where one was asked for.
+    mounting
+        That from the transforms of the log, where it was asked for.
     topic
         That of the rates.
     """
@@ -75,6 +78,7 @@ class SignalsBeside:
     force: Callable[[], Rows] | None = None
     orientation: Callable[[], Rows] | None = None
     biases: BiasSeries | None = None
+    mounting: FrameMounting | None = None
     topic: str = ""
 
 

@@ -8,14 +8,14 @@ the definition that a log carries is checked against it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
-from quatprop.messages.binary import ENCAPSULATIONS
+from quatprop.errors import MessageError, SchemaError
+from quatprop.messages.cursor import ShortMessageError, cursors_of
 from quatprop.messages.definitions import message_type
-from quatprop.messages.placement import ROS1, XCDR1
+from quatprop.messages.placement import ROS1
 from quatprop.messages.schema import Sequence, Struct, find, numbers
 from quatprop.text import quoted
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Channel, MessageBlock
-    from quatprop.messages.placement import Placement
+    from quatprop.messages.cursor import Cursor, Names
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -112,11 +112,11 @@ class TransformDecoder:
         UnsupportedLogError
             Messages are encapsulated in a way that is not read.
         """
-        elements = [
-            element
-            for messages, placement, order in self._groups(block)
-            for element in self._elements(_Cursor(block, messages, placement, order))
-        ]
+        try:
+            cursors = cursors_of(self._channel, block, self._path)
+        except ShortMessageError as error:
+            raise self._too_short(block, error.positions) from None
+        elements = [element for cursor in cursors for element in self._elements(cursor)]
         if not elements:
             none = np.empty(0, np.int64)
             return Transforms(none, none, none, np.empty((0, 4)), np.empty((0, 3)))
@@ -131,28 +131,7 @@ class TransformDecoder:
             np.concatenate([element.position for element in elements])[order],
         )
 
-    def _groups(self, block: MessageBlock) -> list[tuple[Int64, Placement, str]]:
-        """Return the messages of each encapsulation, with its placement and byte order."""
-        if self._channel.encoding == "ros1":
-            return [(np.arange(len(block)), ROS1, "<")]
-        short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
-        if len(short):
-            raise self._too_short(block, short)
-        identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
-        groups = []
-        for identifier in np.unique(identifiers).tolist():
-            placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
-            if placement is not XCDR1:
-                raise UnsupportedLogError(
-                    self._path,
-                    f"messages of topic {quoted(self._channel.topic)} are encapsulated as "
-                    f"0x{identifier:04x}, in which lists of transforms are not read; "
-                    "record with plain CDR",
-                )
-            groups.append((np.flatnonzero(identifiers == identifier), placement, order))
-        return groups
-
-    def _elements(self, cursor: _Cursor) -> list[Transforms]:
+    def _elements(self, cursor: Cursor) -> list[Transforms]:
         """Return the first transform of every list, then the second, until all lists end."""
         elements: list[Transforms] = []
         try:
@@ -164,10 +143,10 @@ class TransformDecoder:
                 if not len(left):
                     return elements
                 elements.append(self._element(cursor))
-        except _ShortError as error:
+        except ShortMessageError as error:
             raise self._too_short(cursor.block, error.positions) from None
 
-    def _element(self, cursor: _Cursor) -> Transforms:
+    def _element(self, cursor: Cursor) -> Transforms:
         if cursor.placement is ROS1:
             cursor.numbers("u4")  # the sequence number, which ROS 2 does not have
         unsigned = cursor.placement is ROS1
@@ -179,7 +158,7 @@ class TransformDecoder:
         position = values[:, :3].astype(np.float64)
         return Transforms(cursor.messages, t_ns, frames, wxyz, position)
 
-    def _frames(self, block: MessageBlock, parent: _Names, child: _Names) -> Int64:
+    def _frames(self, block: MessageBlock, parent: Names, child: Names) -> Int64:
         """Return the number of each pair of names, adding new pairs."""
         frames = np.full(len(parent.begin), -1)
         number = 0
@@ -202,83 +181,6 @@ class TransformDecoder:
             "the log is damaged",
             positions.tolist(),
         )
-
-
-class _ShortError(Exception):
-    """Some messages end too early."""
-
-    def __init__(self, positions: Int64) -> None:
-        super().__init__()
-        self.positions = positions
-
-
-class _Names(NamedTuple):
-    """Where a name is in each message, without the zero that may end it."""
-
-    begin: Int64
-    length: Int64
-
-    def text(self, block: MessageBlock, row: int) -> str:
-        begin = int(self.begin[row])
-        name = bytes(block.data[begin : begin + int(self.length[row])])
-        return name.decode(errors="surrogateescape")
-
-    def are(self, name: str, block: MessageBlock, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return in which of some messages the name is this one."""
-        wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
-        same: NDArray[np.bool_] = self.length[rows] == len(wanted)
-        text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
-        same[same] = (text == wanted).all(axis=1)
-        return same
-
-
-class _Cursor:
-    """A position in each of several messages, moved together; it differs after names."""
-
-    def __init__(
-        self, block: MessageBlock, messages: Int64, placement: Placement, order: str
-    ) -> None:
-        self.block = block
-        self.messages = messages
-        self.placement = placement
-        self._order = order
-        self._origin = block.starts[messages] + placement.header
-        self._at = self._origin.copy()
-        self._ends = block.ends[messages]
-
-    def keep(self, chosen: NDArray[np.bool_]) -> None:
-        """Continue with some of the messages."""
-        if not chosen.all():
-            self.messages = self.messages[chosen]
-            self._origin, self._at = self._origin[chosen], self._at[chosen]
-            self._ends = self._ends[chosen]
-
-    def numbers(self, code: str, count: int = 1) -> NDArray[Any]:
-        """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
-        kind = np.dtype(self._order + code)
-        alignment = min(kind.itemsize, self.placement.alignment)
-        self._at = self._at + (self._origin - self._at) % alignment
-        begin = self._advance(kind.itemsize * count)
-        places = begin[:, None] + np.arange(kind.itemsize * count)
-        taken: NDArray[Any] = self.block.data[places].view(kind)
-        return taken[:, 0] if count == 1 else taken
-
-    def name(self) -> _Names:
-        """Take a string."""
-        length = self.numbers("u4").astype(np.int64)
-        begin = self._advance(length)
-        if self.placement is not ROS1:
-            # CDR counts the zero at the end; some writers leave it out of an empty string.
-            length = length - (length > 0)
-        return _Names(begin, length)
-
-    def _advance(self, size: int | Int64) -> Int64:
-        begin = self._at
-        self._at = begin + size
-        short = self._at > self._ends
-        if short.any():
-            raise _ShortError(self.messages[short])
-        return begin
 
 
 def _is_list_of_transforms(root: Struct) -> bool:

@@ -8,6 +8,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import condition
+from quatprop.conditioning.mounting import FROM_TRANSFORMS
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
@@ -25,6 +26,7 @@ from quatprop.signals.biases import read_biases
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
+from quatprop.signals.static_transforms import frame_mounting
 from quatprop.text import Setting
 from quatprop.threads import in_background
 from quatprop.timeline import Timeline
@@ -97,6 +99,10 @@ class AttitudeStream:
         beside = signals_beside(log, source, settings.selection)
         if (bias_from := settings.conditioning.bias_from) is not None:
             beside = replace(beside, biases=read_biases(bias_from, log, settings.selection))
+        mount = settings.conditioning.mount or ""
+        if mount.startswith(FROM_TRANSFORMS):
+            frame = mount.removeprefix(FROM_TRANSFORMS)
+            beside = replace(beside, mounting=frame_mounting(log, source, frame))
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,

@@ -1,0 +1,202 @@
+"""A position in each of several messages, for values that plans do not reach: lists, strings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quatprop.errors import UnsupportedLogError
+from quatprop.messages.binary import ENCAPSULATIONS
+from quatprop.messages.placement import ROS1, XCDR1
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct
+from quatprop.text import quoted
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.placement import Placement
+    from quatprop.messages.schema import Type
+
+    Int64 = NDArray[np.int64]
+
+
+class ShortMessageError(Exception):
+    """Some messages end too early."""
+
+    def __init__(self, positions: Int64) -> None:
+        super().__init__()
+        self.positions = positions
+
+
+class SkipError(Exception):
+    """A value cannot be passed over: its type has no definition."""
+
+
+class Names(NamedTuple):
+    """Where a name is in each message, without the zero that may end it."""
+
+    begin: Int64
+    length: Int64
+
+    def text(self, block: MessageBlock, row: int) -> str:
+        """Return the name in one of the messages."""
+        begin = int(self.begin[row])
+        name = bytes(block.data[begin : begin + int(self.length[row])])
+        return name.decode(errors="surrogateescape")
+
+    def are(self, name: str, block: MessageBlock, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return in which of some messages the name is this one."""
+        wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
+        same: NDArray[np.bool_] = self.length[rows] == len(wanted)
+        text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
+        same[same] = (text == wanted).all(axis=1)
+        return same
+
+
+class Cursor:
+    """A position in each of several messages, moved together; it differs after names.
+
+    Parameters
+    ----------
+    block, messages
+        Which messages of a block.
+    placement, order
+        How they are encoded, and in which byte order.
+    """
+
+    def __init__(
+        self, block: MessageBlock, messages: Int64, placement: Placement, order: str
+    ) -> None:
+        self.block = block
+        self.messages = messages
+        self.placement = placement
+        self._order = order
+        self._origin = block.starts[messages] + placement.header
+        self._at = self._origin.copy()
+        self._ends = block.ends[messages]
+
+    def keep(self, chosen: NDArray[np.bool_]) -> None:
+        """Continue with some of the messages."""
+        if not chosen.all():
+            self.messages = self.messages[chosen]
+            self._origin, self._at = self._origin[chosen], self._at[chosen]
+            self._ends = self._ends[chosen]
+
+    def numbers(self, code: str, count: int = 1) -> NDArray[Any]:
+        """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
+        kind = np.dtype(self._order + code)
+        alignment = min(kind.itemsize, self.placement.alignment)
+        self._at = self._at + (self._origin - self._at) % alignment
+        begin = self._advance(kind.itemsize * count)
+        places = begin[:, None] + np.arange(kind.itemsize * count)
+        taken: NDArray[Any] = self.block.data[places].view(kind)
+        return taken[:, 0] if count == 1 else taken
+
+    def name(self) -> Names:
+        """Take a string."""
+        length = self.numbers("u4").astype(np.int64)
+        begin = self._advance(length)
+        if self.placement is not ROS1:
+            # CDR counts the zero at the end; some writers leave it out of an empty string.
+            length = length - (length > 0)
+        return Names(begin, length)
+
+    def skip(self, kind: Type) -> None:
+        """Pass over a value; there is one message only where its length varies."""
+        match kind:
+            case Primitive():
+                self.numbers(kind.code)
+            case String():
+                self.name()
+            case Struct():
+                for _, part in kind.fields:
+                    self.skip(part)
+            case Array():
+                self._skip_elements(kind.element, kind.length)
+            case Sequence():
+                self._skip_elements(kind.element, int(self.numbers("u4")[0]))
+            case _:
+                raise SkipError
+
+    def _skip_elements(self, element: Type, count: int) -> None:
+        if isinstance(element, Primitive):
+            if count:
+                self.numbers(element.code, count)
+            return
+        for _ in range(count):
+            self.skip(element)
+
+    def _advance(self, size: int | Int64) -> Int64:
+        begin = self._at
+        self._at = begin + size
+        short = self._at > self._ends
+        if short.any():
+            raise ShortMessageError(self.messages[short])
+        return begin
+
+
+def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[Cursor]:
+    """Return a cursor for the messages of each encapsulation in a block.
+
+    Raises
+    ------
+    ShortMessageError
+        Messages end before their encapsulation does.
+    UnsupportedLogError
+        Messages are encapsulated in a way that is not read.
+    """
+    if channel.encoding == "ros1":
+        return [Cursor(block, np.arange(len(block)), ROS1, "<")]
+    short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
+    if len(short):
+        raise ShortMessageError(short)
+    identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+    cursors = []
+    for identifier in np.unique(identifiers).tolist():
+        placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
+        if placement is not XCDR1:
+            raise UnsupportedLogError(
+                path,
+                f"messages of topic {quoted(channel.topic)} are encapsulated as "
+                f"0x{identifier:04x}, in which lists of transforms are not read; "
+                "record with plain CDR",
+            )
+        cursors.append(Cursor(block, np.flatnonzero(identifiers == identifier), placement, order))
+    return cursors
+
+
+def first_name(
+    channel: Channel, block: MessageBlock, root: Struct, field_path: str, path: Path | str
+) -> str | None:
+    """Return a string in the first message of a block; None where it cannot be reached.
+
+    Parameters
+    ----------
+    channel, block
+        Whose messages; the block has at least one.
+    root
+        Their definition.
+    field_path
+        Dotted path of the string, such as ``"imu.header.frame_id"``; through structs only.
+    path
+        The log, for errors.
+    """
+    try:
+        cursor = cursors_of(channel, block, path)[0]
+        cursor.keep(cursor.messages == cursor.messages[0])
+        here: Type = root
+        for step in field_path.split("."):
+            if not isinstance(here, Struct):
+                return None
+            for name, kind in here.fields:
+                if name == step:
+                    here = kind
+                    break
+                cursor.skip(kind)
+        return cursor.name().text(block, 0) if isinstance(here, String) else None
+    except (ShortMessageError, SkipError):
+        return None

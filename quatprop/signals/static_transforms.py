@@ -1,0 +1,151 @@
+"""The mounting of a sensor from the static transforms of its own log."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from quatprop.conditioning.mounting import FrameMounting
+from quatprop.errors import UsageError
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
+    UNIT_TOLERANCE,
+    conjugate,
+    multiply,
+    normalize,
+    rotation_matrix,
+)
+from quatprop.messages.cursor import first_name
+from quatprop.messages.definitions import message_type
+from quatprop.messages.schema import String, find
+from quatprop.messages.transforms import TRANSFORM_LISTS, TransformDecoder
+from quatprop.signals.message_values import channels_of
+from quatprop.tables.base import is_table
+from quatprop.text import Setting, listed, plain, quoted
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import MessageLog
+    from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import TableLog
+
+    Float64 = NDArray[np.float64]
+    Steps = dict[str, dict[str, Float64]]
+    """Of each frame the rotations from it to its neighbours."""
+
+STATIC_TOPIC = "tf_static"
+"""The last part of the name of topics with transforms that never change."""
+
+ENCODINGS = ("cdr", "ros1")
+"""Encodings whose lists of transforms and names of frames are read."""
+
+
+def frame_mounting(
+    log: MessageLog | TableLog | None, source: RateSignal, frame: str
+) -> FrameMounting:
+    """Return the mounting from the frame of a sensor to another, through the static transforms.
+
+    Parameters
+    ----------
+    log, source
+        The log and its rates; the sensor's frame is that in the header of its first message.
+    frame
+        Whose axes are the body's.
+
+    Raises
+    ------
+    UsageError
+        The log has no static transforms, the sensor names no frame, or no transforms lead from
+        one frame to the other.
+    LogError
+        The transforms cannot be read.
+    """
+    if log is None or is_table(log):
+        raise UsageError(
+            Setting("mount", f"tf:{frame}"), " needs a log of messages with /tf_static"
+        )
+    messages = cast("MessageLog", log)
+    sensor = _sensor_frame(messages, source)
+    wanted = _bare(frame)
+    steps = _static_steps(messages)
+    paths: dict[str, tuple[Float64, tuple[str, ...]]] = {sensor: (IDENTITY, (sensor,))}
+    waiting = [sensor]
+    while waiting and wanted not in paths:
+        here = waiting.pop(0)
+        wxyz, frames = paths[here]
+        for other, step in steps.get(here, {}).items():
+            if other not in paths:
+                # v_other = step v_here step*, v_here = wxyz v_sensor wxyz*.
+                paths[other] = multiply(step, wxyz), (*frames, other)
+                waiting.append(other)
+    if wanted not in paths:
+        known = f"they lead from it to {listed(sorted(paths.keys() - {sensor}))}"
+        if len(paths) == 1:
+            known = f"there are {listed(sorted(steps))}"
+        raise UsageError(
+            f"{plain(log.path)}: no static transforms lead from the frame {quoted(sensor)} of the "
+            f"sensor to {quoted(frame)}; {known if steps else 'the log has none'}"
+        )
+    wxyz, frames = paths[wanted]
+    return FrameMounting(rotation_matrix(normalize(wxyz)), frames)
+
+
+def _sensor_frame(log: MessageLog, source: RateSignal) -> str:
+    """Return the frame in the header of the first message with rates, the innermost header."""
+    levels = source.field.split(",")[0].split(".")[:-1]
+    names = [
+        ".".join((*levels[:count], "header", "frame_id")) for count in range(len(levels), -1, -1)
+    ]
+    for channel in channels_of(log, source.name):
+        if channel.type_name != source.type_name or channel.encoding not in ENCODINGS:
+            continue
+        root = message_type(channel, log.path)
+        for name in names:
+            block = next((block for block in log.blocks(channel) if len(block)), None)
+            if block is not None and isinstance(find(root, name), String):
+                frame = first_name(channel, block, root, name, log.path)
+                if frame:
+                    return _bare(frame)
+    raise UsageError(
+        f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
+        "their sensor; give ",
+        Setting("mount", "W,X,Y,Z|x,-y,-z"),
+    )
+
+
+def _static_steps(log: MessageLog) -> Steps:
+    """Return the rotations between neighbouring frames; of several for a frame the last counts."""
+    parents: dict[str, tuple[str, Float64]] = {}
+    for channel in channels_of(log):
+        is_static = channel.topic.rpartition("/")[2] == STATIC_TOPIC
+        if not (is_static and channel.type_name in TRANSFORM_LISTS):
+            continue
+        if channel.encoding not in ENCODINGS:
+            raise UsageError(
+                f"{plain(log.path)}: transforms in {quoted(channel.encoding)} on "
+                f"{quoted(channel.topic)} are not read; give ",
+                Setting("mount", "W,X,Y,Z|x,-y,-z"),
+            )
+        decoder = TransformDecoder(channel, log.path)
+        for block in log.blocks(channel):
+            transforms = decoder.transforms(block)
+            for number, wxyz in zip(transforms.frames.tolist(), transforms.wxyz, strict=True):
+                parent, child = (_bare(name) for name in decoder.frames[number])
+                if abs(float(np.linalg.norm(wxyz)) - 1) > UNIT_TOLERANCE:
+                    raise UsageError(
+                        f"{plain(log.path)}: the transform from {quoted(child)} to "
+                        f"{quoted(parent)} on {quoted(channel.topic)} is not a rotation"
+                    )
+                parents[child] = parent, wxyz
+    steps: Steps = {}
+    for child, (parent, wxyz) in parents.items():
+        steps.setdefault(child, {})[parent] = wxyz
+        steps.setdefault(parent, {})[child] = conjugate(wxyz)
+    return steps
+
+
+def _bare(frame: str) -> str:
+    """Return the name of a frame as tf2 has it: tf began them with a slash."""
+    return frame.removeprefix("/")
