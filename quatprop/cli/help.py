@@ -46,7 +46,7 @@ GROUPS = {
         "output folder to layout convention direction sign representation euler_unit rate plot",
         "into every at comment message out_topic frames report",
     ),
-    "Execution": ("processes skip_existing", "threads list_file root shard dask retries"),
+    "Execution": ("processes skip_existing", "threads config list_file root shard dask retries"),
     "Display": ("quiet as_json help help_all", "verbose"),
 }
 """Title of a group -> the parameters that help always shows, and those it shows on request."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
 from quatprop.cli.options import (
     plot_option,
@@ -46,6 +47,7 @@ EXAMPLES = (
 @into_option
 @with_options(OUTPUT_OPTIONS)
 @with_options(setting_options(PROPAGATE))
+@config_option
 @report_option
 @plot_option
 @quiet_option

@@ -1,0 +1,70 @@
+"""Options in a file: ``--config FILE.toml``, with the keys of a suite."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from quatprop.cli.types import PATH
+from quatprop.parsers import FROM_THE_LOG
+from quatprop.text import did_you_mean, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help_all"}
+"""Parameters that are about one run, and stay on the command line."""
+
+PATHS = {"msg_path", "at", "q0", "calibration", "imu"}
+"""Settings whose value may be a file, relative to the configuration."""
+
+
+def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
+    if name is None or ctx.resilient_parsing:
+        return
+    try:
+        table = tomllib.loads(Path(name).read_bytes().decode())
+    except OSError as error:
+        raise click.UsageError(f"{name}: it cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise click.UsageError(f"{name}: it is not TOML: {error}") from error
+    ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx, name, table)}
+
+
+def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dict[str, object]:
+    """Return the defaults that a file gives, by parameter."""
+    parameters = {
+        option[2:]: str(parameter.name)
+        for parameter in ctx.command.params
+        if isinstance(parameter, click.Option) and parameter.name not in ONE_RUN
+        for option in parameter.opts
+        if option.startswith("--")
+    }
+    defaults: dict[str, object] = {}
+    for key, value in table.items():
+        if key not in parameters:
+            hint = did_you_mean(key, parameters, "the keys are options without their dashes")
+            raise click.UsageError(f"{name}: no such key {quoted(key)}{hint}")
+        parameter = parameters[key]
+        beside = Path(name).parent / str(value)
+        if parameter in PATHS and value not in FROM_THE_LOG and beside.exists():
+            value = str(beside)  # noqa: PLW2901
+        if isinstance(value, list):
+            value = ",".join(map(str, value))  # noqa: PLW2901
+        defaults[parameter] = value if isinstance(value, bool) else str(value)
+    return defaults
+
+
+config_option = click.option(
+    "--config",
+    type=PATH,
+    metavar="FILE",
+    is_eager=True,
+    expose_value=False,
+    callback=_read,
+    help="Take options from a TOML file: its keys are their names, as in a suite, and paths are "
+    "relative to it. What is on the command line comes first.  [default: none]",
+)
