@@ -555,9 +555,8 @@ WITH = {
 def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     """Whoever adds an option to propagate has to decide here which it is."""
     names = {name for option in propagate.params for name in option.opts if name.startswith("--")}
-    assert names == EVERY_LOG.keys() | {f"--{name}" for name in ONE_LOG} | {"--config"} | {
-        "--threads"
-    }
+    elsewhere = {"--config", "--threads"} | {f"--{name}" for name in ONE_LOG}
+    assert names == EVERY_LOG.keys() | elsewhere
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
                                       "--skip-existing", "--list", "--root", "--shard",

@@ -35,8 +35,8 @@ GROUPS = {
     "Rates": ("bias mount", "calibration"),
     "Initial attitude": ("q0", "heading reference_z q0_layout"),
     "Integration": ("method", "rates"),
-    "Uncertainty": ("sigma imu", "noise_density bias_sigma random_walk scale_sigma sigma_axes"),
-    "Timestamps": ("on_backwards on_gap", "on_nonfinite max_gap"),
+    "Timestamps": ("on_gap", "on_backwards on_nonfinite max_gap"),
+    "Uncertainty": ("", "sigma imu noise_density bias_sigma random_walk scale_sigma sigma_axes"),
     "Limits": (
         "tol",
         "rms_tol final_tol p95_tol window_tol window_rms_tol drift_tol min_coverage max_sigma",
