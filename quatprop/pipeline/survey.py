@@ -30,6 +30,7 @@ from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
 from quatprop.text import Text, plain
+from quatprop.threads import thread_count, use_threads
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
 from quatprop.timeline.counts import remarks as timeline_remarks
 
@@ -77,7 +78,12 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     LogError
         The log cannot be read, or holds neither body rates nor attitudes.
     """
-    with open_log(path, kind, msg_path=selection.msg_path) as log:
+    # Nothing is propagated or written: all cores but one unpack what is checked next.
+    threads = thread_count()
+    with (
+        use_threads(threads + 1 if threads > 1 else 1),
+        open_log(path, kind, msg_path=selection.msg_path) as log,
+    ):
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
         rates: tuple[RateSurvey, ...] = ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from quatprop.containers.buffers import Buffers
 from quatprop.containers.compression import LARGE
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.regions import Region
 
     Content: TypeAlias = Loaded | tuple[Buffer, LocatedMessages] | RegionError
+
+
+TOGETHER = 1 << 21
+"""Bytes of regions that are loaded together, in one thread."""
 
 
 def load_regions(
@@ -61,29 +66,62 @@ def load_regions(
     if uncompressed or not regions:
         yield from (load_one(region, None) for region in regions)
         return
-    calls = _calls(source, load_one, regions)
-    loaded: Generator[Content, None, None] = prefetch(lambda call: call(), calls)
-    yield from loaded
+    groups = _groups(source, load_one, regions)
+    loaded: Generator[list[Content], None, None] = prefetch(_load_group, groups)
+    with closing(loaded):
+        for contents in loaded:
+            yield from contents
 
 
-def _calls(
+class _Group(NamedTuple):
+    """What loads some regions that follow each other, in one thread.
+
+    Parameters
+    ----------
+    calls
+        Each loads one region.
+    is_large
+        Whether it is one large region, which is loaded only when it is its turn.
+    """
+
+    calls: list[Callable[[], Content]]
+    is_large: bool = False
+
+
+def _load_group(group: _Group) -> list[Content] | Deferred[list[Content]]:
+    def contents() -> list[Content]:
+        return [call() for call in group.calls]
+
+    return Deferred(contents) if group.is_large else contents()
+
+
+def _groups(
     source: FileSource,
     load_one: Callable[[Region, NDArray[np.uint8] | None], Content],
     regions: Sequence[Region],
-) -> Iterator[Callable[[], Content | Deferred[Content]]]:
-    """Yield what loads each region; a large one only when it is its turn.
+) -> Iterator[_Group]:
+    """Yield regions in groups: handing over each by itself would cost as much as unpacking it.
 
-    Memory is handed out in the order of the regions, whichever of them is loaded first.
+    Memory is given to them in their order, whichever of them is loaded first.
     """
     buffers = Buffers()
+    calls: list[Callable[[], Content]] = []
+    size = 0
     for region in regions:
         start = source.read(region.start, PEEK) if region.is_chunk else b""
         head = chunk_head(start, region.length)
         if head is not None and head.size > LARGE:
-            yield partial(Deferred, partial(load_one, region, None))
-        else:
-            into = buffers.take(head.size) if head and head.compression == "zstd" else None
-            yield partial(load_one, region, into)
+            yield _Group(calls)
+            yield _Group([partial(load_one, region, None)], is_large=True)
+            calls, size = [], 0
+            continue
+        into = buffers.take(head.size) if head and head.compression == "zstd" else None
+        calls.append(partial(load_one, region, into))
+        size += region.length if head is None else head.size
+        if size >= TOGETHER:
+            yield _Group(calls)
+            calls, size = [], 0
+    yield _Group(calls)
 
 
 def _load(
