@@ -147,6 +147,15 @@ def test_stray_quotes_between_cells_with_line_breaks_are_counted():
     assert count + sum(loss.messages for loss in losses) >= 20_000
 
 
+@pytest.mark.parametrize("rows", [1, 2, 40])
+def test_a_last_row_whose_first_cell_has_line_breaks_is_one_row(rows):
+    """Its line end is missing, and a line break in its first cell does not begin a row."""
+    text = "".join(f'"a\nb {k}",{k},0.125,-0.25,0.500\n' for k in range(rows))
+    last, count, losses, remarks = read(text[:-1], header="note,t_ns,wx,wy,wz\n")
+    assert (last, count, losses) == ([0.125, -0.25, 0.5], rows, [])
+    assert len(remarks) == (rows < 40)
+
+
 def test_quotes_in_comments_and_within_cells_are_no_damage():
     """A quote has a meaning only at the beginning of a cell, and none in a comment."""
     text = '# "paused\n0,a,1,2,3,5"\n#,"stop\n1,3" disk,1,2,3,z\n'

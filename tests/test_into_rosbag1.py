@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from into_logs import RATE, moments, write_bag
+from into_logs import IMU, RATE, imu_message, moments, write_bag
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -169,6 +169,39 @@ def test_attitudes_of_the_bag_are_converted_into_it(tmp_path):
     log, out = write_bag(tmp_path / "log.bag"), tmp_path / "out.bag"
     assert run("convert", log, "--into", out, "-q").exit_code == 0
     assert {wxyz for *_, wxyz in attitudes(out)} == {(0.8, 0.0, 0.0, 0.6)}
+
+
+@pytest.mark.parametrize("order", ["rising", "falling", "latest before earliest"])
+def test_a_bag_of_one_chunk_keeps_its_start_and_end(tmp_path, order):
+    """Readers take them from the first and the last chunk of the index."""
+    log, out = tmp_path / "log.bag", tmp_path / "out.bag"
+    numbers = list(range(40))
+    if order == "falling":
+        numbers.reverse()
+    elif order == "latest before earliest":
+        numbers = [*range(20, 40), *range(20)]
+    times = list(moments(40))
+    with Writer(log) as writer:
+        connection = writer.add_connection("/imu", IMU, typestore=STORE)
+        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        # Other topics begin earlier and end later than the rates.
+        edge = {numbers.index(0): times[0][1] - 10**9, numbers.index(39): times[39][1] + 10**9}
+        for place, number in enumerate(numbers):
+            if place in edge:
+                writer.write(text, edge[place], bytes(4))
+            stamp, logged = times[number]
+            writer.write(connection, logged, imu_message(STORE, stamp, ros1=True))
+    with Reader(log) as reader:
+        assert len(reader.chunk_infos) == 1
+    result = run("propagate", log, "--into", out, "-q")
+    assert result.exit_code == 0
+    with Reader(log) as before, Reader(out) as after:
+        assert after.chunk_infos[0].start_time == before.start_time
+        assert after.chunk_infos[-1].end_time == before.end_time
+        assert (after.start_time, after.end_time) == (before.start_time, before.end_time)
+    others = [message for message in content(out)[1] if message[0] != "/attitude"]
+    assert others == content(log)[1]
+    assert len(attitudes(out)) == 40
 
 
 def test_nothing_is_added_to_joined_bags(tmp_path):

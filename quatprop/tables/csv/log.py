@@ -11,7 +11,7 @@ from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks
+from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks, record_end
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -140,7 +140,9 @@ class CsvLog(TableLog):
             block = block._replace(data=block.data[: len(data)])
             if data[-1:] in {b"", b"\n"}:
                 return block
-        begin = data.rfind(b"\n") + 1
+        begin = record_end(data, len(data))  # cells may have line breaks
+        if data.count(b'"', begin) % 2 and data.count(b'"') % 2 == 0:
+            begin = 0  # the only record
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
         used = {*columns.time, *columns.numbers}

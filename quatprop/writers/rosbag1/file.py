@@ -208,11 +208,12 @@ def _in_order(copied: list[ChunkInfo], own: list[ChunkInfo]) -> list[ChunkInfo]:
     """
     if not (copied and own):
         return copied + own
-    first = min(copied[0], own[0], key=lambda info: info.start_ns)
-    last = max(own[-1], copied[-1], key=lambda info: info.end_ns)
-    between = [info for info in (*copied, *own) if info not in (first, last)]
-    between.sort(key=lambda info: info.place)
-    return [first, *between] if first is last else [first, *between, last]
+    chunks = sorted((*copied, *own), key=lambda info: info.place)
+    first = min(chunks, key=lambda info: info.start_ns)
+    chunks.remove(first)
+    last = max(reversed(chunks), key=lambda info: info.end_ns)
+    chunks.remove(last)
+    return [first, *chunks, last]
 
 
 def _compressed(compression: str, prefix: bytes, rows: NDArray[np.void]) -> _BagChunk:
