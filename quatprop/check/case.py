@@ -41,7 +41,7 @@ class Case:
     inputs
         The files that are read: key of the suite -> path.
     strict
-        Whether the timestamps must be those of the reference.
+        Whether the timestamps must be those of the reference, all of them and no others.
     pins_log
         Whether the log must be the same bytes; False where the system under test makes the log.
     in_degrees

@@ -66,6 +66,8 @@ class CaseComparison:
         Why the error is not accepted; empty where it is.
     cause
         The likely cause of the error; empty where none is known.
+    coverage
+        How much of the reference was compared, percent; None where that is no criterion.
     report
         The report of the comparison, JSON-ready; None where there is none.
     """
@@ -74,6 +76,7 @@ class CaseComparison:
     where: str = ""
     failure: str = ""
     cause: str = ""
+    coverage: float | None = None
     report: Mapping[str, object] | None = None
 
 
@@ -138,6 +141,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure="; ".join(failures),
         cause="; ".join(f"{one.sentence} ({one.name})" for one in causes if one),
+        coverage=next((one.value for one in result.criteria if one.unit == "%"), None),
         report=result.report(),
     )
 
@@ -184,7 +188,9 @@ def error_text(case: Case, comparison: CaseComparison) -> str:
         for angle in (comparison.error_rad, case.comparison.tol)
         if angle is not None
     )
-    return f"{' of '.join([error, *limit])} {comparison.where}"
+    covered = comparison.coverage
+    coverage = "" if covered is None else f", {covered:.4g} % of the reference covered"
+    return f"{' of '.join([error, *limit])} {comparison.where}{coverage}"
 
 
 def _since(t_ns: int, first_ns: int) -> str:

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 DEFAULT_TOLERANCE = "1e-9rad"
 """Tolerance for a stored reference, unless the case has its own."""
 
+DEFAULT_COVERAGE = "99"
+"""Percentage of a reference that a log must cover which need not have the same bytes."""
+
 PROPAGATION_KEYS = {suite_key(Setting(name)): name for name in PROPAGATE}
 COMPARISON_KEYS = {suite_key(Setting(name)): name for name in COMPARE}
 REFERENCE_KEYS = {suite_key(Setting(name), "b"): name for name in READ_ATTITUDES}
@@ -163,7 +166,10 @@ class _CaseParser:
             propagation = propagation_settings(parsed)
         except UsageError as error:
             self._refuse(sentence(error))
+        strict = pins_log and not {"time-offset", "match", "max-dt"} & values.keys()
         comparison_texts = self._comparison_texts(stored=reference is not None)
+        if not strict and (reference is not None or not pins_log):
+            comparison_texts = {"min-coverage": DEFAULT_COVERAGE, **comparison_texts}
         return Case(
             name=self._table.name,
             log=log,
@@ -176,7 +182,7 @@ class _CaseParser:
                 key: str(text) for key, text in {**comparison_texts, **reference_texts}.items()
             },
             inputs=self._inputs,
-            strict=not {"time-offset", "match", "max-dt"} & values.keys(),
+            strict=strict,
             pins_log=pins_log,
             xfail=reason_of(self._suite, self._table, "xfail"),
             in_degrees=str(values.get("tol", "")).strip().endswith("deg"),

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 from quatprop.check.case import CaseNotRun
 from quatprop.check.case_run import angle_text
-from quatprop.check.judge import DIGITS
-from quatprop.check.lock import sha256_of
+from quatprop.check.inputs import DIGITS, digests_of
+from quatprop.check.judge import differences
 from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
-from quatprop.text import plain
+from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from quatprop.check.case import Case
     from quatprop.check.lock import Pin
@@ -36,16 +36,21 @@ def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
 
 def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     for key, path in case.inputs.items():
-        pinned = pin.inputs.get(key) if pin else None
-        state = "not pinned" if pinned is None else _state(path, pinned)
-        yield key, f"{plain(path)}: {state}"
+        pinned = {
+            name.partition("/")[2]: digest
+            for name, digest in (pin.inputs.items() if pin else ())
+            if name.partition("/")[0] == key
+        }
+        yield key, f"{plain(path)}: {_state(path, pinned) if pinned else 'not pinned'}"
     options = {**(pin.options if pin else {}), **case.options}
     for key in sorted(options):
         was, now = (pin.options.get(key) if pin else None), case.options.get(key)
         change = "" if was == now or pin is None else f", pinned as {plain(was or 'the default')}"
         yield key, f"{plain(now or 'the default')}{change}"
     if case.reference is not None:
-        state = _state(case.reference, pin.reference) if pin and pin.reference else "not pinned"
+        state = (
+            _state(case.reference, {"": pin.reference}) if pin and pin.reference else "not pinned"
+        )
         yield "reference", f"{plain(case.reference)}: {state}"
     elif case.external is not None:
         yield "reference", f"{plain(case.external.path)}, an independent series"
@@ -66,11 +71,17 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     yield "lock", f"by quatprop {pin.quatprop}{every}"
 
 
-def _state(path: str, pinned: str) -> str:
+def _state(path: str, pinned: Mapping[str, str]) -> str:
+    """Return how the files of a path, by name, are as they were pinned."""
     try:
-        digest = sha256_of(path)
+        digests = digests_of(path)
     except QuatpropError as error:
         return sentence(error).removeprefix(f"{plain(path)}: ")
-    if digest == pinned:
-        return f"SHA-256 {pinned[:DIGITS]}, as pinned"
-    return f"changed: SHA-256 {digest[:DIGITS]}, pinned {pinned[:DIGITS]}"
+    changed = [name for name, *_ in differences(pinned, digests)]
+    if set(digests) != {""}:
+        is_same = f"{len(digests)} files, as pinned"
+        return f"changed: {listed(map(plain, changed))}" if changed else is_same
+    digest, was = digests[""], pinned.get("", "")
+    if not changed:
+        return f"SHA-256 {was[:DIGITS]}, as pinned"
+    return f"changed: SHA-256 {digest[:DIGITS]}, pinned {was[:DIGITS]}"

@@ -18,7 +18,7 @@ from quatprop.check.case_run import (
     try_compare,
 )
 from quatprop.check.cases import same_option
-from quatprop.check.lock import sha256_of
+from quatprop.check.inputs import DIGITS, describe_change, digests_of, sha256_of
 from quatprop.check.reference import describe_provenance, read_reference
 from quatprop.check.spelling import sentence
 from quatprop.errors import LogError
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from quatprop.check.case_run import CaseRun
     from quatprop.check.lock import Pin
 
-DIGITS = 12
-"""Digits of a SHA-256 that are shown."""
+OTHER_VERSION = "the reference was made by quatprop"
+"""How the note on another version begins."""
 
 
 def judge(case: Case, pin: Pin | None) -> CaseResult:
@@ -62,9 +62,10 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
     _refuse_changes(case, pin, hashes)
     notes = []
     if pin.quatprop != __version__:
-        notes.append(f"the reference was made by quatprop {pin.quatprop}, this is {__version__}")
+        notes.append(f"{OTHER_VERSION} {pin.quatprop}, this is {__version__}")
     try:
-        run = propagate_case(case, pin.every)
+        # Samples that are missing move the others: all are needed to find those of the reference.
+        run = propagate_case(case, pin.every if case.strict else None)
     except LogError as error:
         if not case.pins_log:
             raise
@@ -73,7 +74,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
     if run.report.data_lost:
         notes.append(f"data of {plain(case.log)} were lost or left out, see propagate")
     failures = []
-    if run.samples != pin.samples and (case.strict or case.pins_log):
+    if run.samples != pin.samples and case.pins_log:
         failures.append(f"{run.samples} samples were propagated, and {pin.samples} when pinned")
     if case.external is not None:
         comparison = compare_case(case, run.series, load_attitudes(case.external).series)
@@ -99,9 +100,15 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
 
 
 def hash_inputs(case: Case) -> dict[str, str]:
-    """Return key of the suite -> SHA-256 of every input that must not change."""
+    """Return the SHA-256 of every input that must not change, by key of the suite.
+
+    Of a folder, that of each file which is read, by key and name: ``log/metadata.yaml``.
+    """
     return {
-        key: sha256_of(path) for key, path in case.inputs.items() if case.pins_log or key != "log"
+        f"{key}/{name}" if name else key: digest
+        for key, path in case.inputs.items()
+        if case.pins_log or key != "log"
+        for name, digest in digests_of(path).items()
     }
 
 
@@ -134,20 +141,19 @@ def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
     """Refuse a case that is not as it was pinned."""
     accept = Text("; restore it, or accept it with ", Setting("update"))
     for key, old, new in differences(pin.inputs, hashes):
+        base, _, name = key.partition("/")
+        path = case.inputs.get(base)
         # Which inputs there are depends on options, which are compared below.
-        if old is not None and new is not None:
-            raise LogError(
-                case.inputs[key],
-                f"its content changed since the reference was made (SHA-256 {old[:DIGITS]}, now "
-                f"{new[:DIGITS]})",
-                accept,
-            )
+        if path is None or (not name and (old is None or new is None)):
+            continue
+        file = Path(path, name) if name else Path(path)
+        raise LogError(file, describe_change(file, old, new), accept)
     if options := option_differences(pin, case):
         changes = ", ".join(
             f"{key} is {option_text(new)}, not {option_text(old)}" for key, old, new in options
         )
         _refuse(case, f"the reference was made with other options: {changes}", accept)
-    if pin.inputs.keys() != hashes.keys() or (pin.reference is None) != (case.reference is None):
+    if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
         _refuse(case, "the case was pinned with another kind of reference", accept)
     if case.reference is None:
         return
@@ -161,6 +167,10 @@ def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
             "with ",
             Setting("update"),
         )
+
+
+def _keys(hashes: Mapping[str, str]) -> set[str]:
+    return {key.partition("/")[0] for key in hashes}
 
 
 def _refuse(case: Case, *reason: str | Setting | Text) -> NoReturn:

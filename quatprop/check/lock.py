@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import LogError, SuiteError, UnreadableLogError
-from quatprop.provenance import JsonObject, as_json, digest_of
+from quatprop.errors import SuiteError
+from quatprop.provenance import JsonObject, as_json
 from quatprop.text import Setting, Text
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
     from typing import Any
-
-LFS_POINTER = b"version https://git-lfs"
-"""How a Git LFS pointer begins: the small file in place of one that was not downloaded."""
 
 CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
 """How lines begin that an unfinished merge leaves."""
@@ -36,7 +33,8 @@ class Pin:
     quatprop
         The version that did the update.
     inputs
-        Key of the suite -> SHA-256 of the file or folder that it names.
+        Key of the suite -> SHA-256 of the file that it names; of a folder, of each of its files
+        that is read, by key and name.
     options
         As in :class:`quatprop.check.case.Case`.
     samples
@@ -132,38 +130,3 @@ def write_lock(path: Path, pins: Mapping[str, Pin]) -> None:
         return
     with open_atomic(path) as stream:
         stream.write(text)
-
-
-def sha256_of(path: str) -> str:
-    """Return the SHA-256 of a file, or of all files of a folder.
-
-    Raises
-    ------
-    LogError
-        It is missing, unreadable, or a Git LFS pointer.
-    """
-    refuse_lfs_pointer(path)
-    digest = digest_of(path).sha256
-    if digest is None:
-        raise UnreadableLogError(path, "no such file or folder; check the path")
-    return str(digest)
-
-
-def refuse_lfs_pointer(path: str) -> None:
-    """Refuse a Git LFS pointer in place of a file, or of a file in a folder.
-
-    Raises
-    ------
-    LogError
-        There is one.
-    """
-    place = Path(path)
-    for file in sorted(place.iterdir()) if place.is_dir() else [place]:
-        if file.is_file():
-            with file.open("rb") as stream:
-                if stream.read(len(LFS_POINTER)) == LFS_POINTER:
-                    raise LogError(
-                        file,
-                        "it is a Git LFS pointer, not the file itself; download the file with "
-                        "git lfs pull",
-                    )

@@ -17,7 +17,7 @@ from quatprop.text import plain
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from quatprop.check.case import CaseResult, Verdict
 
@@ -43,7 +43,7 @@ WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
 
 def result_text(result: CaseResult, width: int) -> str:
-    """Return the result of a case: one line, and its reason, changes and notes below.
+    """Return the result of a case: one line, and its reason and changes below.
 
     Parameters
     ----------
@@ -63,10 +63,34 @@ def result_text(result: CaseResult, width: int) -> str:
 
 
 def _below(result: CaseResult) -> list[str]:
-    """Return the reason, the changes, and the notes unless the reason has them."""
-    reason = [result.reason] if result.reason else []
-    notes = () if result.verdict in {"fail", "error"} else result.notes
-    return [*reason, *result.changes, *notes]
+    """Return the reason and the changes."""
+    return [*([result.reason] if result.reason else []), *result.changes]
+
+
+def note_lines(results: Sequence[CaseResult]) -> Iterator[str]:
+    """Yield each note once, with the number of its cases; those of a failure are in its reason.
+
+    Examples
+    --------
+    >>> from quatprop.check.case import CaseResult
+    >>> cases = [CaseResult(name, "pass", notes=("it is old",)) for name in "ab"]
+    >>> list(note_lines(cases)), list(note_lines(cases[:1]))
+    (['note on 2 cases: it is old'], ['note on a: it is old'])
+    """
+    names: dict[str, list[str]] = {}
+    for result in results:
+        for note in () if result.verdict in {"fail", "error"} else result.notes:
+            names.setdefault(note, []).append(plain(result.name))
+    for note, cases in names.items():
+        yield f"note on {cases[0] if len(cases) == 1 else f'{len(cases)} cases'}: {plain(note)}"
+
+
+def worst_first(results: Iterable[CaseResult]) -> list[CaseResult]:
+    """Return results in the order in which somebody should look at them."""
+    order: list[Verdict] = ["error", "fail", "xpass", "xfail", "pass", "skip"]
+    return sorted(
+        results, key=lambda result: (order.index(result.verdict), -(result.error_rad or 0.0))
+    )
 
 
 def totals(results: Sequence[CaseResult]) -> str:
@@ -131,12 +155,16 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             element.text = "\n".join(filter(None, [result.summary, reason]))
-        elif text := "\n".join(filter(None, [result.summary, *map(plain, _below(result))])):
+        elif text := "\n".join(map(plain, filter(None, _output(result)))):
             ET.SubElement(case, "system-out").text = text
     ET.indent(root)
     with open_atomic(target) as stream:
         ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
         stream.write(b"\n")
+
+
+def _output(result: CaseResult) -> list[str]:
+    return [result.summary, *_below(result), *result.notes]
 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
@@ -149,7 +177,7 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
     """
     rows = [f"### {_markdown(suite.as_posix())}: {totals(results)}", ""]
     rows += ["| case | verdict | worst error | why |", "|---|---|---|---|"]
-    for result in results:
+    for result in worst_first(results):
         why = result.reason or "; ".join([*result.changes, *result.notes])
         cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
         rows.append(f"| {' | '.join(map(_markdown, cells))} |")

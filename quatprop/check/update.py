@@ -16,15 +16,16 @@ from quatprop.check.case_run import (
     propagate_case,
     try_compare,
 )
+from quatprop.check.inputs import DIGITS, refuse_lfs_pointer, sha256_of
 from quatprop.check.judge import (
-    DIGITS,
+    OTHER_VERSION,
     differences,
     hash_inputs,
     judge,
     option_differences,
     option_text,
 )
-from quatprop.check.lock import Pin, refuse_lfs_pointer, sha256_of
+from quatprop.check.lock import Pin
 from quatprop.check.reference import (
     MAX_ROWS,
     decimation,
@@ -70,7 +71,9 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
             pass  # whatever has changed, it is updated
         else:
             if result.verdict == "pass":
-                return replace(result, updated="kept", pin=pin)
+                # It was found to be what this version gives, too.
+                kept = replace(pin, quatprop=__version__)
+                return replace(result, updated="kept", pin=kept, notes=_without_version(result))
     run, every = _run(case, pin)
     changes = [] if pin is None else _changes(case, pin, run, hashes)
     new = Pin(
@@ -99,6 +102,10 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         updated="new" if pin is None else "updated",
         pin=new,
     )
+
+
+def _without_version(result: CaseResult) -> tuple[str, ...]:
+    return tuple(note for note in result.notes if not note.startswith(OTHER_VERSION))
 
 
 def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:

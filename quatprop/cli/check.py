@@ -209,7 +209,7 @@ def _show(
     running: Iterable[CaseResult], cases: Sequence[Case | CaseNotRun], *, listed: bool, quiet: bool
 ) -> list[CaseResult]:
     """Show the results, failures last, and return all of them."""
-    from quatprop.check.reports import NEEDS_ATTENTION, result_text, totals
+    from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
     from quatprop.text import plain
 
     width = max(len(plain(case.name)) for case in cases)
@@ -226,6 +226,8 @@ def _show(
         if not quiet:
             click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
     if not quiet:
+        for line in note_lines(results):
+            click.echo(line)
         click.echo(totals(results))
     return results
 

@@ -13,6 +13,8 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+
     from quatprop.comparison.association import Pairs
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.comparison.sigmas import SigmaStatistics
@@ -56,7 +58,7 @@ class Coverage:
     Parameters
     ----------
     time
-        Of its time span: the time between neighbouring pairs, without gaps.
+        Of its time span without its own gaps: the time between neighbouring pairs, without gaps.
     samples
         Of its samples; None where they were interpolated, and so have no partners of their own.
     """
@@ -72,12 +74,16 @@ class Coverage:
 
 def coverage(pairs: Pairs, reference: AttitudeSeries) -> Coverage:
     """Return how much of a reference the pairs cover."""
-    intervals = np.diff(pairs.t_ns)
-    compared_ns = int(intervals[intervals <= GAP_INTERVALS * np.median(intervals)].sum())
-    span_ns = int(reference.t_ns[-1] - reference.t_ns[0])
+    compared_ns, span_ns = _covered_ns(pairs.t_ns), _covered_ns(reference.t_ns)
     time = min(100 * compared_ns / span_ns, 100.0) if span_ns else 100.0
     counted = pairs.match == "exact" or pairs.at == "B"
     return Coverage(time, 100 * len(pairs) / len(reference) if counted else None)
+
+
+def _covered_ns(t_ns: NDArray[np.int64]) -> int:
+    """Return the time between neighbouring stamps, without gaps, ns."""
+    intervals = np.diff(t_ns)
+    return int(intervals[intervals <= GAP_INTERVALS * np.median(intervals)].sum())
 
 
 def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
