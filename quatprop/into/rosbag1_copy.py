@@ -87,7 +87,7 @@ class BagCopy:
 
     def _copy(self, chunk: BagChunk, bag: BagFile) -> None:
         try:
-            record = None if chunk.loose else self._file.record(chunk.start)
+            record = None if chunk.is_unchunked else self._file.record(chunk.start)
             # The only chunk is split: the first and the last chunk of a bag tell when it starts
             # and ends, and those of the attitudes may be shorter.
             is_only = len(self._chunks) == 1

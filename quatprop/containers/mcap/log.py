@@ -153,10 +153,10 @@ class McapLog(MessageLog):
         self, channel: Channel, ids: list[int], regions: list[Region]
     ) -> Generator[MessageBlock, None, int]:
         """Yield the messages in some regions, and return how many there were or are lost."""
-        bounds = [*(region.first_ns for region in regions), LATEST][1:]
+        next_starts = [*(region.first_ns for region in regions), LATEST][1:]
         count = 0
         with closing(load_regions(self.source, regions, ids)) as loaded:
-            for region, bound, content in zip(regions, bounds, loaded, strict=True):
+            for region, not_before_ns, content in zip(regions, next_starts, loaded, strict=True):
                 if isinstance(content, RegionError):
                     lost = _message_count([region], ids)
                     self.losses.note(region.place, content.reason, lost, channel.topic)
@@ -171,7 +171,7 @@ class McapLog(MessageLog):
                 if messages:
                     count += len(messages)
                     self._remark_on_clamped(messages)
-                    yield _block(data, messages, bound)
+                    yield _block(data, messages, not_before_ns)
         return count
 
     def complete(self, files: MsgFiles) -> None:

@@ -53,7 +53,7 @@ class BagChunk:
         Log time of its earliest message.
     counts
         Number of messages of each connection.
-    loose
+    is_unchunked
         Whether it is a run of messages outside any chunk.
     first_conn
         What is added to the numbers of its connections: bags that were put one behind another
@@ -66,14 +66,14 @@ class BagChunk:
     end: int
     start_ns: int = 0
     counts: dict[int, int] = field(default_factory=dict)
-    loose: bool = False
+    is_unchunked: bool = False
     first_conn: int = 0
     end_ns: int | None = None
 
     @property
     def place(self) -> str:
         """Where it is, for a sentence."""
-        return f"{'messages' if self.loose else 'chunk'} at byte {self.start}"
+        return f"{'messages' if self.is_unchunked else 'chunk'} at byte {self.start}"
 
     def inside(self, connections: AbstractSet[int]) -> set[int]:
         """Return the numbers that some connections of the file have inside the chunk."""
@@ -154,9 +154,9 @@ def read_chunk(file: RecordFile, chunk: BagChunk) -> ChunkRecords:
     CompressionError
         It cannot be decompressed.
     """
-    if chunk.loose:
-        loose = file.at(chunk.start, chunk.end - chunk.start)
-        return ChunkRecords(np.frombuffer(loose, np.uint8), {})
+    if chunk.is_unchunked:
+        records = file.at(chunk.start, chunk.end - chunk.start)
+        return ChunkRecords(np.frombuffer(records, np.uint8), {})
     record = file.record(chunk.start)
     if record.op != OP_CHUNK:
         raise MalformedRecordError("there is no chunk")

@@ -196,21 +196,23 @@ class Rosbag1Log(MessageLog):
     def _blocks(
         self, channel: Channel, wanted: set[int], chunks: list[BagChunk]
     ) -> Iterator[MessageBlock]:
-        bounds = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
+        next_starts = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
         load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
         # Decompression is worth threads; uncompressed chunks are read sooner than handed over.
         is_compressed = bool(chunks) and self._is_compressed(chunks[0])
         self.source.expect(*expected_ranges(chunks, wanted, compressed=is_compressed))
         loaded = prefetch(load, chunks) if is_compressed else (load(chunk) for chunk in chunks)
         with closing(loaded):
-            for chunk, bound, (data, messages, damage) in zip(chunks, bounds, loaded, strict=False):
+            for chunk, not_before_ns, (data, messages, damage) in zip(
+                chunks, next_starts, loaded, strict=False
+            ):
                 expected = sum(chunk.counts.get(conn, 0) for conn in chunk.inside(wanted))
                 missing = expected - len(messages.starts)
                 if damage or missing > 0:
                     reason = damage or "it has fewer messages than it says"
                     self.losses.note(chunk.place, reason, missing or None, channel.topic)
                 if len(messages.starts):
-                    yield MessageBlock(data, *messages, messages.log_ns, bound)
+                    yield MessageBlock(data, *messages, messages.log_ns, not_before_ns)
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which its connection may carry, as JSON."""
@@ -233,14 +235,14 @@ class Rosbag1Log(MessageLog):
         try:
             budget.check()
             loaded = read_chunk(self._file, chunk)
-            budget.spend(0 if chunk.loose else len(loaded.data))
+            budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         except (MalformedRecordError, CompressionError) as error:
             loaded = ChunkRecords(np.empty(0, np.uint8), {}, str(error))
         if not loaded.damage:
             messages = _indexed(loaded, chunk, wanted)
             if messages is not None:
                 return loaded.data, messages, ""
-        return loaded.data, *_walked(loaded, wanted)
+        return loaded.data, *_scanned(loaded, wanted)
 
     def close(self) -> None:
         """Close the file."""
@@ -269,7 +271,7 @@ def _indexed(content: ChunkRecords, chunk: BagChunk, wanted: set[int]) -> Messag
     return MessageColumns(starts[order], ends[order], log_ns[order])
 
 
-def _walked(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, str]:
+def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, str]:
     """Locate messages record by record; the string says why there may be more, or is ``""``."""
     records, damage = surviving_records(content.data, content.indexed_offsets)
     rows = [

@@ -46,7 +46,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
         if (
             after is None
             or after.first_conn != chunk.first_conn
-            or chunk.loose
+            or chunk.is_unchunked
             or not chunk.counts
             or not chunk.counts.keys() <= chunk.inside(index.connections.keys())
         ):
@@ -60,7 +60,7 @@ def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
         return at + len(MAGIC)  # another bag, which its header begins
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
-    if last is not None and not last.loose and last.end == at and not last.counts:
+    if last is not None and not last.is_unchunked and last.end == at and not last.counts:
         # The length of the chunk before may be wrong.
         resumed_at = next_record(file, last.start + 1, at, CHUNKS)
     if resumed_at is None:
@@ -92,14 +92,14 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
         last = index.chunks[-1] if index.chunks else None
         if (
             last
-            and last.loose
+            and last.is_unchunked
             and last.end == record.start
             and record.start - last.start < _LOOSE_SIZE
         ):
             last.end = min(record.end, file.size)
         else:
             end = min(record.end, file.size)
-            chunk = BagChunk(record.start, end, loose=True, first_conn=index.first_conn)
+            chunk = BagChunk(record.start, end, is_unchunked=True, first_conn=index.first_conn)
             index.chunks.append(chunk)
     elif record.op == OP_BAG_HEADER:
         index.begin_bag()

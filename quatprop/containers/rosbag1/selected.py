@@ -44,7 +44,7 @@ def selected_messages(
         read whole: it is compressed, small or mostly selected, or its index data is not what the
         bag says.
     """
-    if chunk.loose or chunk.counts.keys() <= connections:
+    if chunk.is_unchunked or chunk.counts.keys() <= connections:
         return None
     try:
         record = file.record(chunk.start)

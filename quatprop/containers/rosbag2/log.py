@@ -211,8 +211,8 @@ class Rosbag2Log(MessageLog):
                 continue
             running[k] = stream
             # Not after the block's end, so that a part that has ended is closed at once.
-            bound = min(block.not_before_ns, int(block.log_ns.max()))
-            heapq.heappush(waiting, (bound, k))
+            not_before_ns = min(block.not_before_ns, int(block.log_ns.max()))
+            heapq.heappush(waiting, (not_before_ns, k))
             count += len(block)
             yield replace(block, not_before_ns=waiting[0][0])
         self._check_count(channel, count)
