@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import accuracy
 import decode
 import mixed_logs
 import product
@@ -23,7 +24,13 @@ MIXED = {
     "images_none.mcap": (mixed_logs.beside_images, 10),
 }
 """How each is written, and which part of the samples it has: pictures take room."""
-PARTS = {"decode": decode, "product": product, "writers": writers, "whole": whole}
+PARTS = {
+    "decode": decode,
+    "product": product,
+    "accuracy": accuracy,
+    "writers": writers,
+    "whole": whole,
+}
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
     "imu_none.mcap": ("--to", "mcap", "--compression", "none"),

@@ -77,6 +77,9 @@ def measure(_folder: Path, samples: int) -> None:
     few = t_ns[:SLOW_SAMPLES], rate[:SLOW_SAMPLES]
     table = Table(f"increments and product of {samples:,} samples, one thread")
     table.row("quatprop", best_of(5, lambda: attitudes(t_ns, rate)), samples)
+    for method in ("coning", "cubic"):
+        seconds = best_of(5, lambda method=method: attitudes(t_ns, rate, method=method))
+        table.row(f"quatprop, {method}", seconds, samples)
     table.row("numba serial loop", best_of(5, lambda: fused_loop(t_ns, rate, out)), samples)
     table.row("plain Python loop", best_of(3, lambda: python_loop(*few)), SLOW_SAMPLES)
     table.row("scipy Rotation loop", best_of(2, lambda: scipy_loop(*few)), SLOW_SAMPLES)
