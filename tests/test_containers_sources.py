@@ -130,6 +130,33 @@ def test_a_topic_of_two_types_is_remarked_on(tmp_path):
     )
 
 
+def test_a_topic_with_two_definitions_is_refused_with_a_way_out(tmp_path):
+    """Neither --topic nor --rate-field could tell one from the other."""
+    log, other = write_mcap(tmp_path / "log.mcap", count=40), tmp_path / "other.mcap"
+    with log.open("rb") as file:
+        messages = list(make_reader(file).iter_messages(topics=["/imu"]))
+    schema = messages[0][0]
+    assert b"float64[9] orientation_covariance" in schema.data
+    changed = schema.data.replace(b"float64[9] orientation_cov", b"float32[18] orientation_cov")
+    with other.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "")
+        id_ = writer.register_schema(schema.name, schema.encoding, changed)
+        channel = writer.register_channel("/imu", "cdr", id_)
+        for _, _, message in messages:
+            writer.add_message(channel, message.log_time, message.data, message.publish_time)
+        writer.finish()
+    log.write_bytes(log.read_bytes() + other.read_bytes())
+    for options in ([], ["-t", "/imu"], ["-t", "/imu", "--rate-field", "angular_velocity"]):
+        result = CliRunner().invoke(cli, ["propagate", str(log), "-o", "-", *options])
+        assert result.exit_code == 2
+        assert result.stderr == (
+            f"Error: {log}: topic '/imu' was recorded with 2 different message definitions, which "
+            "are not read together; write the messages of each to a log of its own, by their times "
+            "with `mcap filter`, or with `rosbag filter`\n"
+        )
+
+
 def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
     """Of a chunk with a camera only the wanted messages are read, and that is said."""
     log, report = tmp_path / "log.mcap", tmp_path / "report.json"

@@ -7,6 +7,7 @@ candidates; :func:`choose` takes the only one. Nothing is guessed silently: what
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
@@ -15,6 +16,7 @@ from quatprop.errors import (
     NoAttitudesError,
     NoRatesError,
     NoSuchTopicError,
+    UnsupportedLogError,
     UsageError,
 )
 from quatprop.messages.definitions import message_type
@@ -252,6 +254,8 @@ def choose(
         Several topics remain.
     UsageError
         Several fields of one topic remain.
+    UnsupportedLogError
+        One topic has several message definitions.
     LogError
         Something about the signal is not declared.
     """
@@ -259,6 +263,14 @@ def choose(
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
         raise AmbiguousTopicError(log.path, topics, kind.name)
+    definitions = max(Counter(candidate.field for candidate in preferred).values())
+    if definitions > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"topic {quoted(topics[0])} was recorded with {definitions} different message "
+            "definitions, which are not read together; write the messages of each to a log of its "
+            "own, by their times with `mcap filter`, or with `rosbag filter`",
+        )
     if len(preferred) > 1:
         raise UsageError(
             f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
