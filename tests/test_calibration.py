@@ -84,8 +84,8 @@ def test_the_effect_of_acceleration_is_not_corrected_and_that_is_said(tmp_path):
     """What kalibr calls A needs the acceleration of every sample."""
     path = tmp_path / "imu.yaml"
     path.write_text(KALIBR.format(force="[[0, 0, 0], [0, 0.001, 0], [0, 0, 0]]"))
-    assert read_calibration(path).remark == (
-        f"{path}: the effect of acceleration on the rates (A of kalibr) is not corrected"
+    assert read_calibration(path).remarks == (
+        f"{path}: the effect of acceleration on the rates (A of kalibr) is not corrected",
     )
 
 

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.bias_series import BiasSeries
-from quatprop.conditioning.calibration import read_calibration
+from quatprop.conditioning.calibration import Calibration, read_calibration
 from quatprop.conditioning.cells import cells_of
+from quatprop.conditioning.inputs import ConditioningInputs
 from quatprop.conditioning.mounting import mounting
-from quatprop.conditioning.static_detection import SignalsBeside, find_rest
+from quatprop.conditioning.static_detection import find_rest
 from quatprop.conditioning.time_range import absolute_range, clipped
 
 if TYPE_CHECKING:
@@ -122,11 +123,11 @@ LOOK_AHEAD_CELL_NS = 1_000_000_000
 """Only the first and the last stamp matter where no rest is looked for."""
 
 
-def condition(  # how to read, and what beside
+def condition(
     read: Callable[[], Iterable[GyroSeries]],
     settings: Conditioning,
     unit: float,
-    beside: SignalsBeside | None = None,
+    inputs: ConditioningInputs | None = None,
     *,
     part_reader: Callable[[], PartReader | None] = lambda: None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
@@ -140,8 +141,8 @@ def condition(  # how to read, and what beside
         What to do.
     unit
         rad/s in the unit of the bias.
-    beside
-        What was measured beside the rates; None for nothing.
+    inputs
+        What is known besides the rates; None for nothing.
     part_reader
         Returns what reads only the part of the log that is used, if its index allows that.
 
@@ -158,57 +159,73 @@ def condition(  # how to read, and what beside
         The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
         before it starts.
     """
-    beside = beside or SignalsBeside()
-    mount = None if beside.mounting is None else beside.mounting.matrix
-    if settings.mount is not None and mount is None:
+    inputs = inputs or ConditioningInputs()
+    biases, frames = inputs.biases, inputs.mounting
+    mount = None if frames is None else frames.matrix
+    if settings.mount is not None and frames is None:
         mount = mounting(settings.mount)
-    calibration = None
-    if settings.calibration is not None:
-        calibration = read_calibration(settings.calibration, beside.topic)
-    bias = None if calibration is None else calibration.bias_rad_s
-    if settings.bias is not None:
-        bias = np.array(settings.bias) * unit
-    first_ns = last_ns = 0
-    rest = None
+    calibration = _calibration(settings, inputs.topic)
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips else None
-    ends = parts.ends() if parts and settings.looks_ahead and settings.static_ns is None else None
-    if ends is not None:
-        first_ns, last_ns = ends
-    elif settings.looks_ahead:
-        shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
-        cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
-        if len(cells):
-            first_ns, last_ns = int(cells["first_ns"].min()), int(cells["last_ns"].max())
-        if settings.static_ns is not None:
-            rest = find_rest(cells, beside, shortest_ns)
-            bias = rest.mean_rad_s
+    first_ns, last_ns, rest = _look_ahead(read, settings, inputs, parts)
     start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
-    matrix = None if calibration is None else calibration.matrix
-    remarks = (calibration.remark,) if calibration is not None and calibration.remark else ()
+    bias = calibration.bias_rad_s if rest is None else rest.mean_rad_s
+    if settings.bias is not None:
+        bias = np.array(settings.bias) * unit
     part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)
-    biases = beside.biases
     report = ConditioningReport(
         bias_rad_s=bias if biases is None else None,
         rest=rest,
         bias_series=None if biases is None else biases.report,
-        calibration=matrix,
+        calibration=calibration.matrix,
         mount=mount,
-        mount_frames=None if beside.mounting is None else beside.mounting.frames,
+        mount_frames=None if frames is None else frames.frames,
         start_ns=start_ns,
         end_ns=end_ns,
         outside=[0, 0],
-        remarks=remarks,
+        remarks=calibration.remarks,
         part=part,
     )
     batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    if mount is not None and settings.rates == "body":
-        matrix = mount if matrix is None else mount @ matrix
-    if bias is not None or biases is not None or matrix is not None:
-        batches = conditioned(batches, bias=bias if biases is None else biases, matrix=matrix)
+    turn = mount if settings.rates == "body" else None
+    batches = conditioned(batches, bias=biases or bias, matrix=_product(turn, calibration.matrix))
     return batches, report
+
+
+def _calibration(settings: Conditioning, topic: str) -> Calibration:
+    if settings.calibration is None:
+        return Calibration()
+    return read_calibration(settings.calibration, topic)
+
+
+def _look_ahead(
+    read: Callable[[], Iterable[GyroSeries]],
+    settings: Conditioning,
+    inputs: ConditioningInputs,
+    parts: PartReader | None,
+) -> tuple[int, int, Rest | None]:
+    """Return the first and the last stamp, ns, and the rest, where they matter."""
+    if not settings.looks_ahead:
+        return 0, 0, None
+    if parts and settings.static_ns is None and (ends := parts.ends()) is not None:
+        return *ends, None
+    shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
+    cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
+    rest = None if settings.static_ns is None else find_rest(cells, inputs, shortest_ns)
+    if not len(cells):
+        return 0, 0, rest
+    return int(cells["first_ns"].min()), int(cells["last_ns"].max()), rest
+
+
+def _product(
+    one: NDArray[np.float64] | None, other: NDArray[np.float64] | None
+) -> NDArray[np.float64] | None:
+    """Return the product of two matrices; None stands for the identity."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one @ other
 
 
 def conditioned(
@@ -228,6 +245,9 @@ def conditioned(
     matrix
         What the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting.
     """
+    if bias is None and matrix is None:
+        yield from batches
+        return
     for batch in batches:
         rate = batch.rate
         if isinstance(bias, BiasSeries):

@@ -32,16 +32,17 @@ class Calibration:
     Parameters
     ----------
     matrix
-        M: scale factors, misalignment and the rotation to the axes of the sensor, ``(3, 3)``.
+        M: scale factors, misalignment and the rotation to the axes of the sensor, ``(3, 3)``;
+        None for the identity.
     bias_rad_s
         b, in the axes of the raw rates, shape ``(3,)``, rad/s; None where the file has none.
-    remark
-        What of the file is not applied; empty where all is.
+    remarks
+        What of the file is not applied.
     """
 
-    matrix: Float64
+    matrix: Float64 | None = None
     bias_rad_s: Float64 | None = None
-    remark: str = ""
+    remarks: tuple[str, ...] = ()
 
 
 def read_calibration(path: Path | str, topic: str = "") -> Calibration:
@@ -82,13 +83,11 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     turn = _numbers(path, "C_gyro_i", gyroscopes.get("C_gyro_i", np.eye(3)), (3, 3))
     measured = _matrix(path, "M", gyroscopes["M"]) @ turn
     by_force = _numbers(path, "A", gyroscopes.get("A", np.zeros((3, 3))), (3, 3))
-    remark = ""
-    if by_force.any():
-        remark = (
-            f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected"
-        )
+    uncorrected = (
+        f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected"
+    )
     inverse = np.linalg.inv(_checked(path, "M C_gyro_i", measured)).astype(np.float64)
-    return Calibration(inverse, None, remark)
+    return Calibration(inverse, None, (uncorrected,) if by_force.any() else ())
 
 
 def _loaded(path: Path | str) -> Mapping[str, object]:

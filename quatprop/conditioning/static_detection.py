@@ -20,13 +20,10 @@ from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
-    from quatprop.conditioning.bias_series import BiasSeries
-    from quatprop.conditioning.cells import Cells, Rows
-    from quatprop.conditioning.mounting import FrameMounting
+    from quatprop.conditioning.cells import Cells
+    from quatprop.conditioning.inputs import ConditioningInputs
 
     Float64 = NDArray[np.float64]
 
@@ -55,31 +52,6 @@ LARGEST_BIAS = 0.2
 
 TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
-
-
-@dataclass(frozen=True, slots=True)
-class SignalsBeside:
-    """What was measured beside the rates; None where the log does not have it.
-
-    Parameters
-    ----------
-    force
-        Reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes.
-    orientation
-        Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
-    biases
-        The series of biases, where one was asked for.
-    mounting
-        That from the transforms of the log, where it was asked for.
-    topic
-        That of the rates.
-    """
-
-    force: Callable[[], Rows] | None = None
-    orientation: Callable[[], Rows] | None = None
-    biases: BiasSeries | None = None
-    mounting: FrameMounting | None = None
-    topic: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +102,7 @@ class _Steadiness:
         return changed
 
 
-def find_rest(rates: Cells, beside: SignalsBeside, shortest_ns: int) -> Rest:
+def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Rest:
     """Return the rest of a log from which the bias is taken.
 
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
@@ -140,7 +112,7 @@ def find_rest(rates: Cells, beside: SignalsBeside, shortest_ns: int) -> Rest:
     ----------
     rates
         Of the whole log, as :func:`cells_of` gives them for half of `shortest_ns`.
-    beside
+    inputs
         What else was measured.
     shortest_ns
         The shortest time that counts as rest.
@@ -153,7 +125,7 @@ def find_rest(rates: Cells, beside: SignalsBeside, shortest_ns: int) -> Rest:
     cell_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
     signals, steady = [_Steadiness(rates, AGREEMENT)], ["rate"]
-    forces = None if beside.force is None else cells_beside(rates, beside.force(), cell_ns)
+    forces = None if inputs.force is None else cells_beside(rates, inputs.force(), cell_ns)
     if forces is not None:
         size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
         quiet = _quiet_forces(forces, quiet, size)
@@ -162,7 +134,7 @@ def find_rest(rates: Cells, beside: SignalsBeside, shortest_ns: int) -> Rest:
     periods = _periods(rates, quiet, signals)
     if not periods:
         raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
-    own = None if beside.orientation is None else outer_products(beside.orientation())
+    own = None if inputs.orientation is None else outer_products(inputs.orientation())
     orientations = None if own is None else cells_beside(rates, own, cell_ns, 16)
     if orientations is not None:
         periods = _not_turning(rates, orientations, periods)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import condition
-from quatprop.conditioning.mounting import FROM_TRANSFORMS
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
@@ -21,12 +19,10 @@ from quatprop.pipeline.plausibility import RateChecks, log_remarks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
-from quatprop.signals.beside_rates import signals_beside
-from quatprop.signals.biases import read_biases
+from quatprop.signals.conditioning_inputs import conditioning_inputs
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
-from quatprop.signals.static_transforms import frame_mounting
 from quatprop.text import Setting
 from quatprop.threads import in_background
 from quatprop.timeline import Timeline
@@ -96,18 +92,11 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
-        beside = signals_beside(log, source, settings.selection)
-        if (bias_from := settings.conditioning.bias_from) is not None:
-            beside = replace(beside, biases=read_biases(bias_from, log, settings.selection))
-        mount = settings.conditioning.mount or ""
-        if mount.startswith(FROM_TRANSFORMS):
-            frame = mount.removeprefix(FROM_TRANSFORMS)
-            beside = replace(beside, mounting=frame_mounting(log, source, frame))
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,
             UNITS[source.unit],
-            beside,
+            conditioning_inputs(log, source, settings.selection, settings.conditioning),
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=no_parts if settings.policy.on_backwards == "sort" else source.part_reader,
         )

@@ -6,14 +6,11 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast
 
-from quatprop.conditioning.static_detection import SignalsBeside
-from quatprop.errors import LogError, UsageError
 from quatprop.messages.signal_fields import fields_beside
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
-from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 from quatprop.tables.matching.choose import match_rates
 from quatprop.tables.matching.column_names import parse_name
@@ -102,34 +99,6 @@ def own_orientation(
         if source.clock in {"header", "log", "publish"}:
             wanted = replace(wanted, clock=source.clock)
     return choose_attitudes(log, wanted)
-
-
-def signals_beside(
-    log: MessageLog | TableLog | None, source: RateSignal, selection: RateSelection
-) -> SignalsBeside:
-    """Return how to read what is beside rates.
-
-    Parameters
-    ----------
-    log, source, selection
-        As for :func:`specific_forces`; no log for rates in memory.
-    """
-    if log is None:
-        return SignalsBeside()
-
-    def force() -> Rows:
-        return specific_forces(log, source, selection) or iter(())
-
-    def orientation() -> Rows:
-        try:
-            own = own_orientation(log, source, selection)
-        except (LogError, UsageError):
-            return
-        if not own.placeholder:
-            for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
-                yield series.t_ns, series.wxyz
-
-    return SignalsBeside(force, orientation, topic=source.name)
 
 
 def _beside(log: MessageLog, source: RateSignal) -> str | None:

@@ -1,0 +1,70 @@
+"""What conditioning takes from a log besides its rates."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.conditioning.inputs import ConditioningInputs
+from quatprop.conditioning.mounting import FROM_TRANSFORMS
+from quatprop.errors import LogError, UsageError
+from quatprop.signals.beside_rates import own_orientation, specific_forces
+from quatprop.signals.biases import read_biases
+from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.static_transforms import frame_mounting
+
+if TYPE_CHECKING:
+    from quatprop.conditioning import Conditioning
+    from quatprop.conditioning.cells import Rows
+    from quatprop.containers.base import MessageLog
+    from quatprop.selection import RateSelection
+    from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import TableLog
+
+
+def conditioning_inputs(
+    log: MessageLog | TableLog | None,
+    source: RateSignal,
+    selection: RateSelection,
+    wanted: Conditioning,
+) -> ConditioningInputs:
+    """Return what is needed besides the rates.
+
+    Parameters
+    ----------
+    log
+        An open log that can be read again; None for rates in memory.
+    source, selection
+        Its rates, and how they were chosen.
+    wanted
+        What is to be done to them.
+
+    Raises
+    ------
+    LogError, UsageError
+        The biases or the mounting that are asked for cannot be read.
+    """
+    biases = mounting = None
+    if wanted.bias_from is not None:
+        biases = read_biases(wanted.bias_from, log, selection)
+    if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
+        mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
+    if log is None:
+        return ConditioningInputs(biases=biases, mounting=mounting)
+    return ConditioningInputs(
+        force=lambda: specific_forces(log, source, selection) or (),
+        orientation=lambda: _orientation(log, source, selection),
+        biases=biases,
+        mounting=mounting,
+        topic=source.name,
+    )
+
+
+def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+    """Yield the log's own orientation, if it has one that was ever set."""
+    try:
+        own = own_orientation(log, source, selection)
+    except (LogError, UsageError):
+        return
+    if not own.placeholder:
+        for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
+            yield series.t_ns, series.wxyz
