@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from quatprop.kinematics.propagate import attitudes
-from quatprop.pipeline.plausibility import RateChecks, against_orientation, orientation_remarks
+from quatprop.pipeline.plausibility import against_orientation, orientation_remarks
+from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.timeline.counts import StampCounts
 
 MS = 1_000_000
 
@@ -22,7 +24,9 @@ def watched(rate, dt_ms=10, size=10_000):
         GyroSeries(t_ns[k : k + size], rate[k : k + size]) for k in range(0, len(rate), size)
     ]
     assert list(watch.observe(batches)) == batches
-    return list(map(str, watch.remarks(dt_ms * MS)))
+    last_ns = int(t_ns[-1])
+    counts = StampCounts(used=len(t_ns), first_ns=0, last_ns=last_ns, median_dt_ns=dt_ms * MS)
+    return list(map(str, watch.remarks(counts)))
 
 
 def moving(samples=1000, scale=1.0):

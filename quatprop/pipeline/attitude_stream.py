@@ -15,7 +15,8 @@ from quatprop.kinematics.resample import Listed, Steady, every
 from quatprop.parsers import FROM_THE_LOG
 from quatprop.pipeline.gyro_errors import known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
-from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.pipeline.plausibility import log_remarks
+from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
@@ -216,7 +217,7 @@ class AttitudeStream:
             *remarks(counts, settings.policy),
             *clipping_remarks(settings.conditioning, self._conditioned),
             *self._conditioned.all_remarks,
-            *self._checks.remarks(counts.median_dt_ns),
+            *self._checks.remarks(counts),
         ]
         if log is not None and self._path != "-":
             findings += log_remarks(log, source)

@@ -19,7 +19,7 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, Text
-from quatprop.times import NS_PER_S, utc_text
+from quatprop.times import utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -33,21 +33,6 @@ if TYPE_CHECKING:
 
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
-
-WIDEST_RANGE = math.radians(4000.0)
-"""rad/s: no common gyroscope measures more."""
-
-SMALLEST_RANGE = math.radians(125.0)
-"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
-
-SATURATED_RUN = 3
-"""This many neighbouring samples at exactly the same extreme are no coincidence."""
-
-FROZEN_SAMPLES = 100
-"""This many equal rates come from no working sensor: it would have noise."""
-
-STEP_LIMIT = math.radians(30.0)
-"""rad: a larger rotation between two samples is too large for any integration rule."""
 
 COMPARED_SAMPLES = 20_000
 """Rates are compared with the log's own orientation over so many samples from its beginning."""
@@ -64,116 +49,7 @@ OFF_SCALE = 20.0
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
-_COLUMN = 16_384
-"""Samples checked together."""
-
 _NONE = np.empty(0, dtype=np.int64)
-
-
-class RateChecks:
-    """Checks rates as they pass.
-
-    The findings do not depend on where batches end.
-    """
-
-    def __init__(self) -> None:
-        self._highest = np.full(3, -np.inf)
-        self._lowest = np.full(3, np.inf)
-        self._saturated = np.zeros((2, 3), dtype=np.bool_)
-        self._samples = 0
-        self._columns = np.empty((3, _COLUMN))
-        self._filled = 0
-
-    def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the batches unchanged, and check them."""
-        for batch in batches:
-            self._add(batch.rate)
-            yield batch
-
-    def _add(self, rate: Float64) -> None:
-        """Gather rates in contiguous columns, and check them when the columns are full."""
-        self._samples += len(rate)
-        start = 0
-        while start < len(rate):
-            stop = min(len(rate), start + _COLUMN - self._filled)
-            filled = self._filled + stop - start
-            self._columns[:, self._filled : filled] = rate[start:stop].T
-            self._filled, start = filled, stop
-            if filled == _COLUMN:
-                self._check()
-
-    def _check(self) -> None:
-        columns = self._columns[:, : self._filled]
-        for side, extreme in enumerate((np.fmax, np.fmin)):
-            reached = extreme.reduce(columns, axis=1)
-            limit = (self._highest, self._lowest)[side]
-            beyond = extreme(reached, limit) != limit
-            self._saturated[side, beyond] = False
-            limit[beyond] = reached[beyond]
-            for axis in np.flatnonzero((reached == limit) & (np.abs(limit) >= SMALLEST_RANGE)):
-                self._saturated[side, axis] |= _has_run(columns[axis] == limit[axis])
-        # A run may continue in the samples that come next.
-        last = columns[:, 1 - SATURATED_RUN :].copy()
-        self._filled = last.shape[1]
-        self._columns[:, : self._filled] = last
-
-    def remarks(self, median_dt_ns: int | None) -> list[Text]:
-        """Return a sentence for each finding.
-
-        Parameters
-        ----------
-        median_dt_ns
-            The usual interval between samples, ns.
-        """
-        if self._filled:
-            self._check()
-        largest = float(np.max([self._highest, -self._lowest]))
-        if not math.isfinite(largest):
-            return []
-        if largest == 0.0 and not self._lowest.any():
-            return [Text("every rate is zero: is this the right topic?")]
-        remarks = []
-        if largest > WIDEST_RANGE:
-            remarks.append(
-                Text(
-                    f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
-                    "deg/s, use ",
-                    Setting("rate_unit", "deg/s"),
-                )
-            )
-        elif median_dt_ns is not None and largest * median_dt_ns > STEP_LIMIT * NS_PER_S:
-            step = math.degrees(largest * median_dt_ns / NS_PER_S)
-            remarks.append(
-                Text(
-                    f"the body rotates by up to {step:.3g} deg between two samples: the sample "
-                    "rate is too low for this motion"
-                )
-            )
-        if (self._highest == self._lowest).all():
-            if self._samples >= FROZEN_SAMPLES:
-                rate = self._highest.tolist()
-                remarks.append(Text(f"every rate is the same, {rate} rad/s: frozen, or simulated?"))
-            return remarks
-        return [*remarks, *self._saturation()]
-
-    def _saturation(self) -> Iterator[Text]:
-        moving = self._highest != self._lowest
-        for sign, limit, saturated in zip(
-            "+-", (self._highest, self._lowest), self._saturated, strict=True
-        ):
-            for axis in np.flatnonzero(moving & saturated):
-                yield Text(
-                    f"axis {sign}{'xyz'[axis]} stays at its extreme of {limit[axis]:.6g} rad/s "
-                    f"for {SATURATED_RUN} samples or more: saturated, so larger rates are missing"
-                )
-
-
-def _has_run(hit: NDArray[np.bool_]) -> bool:
-    """Tell whether :data:`SATURATED_RUN` neighbouring samples are hits."""
-    run = hit
-    for shift in range(1, SATURATED_RUN):
-        run = run[:-1] & hit[shift:]
-    return bool(run.any())
 
 
 def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:

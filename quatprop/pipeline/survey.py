@@ -23,7 +23,8 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey
-from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.pipeline.plausibility import log_remarks
+from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
@@ -167,7 +168,7 @@ def _survey_rates(signal: RateSignal, path: str) -> RateSurvey:
         remarks=(
             *signal.remarks,
             *timeline_remarks(counts, OBSERVE),
-            *checks.remarks(counts.median_dt_ns),
+            *checks.remarks(counts),
         ),
     )
 

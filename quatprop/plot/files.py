@@ -20,7 +20,8 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.formats import open_log
-from quatprop.pipeline.plausibility import RateChecks, log_remarks
+from quatprop.pipeline.plausibility import log_remarks
+from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import Group, PlottedFile
 from quatprop.plot.view import FileView
@@ -131,7 +132,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside)
-    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts.median_dt_ns)]
+    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts)]
     remarks += log.remarks
     if path != "-":
         remarks += log_remarks(log, source)

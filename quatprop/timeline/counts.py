@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from quatprop.text import Setting, Text
-from quatprop.times import duration_text
+from quatprop.times import NS_PER_S, duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -179,6 +179,19 @@ def remarks(counts: Counts, policy: Policy) -> list[Text]:
 
 def _time_remarks(counts: Counts) -> Iterator[Text]:
     """Yield sentences about the time that the samples cover."""
+    if (
+        counts.duplicates.count > counts.used / 2
+        and (counts.first_ns or 0) % NS_PER_S == 0
+        and counts.median_dt_ns is not None
+        and counts.median_dt_ns % NS_PER_S == 0
+    ):
+        yield Text(
+            "the timestamps are whole seconds, each of several samples: they do not tell when a "
+            "sample was taken; choose another with ",
+            Setting("clock"),
+            " or ",
+            Setting("time_col"),
+        )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
         if abs(missed) > INTEGRATED_SHARE * counts.span_ns:

@@ -1,0 +1,216 @@
+"""Plausibility of rates as they pass: units, frozen, held or saturated samples, slow sampling.
+
+Rates in the wrong unit, frozen, or clipped by the sensor's range give attitudes that look right.
+Nothing here changes a sample; each finding is one sentence.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
+from quatprop.text import Setting, Text
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.series import GyroSeries
+    from quatprop.timeline.counts import StampCounts
+
+    Float64 = NDArray[np.float64]
+
+WIDEST_RANGE = math.radians(4000.0)
+"""rad/s: no common gyroscope measures more."""
+
+FROZEN_SAMPLES = 100
+"""This many equal rates come from no working sensor: it would have noise."""
+
+STEP_LIMIT = math.radians(30.0)
+"""rad: a larger rotation between two samples is too large for any integration rule."""
+
+UNRESOLVED = 0.15
+"""Share of the variance by which neighbouring samples differ: the motion between them is unknown.
+White noise has 1."""
+
+UNRESOLVED_STEP = math.radians(1.0)
+"""rad: RMS difference between neighbouring rates, times their interval, that is not just noise."""
+
+TURNING = 0.1
+"""rad/s: a body that turns faster has no two equal rates in a row, unless samples are held."""
+
+MAYBE_HELD = 0.05
+"""Share of equal neighbours on one axis from which all three are compared."""
+
+HELD = 0.2
+"""Share of rows that repeat the row before, while the body turns, that is remarked on."""
+
+LONGEST_HOLD = 20
+"""Rows, on average: rates that stay the same for longer are constant, not held."""
+
+MIN_HELD = 100
+"""Fewer repeated rows are not remarked on."""
+
+_COLUMN = 16_384
+"""Samples checked together."""
+
+_OVERLAP = HAS_RUN - 1
+"""Samples that are looked at again with those that follow."""
+
+
+class RateChecks:
+    """Checks rates as they pass.
+
+    The findings do not depend on where batches end.
+    """
+
+    def __init__(self) -> None:
+        self._highest = np.full(3, -np.inf)
+        self._lowest = np.full(3, np.inf)
+        self._saturation = Saturation()
+        self._samples = 0
+        self._columns = np.empty((3, _COLUMN))
+        self._filled = self._old = 0
+        # Sums over neighbouring samples, per axis: rate, square, product; and how many.
+        self._sums, self._neighbours = np.zeros((3, 3)), 0
+        self._repeated = self._different = 0
+
+    def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the batches unchanged, and check them."""
+        for batch in batches:
+            self._add(batch.rate)
+            yield batch
+
+    def _add(self, rate: Float64) -> None:
+        """Gather rates in contiguous columns, and check them when the columns are full."""
+        self._samples += len(rate)
+        start = 0
+        while start < len(rate):
+            stop = min(len(rate), start + _COLUMN - self._filled)
+            filled = self._filled + stop - start
+            self._columns[:, self._filled : filled] = rate[start:stop].T
+            self._filled, start = filled, stop
+            if filled == _COLUMN:
+                self._check()
+
+    def _check(self) -> None:
+        columns = self._columns[:, : self._filled]
+        highest, lowest = np.fmax.reduce(columns, axis=1), np.fmin.reduce(columns, axis=1)
+        self._highest = np.fmax(self._highest, highest)
+        self._lowest = np.fmin(self._lowest, lowest)
+        repeats = self._repeats(columns, max(self._old - 1, 0))
+        self._saturation.add(columns, self._old, (highest, -lowest), repeats)
+        self._add_motion(columns[:, max(self._old - 1, 0) :])
+        # A run may continue in the samples that come next.
+        last = columns[:, -_OVERLAP:].copy()
+        self._filled = self._old = last.shape[1]
+        self._columns[:, : self._filled] = last
+
+    def _add_motion(self, columns: Float64) -> None:
+        before, after = columns[:, :-1], columns[:, 1:]
+        # einsum does not start threads, as dot would for so many.
+        squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
+        sums = np.stack([after.sum(axis=1), squares, products], axis=1)
+        if np.isfinite(sums).all():
+            self._sums += sums
+            self._neighbours += after.shape[1]
+
+    def _repeats(self, columns: Float64, begin: int) -> NDArray[np.bool_] | None:
+        """Return which rows repeat the row before; None where hardly any does."""
+        equal = columns[0, 1:] == columns[0, :-1]
+        if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
+            return None
+        for column in columns[1:]:
+            equal &= column[1:] == column[:-1]
+        counted = np.abs(columns).max(axis=0) > TURNING
+        # Rates that are clipped stay the same as well.
+        for limit in (self._highest, self._lowest):
+            wide = np.abs(limit) >= SMALLEST_RANGE
+            counted &= (columns[wide] != limit[wide, None]).all(axis=0)
+        counted = counted[1:]
+        new = slice(begin, None)
+        self._repeated += int(np.count_nonzero((equal & counted)[new]))
+        self._different += int(np.count_nonzero((~equal & counted)[new]))
+        return np.concatenate([[False], equal])
+
+    def remarks(self, counts: StampCounts) -> list[Text]:
+        """Return a sentence for each finding.
+
+        Parameters
+        ----------
+        counts
+            What was observed of the timestamps.
+        """
+        if self._filled:
+            self._check()
+        largest = float(np.max([self._highest, -self._lowest]))
+        if not math.isfinite(largest):
+            return []
+        if largest == 0.0 and not self._lowest.any():
+            return [Text("every rate is zero: is this the right topic?")]
+        remarks = []
+        interval = _interval_s(counts)
+        if largest > WIDEST_RANGE:
+            remarks.append(
+                Text(
+                    f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
+                    "deg/s, use ",
+                    Setting("rate_unit", "deg/s"),
+                )
+            )
+        elif interval is not None:
+            remarks += self._slow(largest * interval, interval)
+        if (self._highest == self._lowest).all():
+            if self._samples >= FROZEN_SAMPLES:
+                rate = self._highest.tolist()
+                remarks.append(Text(f"every rate is the same, {rate} rad/s: frozen, or simulated?"))
+            return remarks
+        hold = self._hold()
+        if hold > 1:
+            remarks.append(
+                Text(
+                    f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body "
+                    f"turns: held samples, so a new rate is measured only every {hold:.2g} rows"
+                )
+            )
+        moving = self._highest != self._lowest
+        return [*remarks, *self._saturation.remarks(self._samples, moving, hold, interval)]
+
+    def _hold(self) -> float:
+        """Return for how many rows a sample is held, on average; 1 where none is."""
+        hold = 1 + self._repeated / max(self._different, 1)
+        enough = self._repeated >= MIN_HELD and 1 - 1 / hold >= HELD
+        return hold if enough and hold <= LONGEST_HOLD else 1.0
+
+    def _slow(self, largest_step: float, interval: float) -> Iterator[Text]:
+        """Yield a remark where the motion between samples is unknown."""
+        if largest_step > STEP_LIMIT:
+            yield Text(
+                f"the body rotates by up to {math.degrees(largest_step):.3g} deg between two "
+                "samples: the sample rate is too low for this motion"
+            )
+            return
+        total, squares, products = self._sums.T
+        variance = float((squares - total**2 / max(self._neighbours, 1)).sum())
+        difference = 2 * float((squares - products).sum())
+        if not difference > 0 or not self._neighbours:
+            return
+        step = math.sqrt(difference / self._neighbours) * interval
+        if step > UNRESOLVED_STEP and difference > UNRESOLVED * 2 * variance:
+            yield Text(
+                f"between two samples, the rate changes by {math.degrees(step / interval):.3g} "
+                f"deg/s RMS, which is {math.degrees(step):.3g} deg in the time between them: the "
+                "sample rate is too low for this motion"
+            )
+
+
+def _interval_s(counts: StampCounts) -> float | None:
+    """Return the usual interval, s: where several samples share a stamp, that of the samples."""
+    if counts.median_dt_ns is None:
+        return None
+    return min(counts.median_dt_ns, counts.span_ns / max(counts.used - 1, 1)) / NS_PER_S
