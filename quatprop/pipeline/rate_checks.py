@@ -41,6 +41,9 @@ White noise has 1."""
 UNRESOLVED_STEP = math.radians(1.0)
 """rad: RMS difference between neighbouring rates, times their interval, that is not just noise."""
 
+LARGEST_SUM = 1e100
+"""Larger sums of squares, (rad/s)^2, come from damaged numbers, and would hide all others."""
+
 TURNING = 0.1
 """rad/s: a body that turns faster has no two equal rates in a row, unless samples are held."""
 
@@ -114,9 +117,11 @@ class RateChecks:
     def _add_motion(self, columns: Float64) -> None:
         before, after = columns[:, :-1], columns[:, 1:]
         # einsum does not start threads, as dot would for so many.
-        squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
-        sums = np.stack([after.sum(axis=1), squares, products], axis=1)
-        if np.isfinite(sums).all():
+        # Rates that are not finite, or whose squares are not, are left out below.
+        with np.errstate(invalid="ignore", over="ignore"):
+            squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
+            sums = np.stack([after.sum(axis=1), squares, products], axis=1)
+        if (np.abs(sums) < LARGEST_SUM).all():
             self._sums += sums
             self._neighbours += after.shape[1]
 
