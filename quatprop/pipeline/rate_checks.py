@@ -41,6 +41,9 @@ White noise has 1."""
 UNRESOLVED_STEP = math.radians(1.0)
 """rad: RMS difference between neighbouring rates, times their interval, that is not just noise."""
 
+MIN_NEIGHBOURS = 20
+"""Fewer samples say nothing of the motion between them."""
+
 LARGEST_SUM = 1e100
 """Larger sums of squares, (rad/s)^2, come from damaged numbers, and would hide all others."""
 
