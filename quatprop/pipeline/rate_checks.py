@@ -206,7 +206,7 @@ class RateChecks:
         total, squares, products = self._sums.T
         variance = float((squares - total**2 / max(self._neighbours, 1)).sum())
         difference = 2 * float((squares - products).sum())
-        if not difference > 0 or not self._neighbours:
+        if not difference > 0 or self._neighbours < MIN_NEIGHBOURS:
             return
         step = math.sqrt(difference / self._neighbours) * interval
         if step > UNRESOLVED_STEP and difference > UNRESOLVED * 2 * variance:
