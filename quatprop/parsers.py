@@ -7,8 +7,7 @@ raises a :class:`quatprop.errors.UsageError` that does not name the setting.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal
@@ -72,90 +71,6 @@ def text(value: object) -> str:
     if not isinstance(value, str) or not value:
         raise UsageError(f"{shown(value)} is not a name")
     return value
-
-
-RAD_PER_UNIT = {
-    "rad": 1.0,
-    "mrad": 1e-3,
-    "deg": math.pi / 180,
-    "arcmin": math.pi / 180 / 60,
-    "arcsec": math.pi / 180 / 3600,
-}
-"""Radians in each unit of an angle."""
-
-_DEG = math.pi / 180
-
-NOISE_DENSITIES = {
-    "rad/s/sqrt(Hz)": 1.0,
-    "rad/sqrt(s)": 1.0,
-    "rad/sqrt(h)": 1 / 60,
-    "deg/s/sqrt(Hz)": _DEG,
-    "deg/sqrt(s)": _DEG,
-    "deg/sqrt(h)": _DEG / 60,
-    "deg/h/sqrt(Hz)": _DEG / 3600,
-    "mdeg/s/sqrt(Hz)": _DEG / 1000,
-}
-"""rad/s/sqrt(Hz) in each unit of a noise density."""
-
-RATES = {
-    "rad/s": 1.0,
-    "mrad/s": 1e-3,
-    "deg/s": _DEG,
-    "mdeg/s": _DEG / 1000,
-    "deg/h": _DEG / 3600,
-}
-"""rad/s in each unit of a rate."""
-
-RATE_WALKS = {
-    "rad/s^2/sqrt(Hz)": 1.0,
-    "rad/s/sqrt(s)": 1.0,
-    "rad/s/sqrt(h)": 1 / 60,
-    "deg/s^2/sqrt(Hz)": _DEG,
-    "deg/s/sqrt(s)": _DEG,
-    "deg/s/sqrt(h)": _DEG / 60,
-    "deg/h/sqrt(h)": _DEG / 3600 / 60,
-}
-"""rad/s^2/sqrt(Hz) in each unit of a rate random walk."""
-
-RATIOS = {"ppm": 1e-6, "%": 1e-2}
-"""The ratio that each unit is."""
-
-_QUANTITY = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)", re.ASCII)
-
-
-def quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
-    """Return a number in the unit whose factor is 1: text with a unit, or a number in that.
-
-    Parameters
-    ----------
-    value
-        What was given.
-    units
-        Units and their factors.
-    noun, examples
-        What errors call it, and give as examples.
-    """
-    if not isinstance(value, str):
-        if (parsed := number(value)) < 0:
-            raise UsageError(f"{shown(value)} is below 0")
-        return parsed
-    match = _QUANTITY.fullmatch(str(value).strip())
-    if not match or match[2] not in units or math.isinf(float(match[1])):
-        sentence = f"{shown(value)} is not {noun}; write a number with its unit, such as"
-        raise UsageError(f"{sentence} {examples}")
-    # Degrees as by everyone else, to the last bit.
-    if match[2] == "deg":
-        return math.radians(float(match[1]))
-    return float(match[1]) * units[match[2]]
-
-
-def quantity_of(units: Mapping[str, float], noun: str, examples: str) -> Parser:
-    """Return a parser of quantities; see :func:`quantity`."""
-
-    def parse_quantity(value: object) -> float:
-        return quantity(value, units, noun, examples)
-
-    return parse_quantity
 
 
 def flag(value: object) -> bool:

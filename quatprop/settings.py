@@ -12,10 +12,6 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
 from quatprop.parsers import (
-    NOISE_DENSITIES,
-    RATE_WALKS,
-    RATES,
-    RATIOS,
     Choice,
     bias,
     columns,
@@ -28,9 +24,9 @@ from quatprop.parsers import (
     mounting,
     number,
     path,
-    quantity_of,
     text,
 )
+from quatprop.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
 from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:

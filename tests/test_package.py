@@ -65,7 +65,7 @@ LAYERS = (
         "threads",
         "temp_files",
     },
-    {"series", "selection", "settings", "parsers", "arrow_arrays", "columns"},
+    {"series", "selection", "settings", "parsers", "quantities", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "formats"},

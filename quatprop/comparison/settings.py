@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.parsers import RAD_PER_UNIT, Choice, duration, length, number, quantity
+from quatprop.parsers import Choice, duration, length, number
+from quatprop.quantities import RAD_PER_UNIT, quantity
 from quatprop.settings import parse_all
 from quatprop.text import Setting, quoted, shown
 
