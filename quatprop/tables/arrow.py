@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _PARQUET_TAIL = 8
-_FEATHER_TAIL, _FEATHER_MAGIC = 10, b"ARROW1"
+_FEATHER_TAIL, _FEATHER_MAGIC, _END_OF_STREAM = 10, b"ARROW1", 8
 _BLOCK = struct.Struct("<qi4xq")
 _WINDOW = 1 << 24
 
@@ -193,7 +193,9 @@ class FeatherLog(_ArrowLog):
         (length,) = struct.unpack_from("<I", self._file.read_at(_FEATHER_TAIL, tail))
         footer = tail - length
         batches_end = _batches_end(self._file.read_at(length, footer))
-        at = self._magic_in(_FEATHER_MAGIC + _FEATHER_MAGIC, footer - batches_end)
+        # Behind the last batch there is only the mark of the end of the stream.
+        end = footer if footer - batches_end > _END_OF_STREAM else 0
+        at = self._magic_in(_FEATHER_MAGIC + _FEATHER_MAGIC, end)
         return None if at is None else at + len(_FEATHER_MAGIC)
 
     def _streamed(self) -> Iterator[pa.RecordBatch]:
