@@ -50,6 +50,7 @@ def test_an_empty_log_counts_nothing():
     """No batches, and batches without samples, give nothing and no error."""
     assert applied(Policy())[2].used == 0
     assert applied(Policy(), gyro([]), gyro([]))[2].first_ns is None
+    assert Counts().span_ns == 0
 
 
 def test_duplicates_are_kept_and_counted_across_batches():
