@@ -63,6 +63,10 @@ RATIOS = {"ppm": 1e-6, "%": 1e-2}
 
 _QUANTITY = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)", re.ASCII)
 
+PER_INCH = {"mm": 25.4, "cm": 2.54, "in": 1.0}
+SMALLEST_IN, LARGEST_IN = 1.0, 100.0
+"""Width and height of a picture, inches."""
+
 
 def quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
     """Return a number in the unit whose factor is 1: text with a unit, or a number in that.
@@ -97,3 +101,25 @@ def quantity_of(units: Mapping[str, float], noun: str, examples: str) -> Parser:
         return quantity(value, units, noun, examples)
 
     return parse_quantity
+
+
+def picture_size(value: object) -> tuple[float, float | None]:
+    """Return the width and height of a picture in inches; the height None where it is not given.
+
+    Examples
+    --------
+    >>> picture_size("254x127mm"), picture_size("3.5in")
+    ((10.0, 5.0), (3.5, None))
+    """
+    number = r"(\d+\.?\d*)"
+    found = re.fullmatch(rf"{number}(?:x{number})?(mm|cm|in)", str(value), re.ASCII)
+    if found is not None:
+        unit = PER_INCH[found[3]]
+        width = float(found[1]) / unit
+        height = float(found[2]) / unit if found[2] else None
+        if all(
+            SMALLEST_IN <= size <= LARGEST_IN
+            for size in (width, width if height is None else height)
+        ):
+            return width, height
+    raise UsageError(f"{shown(value)} is not a size from 1in to 100in; write 90mm or 16x9cm")

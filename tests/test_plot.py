@@ -1,5 +1,7 @@
 """Pictures as users ask for them: what they show, what is said, what is refused."""
 
+import re
+import struct
 import sys
 from pathlib import Path
 
@@ -178,17 +180,49 @@ def rate_selection():
     return RateSelection(rate_cols=("1", "2", "3"), time_col="0", time_unit="ns", rate_unit="rad/s")
 
 
-def test_attitudes_are_angles_and_a_norm_error(turning):
-    """Yaw goes around without bars; pitch, roll and the norm error stay at zero."""
+def test_attitudes_are_angles(turning):
+    """Yaw goes around without bars, pitch and roll stay at zero; norms are right and left out."""
     _, axes, _ = figure_of(turning)
     assert [one.get_ylabel() for one in axes] == [
-        "yaw\ndeg", "pitch\ndeg", "roll\ndeg", "norm error\n|q| \N{MINUS SIGN} 1",
+        "yaw\ndeg", "pitch\ndeg", "roll\ndeg",
     ]  # fmt: skip
     yaw = axes[0].get_lines()[0].get_ydata()
     assert np.isnan(yaw).sum() == 5
     assert np.nanmax(np.abs(np.diff(yaw))) < 2.0
     assert axes[0].get_yticks().tolist() == [-180, -90, 0, 90, 180]
     assert np.abs(axes[1].get_lines()[0].get_ydata()).max() == 0
+
+
+def test_a_picture_has_the_size_that_is_asked_for(turning, tmp_path):
+    """In mm, cm or inches, at the dots an inch; without a title there is no text but the axes'."""
+    out = tmp_path / "a.png"
+    run("plot", turning, "-o", out, "--size", "127x63.5mm", "--dpi", "100")
+    assert struct.unpack(">II", out.read_bytes()[16:24]) == (500, 250)
+    run("plot", turning, "-o", out, "--size", "4in", "--dpi", "50", "--font-size", "6")
+    assert struct.unpack(">II", out.read_bytes()[16:24])[0] == 200
+    styles = {"with": [], "without": ["--no-title"], "large": ["--font-size", "17"]}
+    texts = {}
+    for name, options in styles.items():
+        run("plot", turning, "-o", tmp_path / "a.svg", *options)
+        texts[name] = (tmp_path / "a.svg").read_text()
+    assert "<!-- Hamilton q, body to reference" in texts["with"]
+    assert "Hamilton" not in texts["without"]
+    assert "<!-- Hamilton q, body to reference" in texts["large"]
+    heights = {
+        name: float(re.search(r'height="([\d.]+)pt"', text)[1]) for name, text in texts.items()
+    }
+    assert heights["without"] < heights["with"] < heights["large"]
+
+
+@pytest.mark.parametrize("size", ["5", "0.5in", "3in x 4in", "1e9mm", "10x", "-3in", "3x0in"])
+def test_a_size_that_cannot_be_is_one_sentence(turning, tmp_path, size):
+    """Nothing is drawn."""
+    code, _, said = run("plot", turning, "-o", tmp_path / "a.png", f"--size={size}")
+    assert code == 2
+    assert said.splitlines()[-1].endswith(
+        f"'{size}' is not a size from 1in to 100in; write 90mm or 16x9cm"
+    )
+    assert not (tmp_path / "a.png").exists()
 
 
 def test_components_are_the_quaternion_with_a_continuous_sign(tmp_path):
@@ -332,9 +366,7 @@ def drawn_error(monkeypatch, *arguments):
     """Return the axes of the error that a command draws, and what it gave."""
     figures = []
     original = draw.figure
-    monkeypatch.setattr(
-        draw, "figure", lambda picture: figures.append(original(picture)) or figures[-1]
-    )
+    monkeypatch.setattr(draw, "figure", lambda *how: figures.append(original(*how)) or figures[-1])
     given = run(*arguments)
     return figures[0].axes[0], given
 
@@ -408,14 +440,12 @@ def test_propagate_draws_rates_and_the_attitudes_it_wrote(rates, tmp_path, monke
     run("propagate", rates, "-o", plain, *RATE_OPTIONS)
     figures = []
     original = draw.figure
-    monkeypatch.setattr(
-        draw, "figure", lambda picture: figures.append(original(picture)) or figures[-1]
-    )
+    monkeypatch.setattr(draw, "figure", lambda *how: figures.append(original(*how)) or figures[-1])
     code, _, _ = run("propagate", rates, "-o", out, *RATE_OPTIONS, "--plot", tmp_path / "a.pdf")
     assert code == 0
     assert out.read_bytes() == plain.read_bytes()
     labels = [one.get_ylabel().split("\n")[0] for one in figures[0].axes]
-    assert labels == ["rate x", "rate y", "rate z", "yaw", "pitch", "roll", "norm error"]
+    assert labels == ["rate x", "rate y", "rate z", "yaw", "pitch", "roll"]
     pitch = figures[0].axes[4].get_lines()[0].get_ydata()
     assert pitch[-1] == pytest.approx(np.degrees(2.5 * 0.01))
 
@@ -424,9 +454,7 @@ def test_attitudes_at_a_slower_rate_are_no_gaps(rates, tmp_path, monkeypatch):
     """--rate 1 leaves intervals of 100 samples: they are joined by a line all the same."""
     figures = []
     original = draw.figure
-    monkeypatch.setattr(
-        draw, "figure", lambda picture: figures.append(original(picture)) or figures[-1]
-    )
+    monkeypatch.setattr(draw, "figure", lambda *how: figures.append(original(*how)) or figures[-1])
     code, _, _ = run(
         "propagate", rates, "-o", tmp_path / "o.csv", *RATE_OPTIONS, "--rate", "1",
         "--plot", tmp_path / "a.png",

@@ -16,13 +16,16 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.spelling import option, spelled
-from quatprop.cli.types import PATH, OneOf
+from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.comparison.settings import COMPARE
+from quatprop.quantities import picture_size
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from quatprop.plot.draw import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
 """Settings about attitudes alone."""
@@ -59,6 +62,25 @@ EXAMPLES = (
     is_flag=True,
     help="Draw the four components of the quaternion.  [default: yaw, pitch and roll]",
 )
+@click.option(
+    "--size",
+    type=Parsed(picture_size, "SIZE"),
+    metavar="W[xH]UNIT",
+    help="Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: 7.5in wide]",
+)
+@click.option(
+    "--dpi",
+    type=click.IntRange(min=10, max=2400),
+    metavar="N",
+    help="Dots an inch of a PNG.  [default: 200]",
+)
+@click.option(
+    "--font-size",
+    type=click.FloatRange(min=2, max=72),
+    metavar="PT",
+    help="Size of the letters in points.  [default: 8.5]",
+)
+@click.option("--no-title", is_flag=True, help="Leave out the lines above and below the panels.")
 @with_options(setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"))
 @click.option(
     "--reference",
@@ -107,6 +129,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
         ),
         reference=against,
         settings=settings_of(chosen),
+        style=_style(chosen),
     )
     with progress(quiet=quiet):
         drawn = plot(job, spelled)
@@ -115,6 +138,18 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
         click.echo("\n".join(map(plain, lines)), err=True)
     if drawn.data_lost:
         raise click.exceptions.Exit(3)
+
+
+def _style(chosen: Mapping[str, Any]) -> Style:
+    """Return how large the picture is to be."""
+    from quatprop.plot.draw import Style
+
+    width, height = chosen["size"] or (None, None)
+    given = {"width": width, "height": height, "dpi": chosen["dpi"], "font": chosen["font_size"]}
+    return Style(
+        **{name: value for name, value in given.items() if value is not None},
+        title=not chosen["no_title"],
+    )
 
 
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:

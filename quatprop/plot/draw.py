@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import dataclass, replace
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
@@ -42,8 +43,11 @@ MARGIN = 0.012
 DOTS = 200
 """Dots an inch of a PNG."""
 
-FONT = 8.5
+FONT, FONT_TITLE, FONT_SMALL = 8.5, 10.0, 7.5
 """Points."""
+
+LEFT, RIGHT, LABEL = 0.915, 0.1875, 0.531
+"""Inches: left and right of the panels, and from their labels to them."""
 
 LONGEST_TITLE = 88
 """Characters that fit the width in the title's size; facts, which are smaller, may have more."""
@@ -95,7 +99,38 @@ def require_matplotlib() -> None:
         ) from error
 
 
-def render(picture: Picture, kind: str) -> bytes:
+@dataclass(frozen=True, slots=True)
+class Style:
+    """How large a picture and its letters are.
+
+    Parameters
+    ----------
+    width, height
+        Inches; no height is that which the panels need.
+    dpi
+        Dots an inch of a PNG.
+    font
+        Size of the letters, points.
+    title
+        Whether title, facts and notes stand around the panels.
+    """
+
+    width: float = WIDTH
+    height: float | None = None
+    dpi: int = DOTS
+    font: float = FONT
+    title: bool = True
+
+    @property
+    def scale(self) -> float:
+        """How much larger than usual the letters are."""
+        return self.font / FONT
+
+
+STYLE = Style()
+
+
+def render(picture: Picture, kind: str, style: Style = STYLE) -> bytes:
     """Return a picture as a file.
 
     Parameters
@@ -104,8 +139,12 @@ def render(picture: Picture, kind: str) -> bytes:
         What to draw.
     kind
         ``"png"``, ``"svg"`` or ``"pdf"``.
+    style
+        How large it is.
     """
-    return _saved(picture, kind, SETTINGS)
+    if not style.title:
+        picture = replace(picture, title="", facts=(), notes=())
+    return _saved(picture, kind, {**SETTINGS, "font.size": style.font}, style)
 
 
 def inline_svg(picture: Picture) -> str:
@@ -118,41 +157,47 @@ def inline_svg(picture: Picture) -> str:
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
 
 
-def _saved(picture: Picture, kind: str, settings: dict[Any, Any], **options: Any) -> bytes:
+def _saved(
+    picture: Picture, kind: str, settings: dict[Any, Any], style: Style = STYLE, **options: Any
+) -> bytes:
     import matplotlib as mpl
 
     stream = BytesIO()
     with mpl.rc_context(settings), warnings.catch_warnings():
         # Letters that the font does not have are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure(picture).savefig(stream, format=kind, dpi=DOTS, metadata=METADATA[kind], **options)
+        drawn = figure(picture, style)
+        drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind], **options)
     return stream.getvalue()
 
 
-def figure(picture: Picture) -> Figure:
+def figure(picture: Picture, style: Style = STYLE) -> Figure:
     """Return the figure of a picture, in the style of matplotlib's current settings."""
     from matplotlib.figure import Figure
 
     panels = picture.panels
     body = SINGLE if len(panels) == 1 else PANEL * len(panels)
     head = (HEAD if picture.title else BARE_HEAD) + FILE_LINE * -(-len(picture.legend) // 2)
-    foot = FOOT + LINE * len(picture.notes)
-    height = head + body + foot
-    result = Figure(figsize=(WIDTH, height))
+    head *= style.scale
+    foot = (FOOT + LINE * len(picture.notes)) * style.scale
+    height = style.height or head + body * style.width / WIDTH + foot
+    result = Figure(figsize=(style.width, height))
+    left, right = LEFT * style.scale / style.width, 1 - RIGHT * style.scale / style.width
     grid = result.add_gridspec(
-        len(panels), 1, left=0.122, right=0.975, top=1 - head / height, bottom=foot / height,
+        len(panels), 1, left=left, right=right, top=1 - head / height, bottom=foot / height,
         hspace=0.12,
     )  # fmt: skip
+    label = -LABEL * style.scale / (style.width * (right - left))
     shared: Axes | None = None
     for number, panel in enumerate(panels):
         axes = result.add_subplot(grid[number], sharex=shared)
         shared = shared or axes
         draw_panel(axes, panel, picture)
         axes.tick_params(labelbottom=number == len(panels) - 1)
-        axes.yaxis.set_label_coords(-0.083, 0.5)
+        axes.yaxis.set_label_coords(label, 0.5)
     result.axes[-1].set_xlabel(picture.time)
     _set_time(result.axes[0], picture)
-    _write_text(result, picture, height)
+    _write_text(result, picture, style)
     if picture.legend:
         _write_legend(result, picture, 1 - head / height)
     return result
@@ -168,17 +213,20 @@ def _set_time(axes: Axes, picture: Picture) -> None:
     axes.ticklabel_format(axis="x", useOffset=False, style="plain")
 
 
-def _write_text(result: Figure, picture: Picture, height: float) -> None:
+def _write_text(result: Figure, picture: Picture, style: Style) -> None:
     """Write title and facts at the top, notes at the bottom."""
-    title = shortened(picture.title, LONGEST_TITLE)
-    result.text(MARGIN, 1 - 0.1 / height, title, fontsize=FONT + 1.5, weight="bold", va="top")
-    small = FONT - 1
+    height = result.get_size_inches()[1] / style.scale
+    room = style.width / WIDTH / style.scale
+    title = shortened(picture.title, round(LONGEST_TITLE * room))
+    large, small = FONT_TITLE * style.scale, FONT_SMALL * style.scale
+    result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
+    longest = round(LONGEST_FACT * room)
     for number, fact in enumerate(picture.facts):
         place = 1 - (0.32 + FACT_LINE * number) / height
-        result.text(MARGIN, place, shortened(fact, LONGEST_FACT), fontsize=small, va="top")
+        result.text(MARGIN, place, shortened(fact, longest), fontsize=small, va="top")
     for number, note in enumerate(reversed(picture.notes)):
         place = (0.07 + LINE * number) / height
-        result.text(MARGIN, place, shortened(note, LONGEST_FACT), fontsize=small)
+        result.text(MARGIN, place, shortened(note, longest), fontsize=small)
 
 
 def _write_legend(result: Figure, picture: Picture, top: float) -> None:

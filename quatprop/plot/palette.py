@@ -27,7 +27,7 @@ FILES = (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION, BLACK)
 Stroke = Literal["solid", "dashed", "dotted", "dashdot"]
 
 STROKES: tuple[Stroke, ...] = ("solid", "dashed", "dotted", "dashdot")
-"""How lines are drawn when the colours have been used up, in their order."""
+"""How lines of files are drawn, in their order: below a dashed one, another is visible."""
 
 INK = "#222222"
 """Text and axes."""
@@ -66,4 +66,4 @@ def stroke_of(key: str | int) -> Stroke:
     """Return how the line of an axis or of the file with a number is drawn."""
     if isinstance(key, str):
         return STROKES[0]
-    return STROKES[key // len(FILES) % len(STROKES)]
+    return STROKES[key % len(STROKES)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
+from quatprop.plot.accumulators import NORM_ERROR
 from quatprop.plot.lines import folded, gaps_in, line
 from quatprop.rendering import instant_text
 from quatprop.text import Setting, plain
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from quatprop.plot.reduction import Reduced
 
     Float64 = NDArray[np.float64]
+
+
+NORM_DIGITS = 1e-6
+"""Norm errors below this are those of printed digits, and have no panel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +215,8 @@ def picture(
             Curve(_line(file.groups[group], index, start), number if several else quantity.axis)
             for number, (file, start) in enumerate(zip(files, starts, strict=True))
         )
-        panels.append(Panel(quantity, curves))
+        if quantity is not NORM_ERROR or _is_off(curves):
+            panels.append(Panel(quantity, curves))
     return Picture(
         title=title,
         facts=facts,
@@ -221,6 +227,11 @@ def picture(
         legend=tuple(file.name for file in files) if several else (),
         notes=notes,
     )
+
+
+def _is_off(curves: tuple[Curve, ...]) -> bool:
+    """Whether a norm is off by more than the digits of a text file explain."""
+    return any(bool((np.abs(curve.drawn.values) > NORM_DIGITS).any()) for curve in curves)
 
 
 def _places(file: PlottedFile) -> list[tuple[int, int]]:

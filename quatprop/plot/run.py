@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings
+from quatprop.plot.draw import STYLE, Style
 from quatprop.plot.errors import ComparedFile, error_page
 from quatprop.plot.files import view_file
 from quatprop.plot.page import FactTable, Page
@@ -38,6 +39,8 @@ class Plot:
         Draw the error of each file against this series instead; None: what is in the files.
     settings
         How to compare with the reference.
+    style
+        How large the picture is.
     """
 
     files: tuple[str, ...]
@@ -45,6 +48,7 @@ class Plot:
     view: View = field(default_factory=View)
     reference: AttitudeInput | None = None
     settings: ComparisonSettings = field(default_factory=ComparisonSettings)
+    style: Style = STYLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +92,7 @@ def plot(job: Plot, spell: Spell = str) -> PlotSummary:
         A file cannot be compared with the reference.
     """
     inputs = [*job.files, None if job.reference is None else job.reference.path]
-    with PictureFile(job.output, inputs, spell=spell) as target:
+    with PictureFile(job.output, inputs, spell=spell, style=job.style) as target:
         if job.reference is None:
             views = [view_file(path, job.view) for path in job.files]
             page = _page(views, spell)

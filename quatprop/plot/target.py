@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.errors import OutputError
-from quatprop.plot.draw import render, require_matplotlib
+from quatprop.plot.draw import STYLE, render, require_matplotlib
 from quatprop.plot.page import html
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import Self
 
+    from quatprop.plot.draw import Style
     from quatprop.plot.page import Page
     from quatprop.rendering import Spell
 
@@ -39,6 +40,8 @@ class PictureFile:
         What else the run reads and writes: refused as the target.
     spell
         Writes a sentence that may mention settings.
+    style
+        How large the picture is; a page has its own size.
 
     Raises
     ------
@@ -56,8 +59,10 @@ class PictureFile:
         outputs: Iterable[str | None] = (),
         *,
         spell: Spell = str,
+        style: Style = STYLE,
     ) -> None:
         self.spell = spell
+        self._style = style
         self._kind = kind_of(target)
         require_matplotlib()
         refuse_overlap(inputs, [*outputs, target])
@@ -65,7 +70,10 @@ class PictureFile:
 
     def commit(self, page: Page) -> None:
         """Draw the picture, or the page around it, and put it in its place."""
-        content = html(page).encode() if self._kind == "html" else render(page.picture, self._kind)
+        if self._kind == "html":
+            content = html(page).encode()
+        else:
+            content = render(page.picture, self._kind, self._style)
         with output_errors(self._output.target):
             self._output.stream.write(content)
         self._output.commit()
