@@ -474,3 +474,16 @@ max-sigma = 0.1
     result = CliRunner().invoke(cli, ["check", str(suite), "--update"])
     assert result.exit_code == 1
     assert "sigma, at most 0.1 sigma" in result.output
+
+
+def test_the_picture_of_an_error_shows_what_was_expected(tmp_path):
+    """A second line, with its name in the legend; none where nothing is known."""
+    out, _, _ = run(tmp_path, "out.csv")
+    for name, other in (("known.svg", out), ("unknown.svg", tmp_path / "bare.csv")):
+        rows = (row.rsplit(",", 3)[0] for row in out.read_text().splitlines())
+        (tmp_path / "bare.csv").write_text("\n".join(rows) + "\n")
+        arguments = ["compare", str(other), str(tmp_path / "bare.csv"), "--plot"]
+        result = CliRunner().invoke(cli, [*arguments, str(tmp_path / name)])
+        assert result.exit_code == 0, result.output
+        shown = "expected (1 sigma)" in (tmp_path / name).read_text()
+        assert shown == (name == "known.svg")

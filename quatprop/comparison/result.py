@@ -147,4 +147,7 @@ class Comparison:
     def report(self) -> Mapping[str, Any]:
         """Return everything but the arrays, JSON-ready."""
         names = [name for name in self.__slots__ if name not in _ARRAYS]
-        return {name: as_json(getattr(self, name)) for name in names}
+        report = {name: as_json(getattr(self, name)) for name in names}
+        if self.sigmas is not None:
+            del report["sigmas"]["expected_rad"]
+        return report

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,11 +35,14 @@ class SigmaStatistics:
         Over the pairs that have a covariance.
     final
         Of the last of them.
+    expected_rad
+        The size that the covariances expect of each error, sqrt(trace P), shape ``(N,)``, rad.
     """
 
     max: float
     rms: float
     final: float
+    expected_rad: Float64 = field(compare=False, repr=False)
 
 
 def sigma_statistics(
@@ -57,12 +60,13 @@ def sigma_statistics(
         How B is rotated.
     """
     known = [(one.t_ns, one.covariance) for one in (a, b) if one.covariance is not None]
-    squares = [np.zeros(0)]
+    squares, traces = [np.zeros(0)], [np.zeros(0)]
     for rows in blocks(len(pairs) if known else 0):
         covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
         for t_ns, covariances in known:
             covariance += _interpolated(t_ns, covariances, pairs.t_ns[rows])
         trace = np.trace(covariance, axis1=1, axis2=2)
+        traces.append(trace)
         # The first attitude is exact.
         uncertain = trace > 0
         aligned = alignment.apply(pairs.b[rows])
@@ -75,7 +79,8 @@ def sigma_statistics(
     if not len(sigmas):
         return None
     rms = float(np.sqrt(np.mean(sigmas**2)))
-    return SigmaStatistics(max=float(sigmas.max()), rms=rms, final=float(sigmas[-1]))
+    expected_rad = np.sqrt(np.concatenate(traces))
+    return SigmaStatistics(float(sigmas.max()), rms, float(sigmas[-1]), expected_rad)
 
 
 def _interpolated(t_ns: Int64, covariances: Float64, wanted_ns: Int64) -> Float64:

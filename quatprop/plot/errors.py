@@ -21,6 +21,8 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from quatprop.comparison.result import ComparedSample, Comparison
     from quatprop.plot.picture import Picture
     from quatprop.rendering import Spell
@@ -91,7 +93,10 @@ def error_page(
         "" if len(files) > 1 else _sizes(first),
     )
     warnings = tuple(_warnings(files, reference, spell))
-    drawn = picture([_plotted(file) for file in files], title, facts, warnings[:2])
+    lines = [_plotted(file) for file in files]
+    if len(files) == 1:
+        lines += _expected(first)
+    drawn = picture(lines, title, facts, warnings[:2])
     return Page(
         heading=title,
         lead=tuple(_verdict(file) for file in files),
@@ -109,11 +114,25 @@ def error_page(
 
 
 def _plotted(file: ComparedFile) -> PlottedFile:
-    t_ns, errors = file.comparison.t_ns, Accumulator(ERROR)
-    errors.add(t_ns, np.degrees(file.comparison.errors)[None])
+    comparison = file.comparison
+    return _line(file.name, comparison.t_ns, comparison.errors, _sizes(comparison))
+
+
+def _expected(comparison: Comparison) -> Iterator[PlottedFile]:
+    """Yield the size that the series themselves expect of the error, if they have any."""
+    if (sigmas := comparison.sigmas) is not None:
+        text = f"the final error is {sigmas.final:.3g} sigma"
+        yield _line("expected (1 sigma)", comparison.t_ns, sigmas.expected_rad, text)
+
+
+def _line(
+    name: str, t_ns: NDArray[np.int64], angles: NDArray[np.float64], text: str
+) -> PlottedFile:
+    accumulated = Accumulator(ERROR)
+    accumulated.add(t_ns, np.degrees(angles)[None])
     median = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
-    group = Group(ERROR, errors.reduced(), GAP_FACTOR * median or None)
-    return PlottedFile(file.name, (group,), _sizes(file.comparison))
+    group = Group(ERROR, accumulated.reduced(), GAP_FACTOR * median or None)
+    return PlottedFile(name, (group,), text)
 
 
 def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
