@@ -29,7 +29,7 @@ class Buffers:
     """Buffers in which pieces of memory are handed out, one after another."""
 
     def __init__(self) -> None:
-        self._free: deque[bytearray] = deque()
+        self._free: deque[memoryview] = deque()
         self._current = np.empty(0, np.uint8)
         self._used = 0
         self._size = FIRST
@@ -47,9 +47,12 @@ class Buffers:
         return self._current[begin : self._used]
 
     def _buffer(self, size: int) -> Bytes:
-        memory = self._free.popleft() if self._free else bytearray()
-        if not size <= len(memory) <= 2 * size:
-            memory = bytearray(size)
+        memory = np.empty(0, np.uint8).data
+        while self._free and len(memory) < size:
+            memory = self._free.popleft()
+        if not size <= len(memory) <= max(2 * size, BUFFER):
+            # Not cleared, as a bytearray would be: pages that are not used cost nothing.
+            memory = np.empty(size, np.uint8).data
         buffer = np.frombuffer(memory, np.uint8)
         weakref.finalize(buffer, self._free.append, memory).atexit = False
         return buffer
