@@ -10,11 +10,14 @@ import sys
 from pathlib import Path
 
 import accuracy
+import commands
 import decode
 import mixed_logs
 import product
+import stages
 import whole
 import writers
+from table import write_markdown
 
 FOLDER = Path(".bench")
 SAMPLES = 1_000_000
@@ -29,13 +32,19 @@ PARTS = {
     "product": product,
     "accuracy": accuracy,
     "writers": writers,
+    "stages": stages,
     "whole": whole,
+    "commands": commands,
 }
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
     "imu_none.mcap": ("--to", "mcap", "--compression", "none"),
     "imu.bag": ("--to", "bag"),
+    "imu_bz2.bag": ("--to", "bag", "--compression", "bz2"),
+    "imu_lz4.bag": ("--to", "bag", "--compression", "lz4"),
     "imu_db3": ("--to", "rosbag2"),
+    "imu.csv": ("--to", "csv"),
+    "imu.parquet": ("--to", "parquet"),
 }
 
 
@@ -60,11 +69,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", action="append", choices=list(PARTS), help="default: all")
     parser.add_argument("--samples", type=int, default=SAMPLES)
+    parser.add_argument(
+        "--large", action="store_true", help="ten million samples; takes long, and 10 GB of disk"
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables there, too")
     chosen = parser.parse_args()
+    if chosen.large:
+        chosen.samples = 10 * SAMPLES
     folder = FOLDER / str(chosen.samples)
     make_logs(folder, chosen.samples)
     for name in chosen.part or PARTS:
         PARTS[name].measure(folder, chosen.samples)
+    if chosen.markdown:
+        write_markdown(chosen.markdown)
 
 
 if __name__ == "__main__":
