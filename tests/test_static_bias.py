@@ -224,6 +224,17 @@ def test_a_sensor_that_has_not_begun_shows_no_bias(tmp_path):
     assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
 
 
+@pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])
+def test_an_accelerometer_that_measures_nothing_shows_nothing(force, tmp_path):
+    """Its columns may be empty, NaN, zero or text: rest is then found by the rates alone."""
+    path = Motion((5, np.zeros(3))).write(tmp_path)
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header + FORCE, *(f"{row},{force}" for row in rows), ""]))
+    result, told = static(path)
+    assert result.exit_code == 0, result.output
+    assert (told["rest"]["samples"], told["rest"]["steady"]) == (500, ["rate"])
+
+
 @pytest.mark.parametrize("window", ["static:200ms", "static", "static:5s"])
 def test_a_car_that_circles_is_not_at_rest(window, shared_logs, tmp_path):
     """The recording of a car on a roundabout: 0.25 rad/s is no bias, however long a rest is."""

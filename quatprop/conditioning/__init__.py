@@ -189,9 +189,8 @@ def condition(
     batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    turn = mount if settings.rates == "body" else None
-    batches = conditioned(batches, bias=biases or bias, matrix=_product(turn, calibration.matrix))
-    return batches, report
+    matrix = _product(mount if settings.rates == "body" else None, calibration.matrix)
+    return conditioned(batches, bias=biases or bias, matrix=matrix), report
 
 
 def _calibration(settings: Conditioning, topic: str) -> Calibration:

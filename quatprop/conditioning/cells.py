@@ -54,13 +54,16 @@ def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int 
 
 
 def cells_beside(rates: Cells, rows: Rows, cell_ns: int, width: int = 3) -> Cells | None:
-    """Return the cells of another signal at those of the rates; None where it has no values."""
+    """Return the cells of another signal at those of the rates; None where none is measured.
+
+    Drivers of sensors without an accelerometer leave its fields empty, NaN or zero.
+    """
     origin_ns = int(rates["first_ns"][np.searchsorted(rates["index"], 0)])
     cells = cells_of(rows, cell_ns, origin_ns, width)
     aligned = np.zeros(len(rates), dtype=cells.dtype)
     _, ours, theirs = np.intersect1d(rates["index"], cells["index"], return_indices=True)
     aligned[ours] = cells[theirs]
-    return aligned if aligned["count"].any() else None
+    return aligned if aligned["squares"].any() else None
 
 
 def outer_products(rows: Rows) -> Rows:

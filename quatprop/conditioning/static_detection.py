@@ -126,7 +126,7 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
     quiet = _quiet_rates(rates)
     signals, steady = [_Steadiness(rates, AGREEMENT)], ["rate"]
     forces = None if inputs.force is None else cells_beside(rates, inputs.force(), cell_ns)
-    if forces is not None:
+    if forces is not None and forces["count"][quiet].any():
         size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
         quiet = _quiet_forces(forces, quiet, size)
         signals.append(_Steadiness(forces, FORCE_AGREEMENT * size))

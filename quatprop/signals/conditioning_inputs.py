@@ -51,12 +51,20 @@ def conditioning_inputs(
     if log is None:
         return ConditioningInputs(biases=biases, mounting=mounting)
     return ConditioningInputs(
-        force=lambda: specific_forces(log, source, selection) or (),
+        force=lambda: _force(log, source, selection),
         orientation=lambda: _orientation(log, source, selection),
         biases=biases,
         mounting=mounting,
         topic=source.name,
     )
+
+
+def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+    """Yield specific forces, if the log has some that can be read."""
+    try:
+        yield from specific_forces(log, source, selection) or ()
+    except (LogError, UsageError):
+        return
 
 
 def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
