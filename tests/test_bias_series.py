@@ -17,7 +17,7 @@ N = 200
 STAMPS = 1_000_000_000 + np.arange(N) * 10_000_000
 BIAS_STAMPS = 1_300_000_000 + np.arange(11) * 130_000_000
 """Biases begin later than the rates, and end earlier."""
-TRUE = np.random.default_rng(1).normal(0, 1, (N, 3))
+TRUE = np.sin(np.arange(N)[:, None] / 10 + np.arange(3))
 BIASES = np.random.default_rng(2).normal(0, 0.1, (11, 3)).astype(np.float32).astype(np.float64)
 RAW = TRUE + np.stack([np.interp(STAMPS, BIAS_STAMPS, axis) for axis in BIASES.T], axis=1)
 REMARK = (

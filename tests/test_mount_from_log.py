@@ -15,7 +15,7 @@ from quatprop.cli import cli
 from quatprop.errors import UsageError
 
 N = 100
-RATE = np.random.default_rng(1).normal(0, 1, (N, 3))
+RATE = np.sin(np.arange(N)[:, None] / 10 + np.arange(3))
 ROTATIONS = {
     # Attitude of the child in its parent, as in /tf_static.
     ("base_link", "mast"): Rotation.from_euler("xyz", [0.1, 0.2, 1.5]),
