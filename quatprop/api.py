@@ -420,8 +420,9 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         Of q and -q ``"keep"`` what is there, ``"continuous"`` the one nearer to the row before, or
         ``"positive"`` the one with w >= 0.
     representation
-        ``"quaternion"``, ``"rotvec"`` (rad), ``"euler-zyx"`` (rad), ``"euler-zyx-deg"`` or
-        ``"matrix"``.
+        ``"quaternion"``, ``"rotvec"`` (rad), ``"euler-zyx"`` (rad), ``"euler-zyx-deg"``,
+        ``"matrix"``, or the rates that lead from each attitude to the next, ``"body-rates"`` or
+        ``"inertial-rates"`` (rad/s): propagated by ``start`` they give the attitudes back.
 
     Returns
     -------

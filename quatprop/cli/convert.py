@@ -68,11 +68,12 @@ EXAMPLES = (
 @click.option(
     "--as",
     "representation",
-    type=OneOf(("quaternion", "rotvec", "euler-zyx", "matrix")),
+    type=OneOf(("quaternion", "rotvec", "euler-zyx", "matrix", "body-rates", "inertial-rates")),
     default="quaternion",
     show_default=True,
     help="What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
-    "and x'', or matrices row by row.",
+    "and x'', matrices row by row, or the rates in rad/s that lead from each attitude to the next: "
+    "propagated with --method start, they give the attitudes back.",
 )
 @click.option(
     "--euler-unit",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from quatprop.conventions import HAMILTON, Meaning, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import open_destination, remarks_on
+from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.conversion.report import conversion_report
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
@@ -22,8 +23,11 @@ from quatprop.writers import keeps_provenance
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.settings import OutputSettings
+    from quatprop.series import AttitudeSeries, GyroSeries
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,8 @@ class Conversion:
         ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
         short ones, up to half a turn.
     representation
-        ``"quaternion"`` or a key of :data:`quatprop.conventions.REPRESENTATIONS`.
+        ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
+        :data:`quatprop.conversion.rates.RATES`.
     normalize
         Scale rows to unit length.
     drop
@@ -110,9 +115,8 @@ def convert(job: Conversion) -> ConversionReport:
             has_room = getattr(target, "holds_positions", False)
             keeps = has_room and source.meaning.direction == HAMILTON.direction
             read = source.poses if keeps and source.poses else source.rows
-            for series in check.apply(read()):
-                wxyz = signs.applied(job.meaning.converted(series.wxyz))
-                singular += write(replace(series, wxyz=wxyz))
+            for series in _as_written(job, check.apply(read()), signs):
+                singular += write(series)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
             remarks = (
@@ -136,15 +140,31 @@ def convert(job: Conversion) -> ConversionReport:
     return report
 
 
+def _as_written(
+    job: Conversion, batches: Iterable[AttitudeSeries], signs: Signs
+) -> Iterator[AttitudeSeries | GyroSeries]:
+    """Yield rates, or attitudes with the meaning and the signs that are written."""
+    if job.representation in RATES:
+        yield from rate_batches(job.log, batches, RATES[job.representation])
+        return
+    for series in batches:
+        yield replace(series, wxyz=signs.applied(job.meaning.converted(series.wxyz)))
+
+
 def _refuse_contradictions(job: Conversion) -> None:
     if job.representation == QUATERNION:
         return
-    if job.representation not in REPRESENTATIONS:
+    is_rate = job.representation in RATES
+    if job.representation not in REPRESENTATIONS and not is_rate:
         raise UsageError(
             f"no representation {quoted(job.representation)}; choose one of "
-            f"{listed([QUATERNION, *REPRESENTATIONS])}"
+            f"{listed([QUATERNION, *REPRESENTATIONS, *RATES])}"
         )
-    signed = REPRESENTATIONS[job.representation].signed
+    signed = not is_rate and REPRESENTATIONS[job.representation].signed
+    if is_rate and job.meaning.direction != HAMILTON.direction:
+        raise UsageError(
+            Setting("direction"), f" is about attitudes, and {job.representation} are none"
+        )
     for setting, given in (
         ("layout", job.output.layout is not None),
         ("convention", job.meaning.convention != HAMILTON.convention),

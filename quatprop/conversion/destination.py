@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_VERTICAL_DEG, REPRESENTATIONS
+from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.into import open_into
 from quatprop.signals.attitudes import choose_attitudes
@@ -25,12 +26,12 @@ if TYPE_CHECKING:
     from quatprop.conventions.representations import Representation
     from quatprop.conversion.convert import Conversion
     from quatprop.pipeline.settings import OutputSettings
-    from quatprop.series import AttitudeSeries
+    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter, TableWriter, Transaction
 
-    Write = Callable[[AttitudeSeries], int]
-    """Takes attitudes; returns how many rows are not unique as written."""
+    Write = Callable[[Any], int]
+    """Takes attitudes, or rates where those are written; returns how many rows are not unique."""
 
 
 @contextmanager
@@ -44,6 +45,9 @@ def open_destination(
         form = REPRESENTATIONS[job.representation]
         with open_table(output.path, form.columns, output.to, comment=output.comment) as table:
             yield table, partial(_write_representation, table, form)
+    elif job.representation in RATES:
+        with open_table(output.path, RATE_COLUMNS, output.to, comment=output.comment) as table:
+            yield table, partial(_write_rates, table)
     elif job.meaning == HAMILTON:
         with _open_attitudes(job, log, layout_of(kind, output.layout).name) as writer:
             yield writer, partial(_write_attitudes, writer)
@@ -101,6 +105,11 @@ def _write_representation(table: TableWriter, form: Representation, series: Atti
     values = form.values(series.wxyz)
     table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
     return 0 if form.singular is None else form.singular(values)
+
+
+def _write_rates(table: TableWriter, series: GyroSeries) -> int:
+    table.write(series.t_ns, [np.ascontiguousarray(column) for column in series.rate.T])
+    return 0
 
 
 def _write_columns(table: TableWriter, order: tuple[int, ...], series: AttitudeSeries) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop import __version__
 from quatprop.containers.stores import without_secret
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
+from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
 from quatprop.writers import kind_of, layout_of
 
@@ -177,7 +178,11 @@ def conversion_report(  # noqa: PLR0913  # the parts of a conversion
         order = layout_of(kind_of(output.path, output.to), output.layout)
         layout, columns = order.name, order.columns
     else:
-        columns = REPRESENTATIONS[job.representation].columns
+        columns = (
+            RATE_COLUMNS
+            if job.representation in RATES
+            else REPRESENTATIONS[job.representation].columns
+        )
     path = without_secret(job.log)
     return ConversionReport(
         source=ConversionSource(

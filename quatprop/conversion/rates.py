@@ -1,0 +1,64 @@
+"""Attitudes as the rates that lead from each to the next."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.errors import TimelineError
+from quatprop.kinematics.rates import rates_between
+from quatprop.series import AttitudeSeries, GyroSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+RATES: Final = {"body-rates": "body", "inertial-rates": "inertial"}
+"""Name of a representation by rates -> where they are resolved."""
+
+RATE_COLUMNS: Final = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
+"""Columns of rates."""
+
+
+def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> Iterator[GyroSeries]:
+    """Yield the rates of attitudes, as many rows as there are attitudes.
+
+    The rate of row k is constant up to row k + 1, so that propagation by the method ``start`` from
+    the first attitude gives the attitudes back. What comes after the last one is not known: its
+    row repeats the rate before it, or is zero where there is none.
+
+    Parameters
+    ----------
+    path
+        The source, for errors.
+    batches
+        Attitudes, Hamilton, body to reference.
+    rates
+        ``"body"`` or ``"inertial"``.
+
+    Raises
+    ------
+    TimelineError
+        Timestamps do not rise, so there is no rate between two attitudes.
+    """
+    last: AttitudeSeries | None = None
+    rate = np.zeros((1, 3))
+    for batch in batches:
+        t_ns, wxyz = batch.t_ns, batch.wxyz
+        if last is not None:
+            t_ns, wxyz = np.append(last.t_ns, t_ns), np.concatenate([last.wxyz, wxyz])
+        wrong = np.flatnonzero(np.diff(t_ns) <= 0)
+        if len(wrong):
+            raise TimelineError(
+                path,
+                "there is no rate between two attitudes whose timestamps do not rise: "
+                f"{t_ns[wrong[0]]} ns and then {t_ns[wrong[0] + 1]} ns",
+            )
+        if len(t_ns) > 1:
+            between = rates_between(t_ns, wxyz, rates=rates)
+            rate = between[-1:]
+            yield GyroSeries(t_ns[:-1], between)
+        if len(t_ns):
+            last = AttitudeSeries(t_ns[-1:], wxyz[-1:])
+    if last is not None:
+        yield GyroSeries(last.t_ns, rate)

@@ -1,0 +1,170 @@
+"""Quaternion rates and body or inertial rates: the kinematic equation and its inverse.
+
+q' = q w_B / 2 = w_I q / 2 (eqs. 12 and 16), with a rate as a quaternion without scalar part.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import UsageError
+from quatprop.kinematics.propagate import FRAMES
+from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.text import listed, quoted
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    Float64 = NDArray[np.float64]
+    Int64 = NDArray[np.int64]
+
+
+def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return q', the derivative of an attitude with respect to time.
+
+    Parameters
+    ----------
+    q
+        Attitudes wxyz body -> reference, shape ``(..., 4)``.
+    rate
+        Angular rates, shape ``(..., 3)``, rad/s.
+    rates
+        Where the rates are resolved: ``"body"``, multiplied on the right of q, or ``"inertial"``,
+        on its left.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4)``, 1/s.
+
+    References
+    ----------
+    Body rates eqs. 12 to 14; inertial rates eqs. 16 to 18.
+
+    Examples
+    --------
+    >>> quaternion_rate([1, 0, 0, 0], [0, 0, 2.0])
+    array([0., 0., 0., 1.])
+    """
+    vector = np.asarray(rate, dtype=np.float64)[..., None]
+    return np.asarray((rate_matrix(q, rates=rates) @ vector)[..., 0])
+
+
+def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the matrix that takes angular rates to q': its transpose, times 4, takes them back.
+
+    Parameters
+    ----------
+    q, rates
+        As for :func:`quaternion_rate`.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4, 3)``.
+
+    References
+    ----------
+    Body rates eq. 27, inertial rates eq. 28.
+    """
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    # Inertial rates multiply on the left: the cross product has the opposite sign.
+    a, b, c = (-x, -y, -z) if _is_inertial(rates) else (x, y, z)
+    rows = [[-x, -y, -z], [w, -c, b], [c, w, -a], [-b, a, w]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2) / 2
+
+
+def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the skew-symmetric matrix with q' = Omega q / 2, q as a column w, x, y, z.
+
+    Parameters
+    ----------
+    rate, rates
+        As for :func:`quaternion_rate`.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4, 4)``, rad/s.
+
+    References
+    ----------
+    Body rates eqs. 23 and 24, inertial rates eqs. 25 and 26.
+    """
+    x, y, z = np.moveaxis(np.asarray(rate, dtype=np.float64), -1, 0)
+    o = np.zeros_like(x)
+    a, b, c = (-x, -y, -z) if _is_inertial(rates) else (x, y, z)
+    rows = [[o, -x, -y, -z], [x, o, c, -b], [y, -c, o, a], [z, b, -a, o]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the angular rate of an attitude and its derivative: eq. 12 or 16 solved for w.
+
+    Parameters
+    ----------
+    q
+        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
+    q_rate
+        Their derivatives, shape ``(..., 4)``, 1/s.
+    rates
+        Where to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 3)``, rad/s.
+
+    Examples
+    --------
+    >>> rate_of([1, 0, 0, 0], [0, 0, 0, 1.0])
+    array([0., 0., 2.])
+    """
+    inverse = conjugate(q)
+    turned = multiply(q_rate, inverse) if _is_inertial(rates) else multiply(inverse, q_rate)
+    return 2 * turned[..., 1:]
+
+
+def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the constant rates that lead from each attitude to the next, the shorter way round.
+
+    Propagated by the method ``start`` from the first attitude, they give the attitudes back.
+
+    Parameters
+    ----------
+    t_ns
+        Rising time stamps, shape ``(N,)``, int64, ns.
+    wxyz
+        Unit quaternions body -> reference, shape ``(N, 4)``.
+    rates
+        Where to resolve the rates: ``"body"`` or ``"inertial"``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(N - 1, 3)``, rad/s: row k holds from sample k to sample k + 1.
+
+    References
+    ----------
+    Eqs. 33 and 36 solved for the rate.
+
+    Examples
+    --------
+    >>> rates_between(np.array([0, 500_000_000]), [[1, 0, 0, 0], [0, 0, 0, 1]]).round(6)
+    array([[0.      , 0.      , 6.283185]])
+    """
+    q = np.asarray(wxyz, dtype=np.float64)
+    before, after = q[:-1], q[1:]
+    inertial = _is_inertial(rates)
+    step = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
+    step *= np.where(step[:, :1] < 0, -1.0, 1.0)
+    return np.asarray(log(step) / (np.diff(t_ns)[:, None] / NS_PER_S))
+
+
+def _is_inertial(rates: str) -> bool:
+    if rates not in FRAMES:
+        raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
+    return rates == "inertial"

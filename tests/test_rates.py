@@ -1,0 +1,146 @@
+"""Quaternion rates, and rates from attitudes: the article's equations and the way back."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries
+from quatprop.cli import cli
+from quatprop.errors import UsageError
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.rates import (
+    omega_matrix,
+    quaternion_rate,
+    rate_matrix,
+    rate_of,
+    rates_between,
+)
+
+RNG = np.random.default_rng(8)
+Q = Rotation.random(50, random_state=9).as_quat(scalar_first=True)
+RATE = RNG.normal(0, 2, (50, 3))
+FRAMES = ["body", "inertial"]
+
+
+@pytest.mark.parametrize("rates", FRAMES)
+def test_no_rotation_is_no_quaternion_rate(rates):
+    """Check 1 of the article: without a rate, q' = 0."""
+    assert (quaternion_rate(Q, np.zeros(3), rates=rates) == 0).all()
+
+
+@pytest.mark.parametrize("rates", FRAMES)
+def test_the_opposite_quaternion_has_the_opposite_rate(rates):
+    """Check 3 of the article: -q has -q', so the trajectory of the attitude is the same."""
+    q_rate = quaternion_rate(Q, RATE, rates=rates)
+    assert (quaternion_rate(-Q, RATE, rates=rates) == -q_rate).all()
+    np.testing.assert_allclose(rate_of(-Q, -q_rate, rates=rates), RATE, rtol=0, atol=1e-13)
+
+
+def test_both_rate_forms_agree():
+    """Check 4: with w_I = q w_B q*, eqs. 12 and 16 give the same q'."""
+    body = quaternion_rate(Q, RATE)
+    inertial = quaternion_rate(Q, rotate(Q, RATE), rates="inertial")
+    np.testing.assert_allclose(body, inertial, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("rates", FRAMES)
+def test_the_matrices_are_products_of_quaternions(rates):
+    """Eqs. 12 to 18 by the product, eqs. 23 to 26 on q, eqs. 27 and 28 on the rate."""
+    pure = np.concatenate([np.zeros((50, 1)), RATE], axis=1)
+    expected = (multiply(Q, pure) if rates == "body" else multiply(pure, Q)) / 2
+    on_q = np.einsum("nij,nj->ni", omega_matrix(RATE, rates=rates), Q) / 2
+    on_rate = np.einsum("nij,nj->ni", rate_matrix(Q, rates=rates), RATE)
+    for found in (quaternion_rate(Q, RATE, rates=rates), on_q, on_rate):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("rates", FRAMES)
+def test_the_length_is_preserved(rates):
+    """Check 5: the matrices on q are skew-symmetric (eq. 29), so q' is perpendicular to q."""
+    omega = omega_matrix(RATE, rates=rates)
+    assert (omega == -omega.swapaxes(-1, -2)).all()
+    q_rate = quaternion_rate(Q, RATE, rates=rates)
+    np.testing.assert_allclose((Q * q_rate).sum(axis=1), 0, atol=1e-14)
+
+
+def test_the_rate_is_the_derivative():
+    """Central differences of a rotation at a constant rate agree with q'."""
+    step = 1e-5
+    ahead, behind = multiply(Q, exp(RATE * step)), multiply(Q, exp(-RATE * step))
+    np.testing.assert_allclose((ahead - behind) / (2 * step), quaternion_rate(Q, RATE), atol=1e-8)
+
+
+def test_an_unknown_frame_is_refused():
+    """Only the two frames of the article are known."""
+    with pytest.raises(UsageError, match="there is no frame 'world'; choose one of 'body', 'iner"):
+        quaternion_rate(Q, RATE, rates="world")
+
+
+def series(count=2000):
+    """Return attitudes of a tumbling body at irregular times, of either sign."""
+    rng = np.random.default_rng(10)
+    t_ns = 1_700_000_000_000_000_000 + np.cumsum(rng.integers(1_000_000, 20_000_000, count))
+    rate = 3 * np.sin(np.arange(count)[:, None] * [0.031, 0.047, 0.023] + [0, 1, 2])
+    wxyz = attitudes(t_ns, rate, q0=[0.5, 0.5, -0.5, 0.5])
+    return AttitudeSeries(t_ns, wxyz * rng.choice([-1.0, 1.0], (count, 1)))
+
+
+@pytest.mark.parametrize("rates", FRAMES)
+def test_rates_between_agree_with_scipy(rates):
+    """N attitudes have N - 1 rates between them."""
+    given = series()
+    turned = Rotation.from_quat(given.wxyz, scalar_first=True)
+    steps = turned[:-1].inv() * turned[1:] if rates == "body" else turned[1:] * turned[:-1].inv()
+    expected = steps.as_rotvec() / (np.diff(given.t_ns)[:, None] * 1e-9)
+    np.testing.assert_allclose(
+        rates_between(given.t_ns, given.wxyz, rates=rates), expected, rtol=0, atol=1e-11
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("rates", FRAMES)
+def test_propagated_rates_give_the_attitudes_back(tmp_path, rates, suffix):
+    """From the first attitude on, by the method start, in as many rows."""
+    given = series()
+    source, out = tmp_path / "attitudes.parquet", tmp_path / f"rates.{suffix}"
+    quatprop.write(given, source)
+    options = ["convert", str(source), str(out), "--as", f"{rates}-rates"]
+    result = CliRunner().invoke(cli, options)
+    assert result.exit_code == 0, result.output
+    again = quatprop.propagate(
+        quatprop.read_rates(out), method="start", rates=rates, q0=given.wxyz[0].tolist()
+    )
+    assert (again.t_ns == given.t_ns).all()
+    assert geodesic_angle(again.wxyz, given.wxyz).max() < 1e-12
+
+
+def test_the_row_of_the_last_attitude_repeats_its_rate(tmp_path):
+    """What comes after the last attitude is not known; of one attitude there is no rate."""
+    out = tmp_path / "rates.csv"
+    for count, last in ((2, [0, 0, np.pi]), (1, [0, 0, 0])):
+        given = AttitudeSeries([10**9, 2 * 10**9][:count], [[1, 0, 0, 0], [0, 0, 0, 1]][:count])
+        quatprop.write(given, tmp_path / "attitudes.csv")
+        quatprop.convert(tmp_path / "attitudes.csv", out, representation="body-rates")
+        rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
+        assert rows.shape == (count, 4)
+        np.testing.assert_allclose(rows[-1, 1:], last, atol=1e-15)
+    assert out.read_text().startswith("t_ns,wx_rad_s,wy_rad_s,wz_rad_s\n")
+
+
+def test_what_rates_cannot_say_is_refused(tmp_path):
+    """Repeated timestamps have no rate between them; rates have neither layout nor direction."""
+    source, out = tmp_path / "attitudes.csv", tmp_path / "rates.csv"
+    source.write_text("t_ns,qw,qx,qy,qz\n1,1,0,0,0\n1,0,0,0,1\n")
+    for options, words in (
+        ([], "no rate between two attitudes whose timestamps do not rise: 1 ns and then 1 ns"),
+        (["--layout", "wxyz"], "--layout is about quaternions and body-rates has none"),
+        (["--direction", "ref-to-body"], "--direction is about attitudes, and body-rates are none"),
+    ):
+        arguments = ["convert", str(source), str(out), "--as", "body-rates", *options]
+        result = CliRunner().invoke(cli, arguments)
+        assert result.exit_code == 2
+        assert words in result.stderr
+        assert not out.exists()
