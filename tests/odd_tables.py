@@ -39,23 +39,26 @@ def csv_log(rng, folder):
     spaces = delimiter in ",;|" and quoting == csv.QUOTE_MINIMAL and rng.random() < 0.5
     number = rng.choice(("{!r}", "{:.6f}", "{:+.17e}", "{:.3g}", "{:E}"))
     columns = [0, 1, 2, 3] + ([] if note is None or delimiter == " " else [4])
+    more = rng.choice((0, 0, 0, 0, 0, 3000))
+    columns += range(5, 5 + more)
     rng.shuffle(columns)
 
     def row(ns, rate):
         value = Decimal(ns) * PER_SECOND[unit] / 10**9
-        fields = [format(value, "f"), *(number.format(x) for x in rate), note]
+        fields = [format(value, "f"), *(number.format(x) for x in rate), note, *["7"] * more]
         if comma:
             fields[:4] = [text.replace(".", ",") for text in fields[:4]]
         if spaces:
             fields[:4] = [f" {text} " for text in fields[:4]]
         return [fields[column] for column in columns]
 
-    end = rng.choice(("\n", "\r\n"))
+    end = rng.choice(("\n", "\n", "\r\n", "\r"))
     with path.open("w", newline="", encoding=rng.choice(("utf-8", "utf-8-sig"))) as file:
         if rng.random() < 0.4:
             file.write(f"# made by a recorder{end}")
         writer = csv.writer(file, delimiter=delimiter, lineterminator=end, quoting=quoting)
-        writer.writerow([[time, *names, "note"][column] for column in columns])
+        others = [f"channel{k}" for k in range(more)]
+        writer.writerow([[time, *names, "note", *others][column] for column in columns])
         for ns, rate in zip(stamps, rates, strict=True):
             writer.writerow(row(ns, rate))
             if rng.random() < 0.05:
@@ -119,10 +122,11 @@ def arrow_log(rng, folder):
     stamps, rates = samples(rng)
     time, array = time_array(rng, stamps)
     columns = {time: array}
-    columns |= {
-        f"gyro_{axis}_rad_s": rate_array(rng, [rate[k] for rate in rates])
-        for k, axis in enumerate("xyz")
-    }
+    names = [f"gyro_{axis}_rad_s" for axis in "xyz"]
+    columns |= {name: rate_array(rng, [rate[k] for rate in rates]) for k, name in enumerate(names)}
+    nest = rng.random() < 0.3
+    if nest:
+        columns["imu"] = pa.StructArray.from_arrays([columns.pop(name) for name in names], names)
     columns["note"] = pa.array(["n"] * len(stamps))
     columns["list"] = pa.array([[1, 2]] * len(stamps))
     columns["nested"] = pa.array([{"a": 1}] * len(stamps))
@@ -164,7 +168,12 @@ def arrow_samples(table, time):
     else:
         factor = 10**9 // PER_SECOND[time.removeprefix("t_")]
         stamps = [int(value * factor) for value in column.to_pylist()]
-    axes = [table[f"gyro_{axis}_rad_s"].to_pylist() for axis in "xyz"]
+    names = [f"gyro_{axis}_rad_s" for axis in "xyz"]
+    if "imu" in table.column_names:
+        rows = table["imu"].to_pylist()
+        axes = [[row[name] for row in rows] for name in names]
+    else:
+        axes = [table[name].to_pylist() for name in names]
     return [(ns, tuple(map(float, rate))) for ns, *rate in zip(stamps, *axes, strict=True)]
 
 

@@ -14,6 +14,7 @@ from quatprop.cli import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables.csv.log import CsvLog
+from quatprop.text import quoted
 
 HEADER = "t_ns,wx,wy,wz\n"
 CUT = "it has no line end, and its last cell was cut off"
@@ -145,6 +146,22 @@ def test_stray_quotes_between_cells_with_line_breaks_are_counted():
     _, count, losses, _ = read("\n".join(rows) + "\n", "t_ns,wx,wy,wz,raw\n")
     assert 19_980 < count < 20_000
     assert count + sum(loss.messages for loss in losses) >= 20_000
+
+
+@pytest.mark.parametrize("cell", ["1_000", "\u0661.5", "1\u00a0000"])
+def test_what_only_python_takes_for_a_number_is_none(cell):
+    """Underscores and digits of other scripts are damage, or what a user has to settle."""
+    _, count, losses, _ = read("0,0.5,1,1\n1,0.5,1,1\n2,0.5,1,1\n" + f"3,0.5,1,{cell}\n")
+    assert count == 3
+    reason = f"{quoted(cell)} in column 'wz' is not a number"
+    assert losses == [Loss("line 5", reason, 1)]
+    assert read("0,0.5,1,1\n1,0.5,1,1\n2,0.5,1,1\n1_0,0.5,1,1\n")[1] == 3
+
+
+def test_a_text_of_the_old_macintosh_is_whole():
+    """Its lines end with a carriage return, the last one, too."""
+    text = "t_ns,wx,wy,wz\r0,0.5,1,1\r10,0.5,1,2\r"
+    assert read(text.encode()) == ([0.5, 1.0, 2.0], 2, [], [])
 
 
 @pytest.mark.parametrize("rows", [1, 2, 40])

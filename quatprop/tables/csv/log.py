@@ -130,7 +130,7 @@ class CsvLog(TableLog):
         columns, lines
             What is read, and the line numbers.
         """
-        if bytes(block.data[-1:]) == b"\n":
+        if bytes(block.data[-1:]) in {b"\n", b"\r"}:
             return block
         data = bytes(block.data).rstrip(b"\0")
         is_padded = len(data) < len(block.data)

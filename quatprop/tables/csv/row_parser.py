@@ -207,4 +207,7 @@ class RowParser(ColumnParser):
             raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a time") from None
 
     def _pointed(self, cell: str) -> str:
+        """Return a number as Python writes it, which also takes 1_000 and digits of any script."""
+        if "_" in cell or not cell.isascii():
+            raise ValueError
         return cell.replace(",", ".") if self.layout.decimal == "," else cell

@@ -167,7 +167,10 @@ def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:
 
 def squeeze_blanks(data: bytes | memoryview) -> bytes:
     """Return rows whose cells are separated by runs of blanks with one space for each run."""
-    text = b"\n" + bytes(data).replace(b"\r", b"").replace(b"\t", b" ")
+    text = bytes(data).replace(b"\t", b" ")
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    text = b"\n" + text
     while b"  " in text:
         text = text.replace(b"  ", b" ")
     return text.replace(b"\n ", b"\n").replace(b" \n", b"\n")[1:].rstrip(b" ")
