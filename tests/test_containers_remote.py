@@ -4,6 +4,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -24,6 +26,7 @@ from quatprop.containers.remote import local_copy
 from quatprop.containers.stores import _with_retry_limit, put, upload, without_secret
 from quatprop.errors import LogError, StoreError
 from quatprop.formats import open_log
+from quatprop.times import NS_PER_S
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 
@@ -91,7 +94,7 @@ def test_a_log_in_a_store_is_the_log(tmp_path, temporary, uploaded, name):
     assert list(temporary.iterdir()) == []
 
 
-def beside_images(path, compression, seconds=20):
+def beside_images(path, compression, step_ns=10_000_000):
     """Write an MCAP of which body rates are 5 %, beside images."""
     from mcap.writer import Writer
 
@@ -109,8 +112,8 @@ def beside_images(path, compression, seconds=20):
         )
         imu = writer.register_channel("/imu", "json", schema)
         noise = np.random.default_rng(1)
-        for k in range(100 * seconds):
-            ns = 10_000_000 * k
+        for k in range(2000):
+            ns = step_ns * k
             if k % 5 == 0:
                 writer.add_message(image, ns, noise.bytes(50_000), ns)
             rate = {"x": 0.1, "y": 0.2, "z": np.sin(k)}
@@ -236,3 +239,52 @@ def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
     with pytest.raises(KeyboardInterrupt), local_copy("s3://logs/a.bag"):
         pass
     assert time.monotonic() - began < 30
+
+
+def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
+    """Of a long log with an index, --end moves little of what comes after it."""
+    path = tmp_path / "ride.mcap"
+    beside_images(path, CompressionType.ZSTD, step_ns=NS_PER_S)
+    upload(path, f"{bucket}/ride.mcap")
+    options = ["--topic", "/imu", "--rate-field", "angular_velocity", "--rate-unit", "rad/s"]
+    outputs = [tmp_path / "near.csv", tmp_path / "far.csv"]
+    before = store_server.sent
+    for log, out in zip((str(path), f"{bucket}/ride.mcap"), outputs, strict=True):
+        words = ["propagate", log, *options, "--end", "+1m", "-o", str(out)]
+        assert CliRunner().invoke(cli, words).exit_code == 0
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    assert store_server.sent - before < 0.5 * path.stat().st_size
+
+
+def test_the_parts_of_a_bag_are_read_in_ranges(tmp_path, temporary, bucket):
+    """A ROS 2 bag of MCAP files: the same series, and of the parts no copy is made."""
+    bag, outputs = tmp_path / "bag", [tmp_path / "near.csv", tmp_path / "far.csv"]
+    made = CliRunner().invoke(cli, ["simulate", str(bag), "--to", "rosbag2-mcap"])
+    assert made.exit_code == 0, made.output
+    upload(bag, f"{bucket}/bag")
+    for log, out in zip((str(bag), f"{bucket}/bag"), outputs, strict=True):
+        assert CliRunner().invoke(cli, ["propagate", log, "-o", str(out)]).exit_code == 0
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    with open_log(f"{bucket}/bag") as log:
+        (part,) = temporary.rglob("*.mcap")
+        assert part.stat().st_size == 0
+        assert len(log.channels()) == 1
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
+    """Copies of logs are locked while they are used; what is not locked is nobody's."""
+    code = (
+        "import os, sys\n"
+        "from quatprop.containers.remote import local_copy\n"
+        "with local_copy(sys.argv[1]):\n"
+        "    os._exit(0)\n"
+    )
+    log = (SAMPLES / "spin.csv").as_uri()
+    environment = {**os.environ, "TMPDIR": str(temporary)}
+    subprocess.run([sys.executable, "-c", code, log], check=True, env=environment)
+    (stray,) = temporary.iterdir()
+    with local_copy(log) as copy:
+        assert copy.exists()
+        assert not stray.exists()
+    assert list(temporary.iterdir()) == []
