@@ -113,7 +113,7 @@ def beside_images(path, compression, step_ns=10_000_000):
         imu = writer.register_channel("/imu", "json", schema)
         noise = np.random.default_rng(1)
         for k in range(2000):
-            ns = step_ns * k
+            ns = 10**18 + step_ns * k
             if k % 5 == 0:
                 writer.add_message(image, ns, noise.bytes(50_000), ns)
             rate = {"x": 0.1, "y": 0.2, "z": np.sin(k)}

@@ -85,6 +85,7 @@ class RemoteSource(FileSource):
         self._pool = ThreadPoolExecutor(REQUESTS)
         self._lock = threading.Lock()
         self._copy: FileSource | None = None
+        self._parts: OrderedDict[tuple[int, int], Future[bytes]] = OrderedDict()
         with reading(address):
             store, place = locate(address)
             self._object = store.open_input_file(place)
@@ -119,7 +120,6 @@ class RemoteSource(FileSource):
     def _announce(self, begins: Sequence[int], ends: Sequence[int]) -> None:
         with self._lock:
             self._begins, self._ends = list(begins), list(ends)
-            self._parts: OrderedDict[int, Future[bytes]] = OrderedDict()
             self._single_reads = 0
 
     def _read(self, length: int, start: int) -> bytes:
@@ -145,17 +145,19 @@ class RemoteSource(FileSource):
         for following in range(number, min(len(self._begins), 2 * number + 1)):
             if ahead > AHEAD_BYTES:
                 break
-            ahead += self._ends[following] - self._begins[following]
-            if following not in self._parts:
-                begin, end = self._begins[following], self._ends[following]
-                self._parts[following] = self._pool.submit(self._fetch, begin, end - begin)
-        part = self._parts[number]
-        self._parts.move_to_end(number)
-        kept = sum(self._ends[each] - self._begins[each] for each in self._parts)
-        while kept > KEPT_BYTES and (oldest := next(iter(self._parts))) < number:
-            self._parts.pop(oldest).cancel()
-            kept -= self._ends[oldest] - self._begins[oldest]
-        return part
+            begin, end = self._begins[following], self._ends[following]
+            ahead += end - begin
+            if (begin, end) not in self._parts:
+                self._parts[begin, end] = self._pool.submit(self._fetch, begin, end - begin)
+        wanted = self._begins[number], self._ends[number]
+        self._parts.move_to_end(wanted)
+        kept = sum(end - begin for begin, end in self._parts)
+        for begin, end in list(self._parts)[:-1]:
+            if kept <= KEPT_BYTES or not self._parts[begin, end].done():
+                break
+            del self._parts[begin, end]
+            kept -= end - begin
+        return self._parts[wanted]
 
     def _fetch(self, begin: int, length: int) -> bytes:
         with reading(self._address):
