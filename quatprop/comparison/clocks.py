@@ -35,6 +35,9 @@ MIN_POINTS = 16
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
 
+MAX_FITTED = 100_000
+"""Samples of the fit at most: with more, the clocks' own drift outweighs the noise."""
+
 MAX_FITS = 30
 """Fits at most; each is closer to the offset."""
 
@@ -203,7 +206,8 @@ def _runner_up(correlation: Float64, peak: int) -> float:
 
 def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
     """Return what is still to be added to an offset, from windows of the length that shows most."""
-    first, *_ = undone_misreadings(a, shifted(b, offset))
+    a, b = _common_beginning(a, shifted(b, offset))
+    first = next(undone_misreadings(a, b))
     best: TimeOffset | None = None
     for length, starts in window_grids(first.a.seconds, first.b.seconds):
         found = _turned_and_moved(first, starts, length)
@@ -214,6 +218,15 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
             "A and B have too few windows of common motion to estimate a time offset; ", GIVE_OFFSET
         )
     return best
+
+
+def _common_beginning(
+    a: AttitudeSeries, b: AttitudeSeries
+) -> tuple[AttitudeSeries, AttitudeSeries]:
+    """Return both from where the later one begins to where the first has enough samples."""
+    start = max(a.t_ns[0], b.t_ns[0])
+    begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
+    return a[begins[0] :][:MAX_FITTED], b[begins[1] :][:MAX_FITTED]
 
 
 def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> TimeOffset:
