@@ -174,6 +174,22 @@ def test_every_reader_sees_all_messages_of_a_bag_copy(tmp_path, chunk_size, coun
     assert (copied_spans[0][0], copied_spans[-1][1]) == (spans[0][0], spans[-1][1])
 
 
+@pytest.mark.parametrize("compression", [None, Rosbag1Writer.CompressionFormat.BZ2])
+def test_every_reader_sees_all_messages_of_a_copy_of_a_bag_without_index(tmp_path, compression):
+    """What a recorder that died leaves has chunks only; its copy has an index again."""
+    log = write_bag(tmp_path / "log.bag", compression=compression)
+    data = log.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    log.write_bytes(data[: int.from_bytes(data[at : at + 8], "little")])
+    before, _ = records(log)
+    out = copy(log, tmp_path / "out.bag")
+    after, spans = records(out)
+    assert others(after) == others(by_rosbags(out)) == others(before)
+    assert len(after) == len(by_rosbags(out)) == len(before) + 300
+    times = [divmod(time, 10**9) for _, time, _ in before]
+    assert (spans[0][0], spans[-1][1]) == (min(times), max(times))
+
+
 @pytest.mark.parametrize("compression", [None, Rosbag1Writer.CompressionFormat.LZ4,
                                          Rosbag1Writer.CompressionFormat.BZ2])  # fmt: skip
 def test_attitudes_that_end_early_leave_the_end_of_a_bag(tmp_path, compression):
