@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 TOGETHER = 1 << 21
 """Bytes of regions that are loaded together, in one thread."""
 
+FIRST = 1 << 16
+"""Bytes of the first of them, for who reads only the beginning; then twice as many each time."""
+
 
 def load_regions(
     source: FileSource, regions: Sequence[Region], ids: Sequence[int]
@@ -106,7 +109,7 @@ def _groups(
     """
     buffers = Buffers()
     calls: list[Callable[[], Content]] = []
-    size = 0
+    size, enough = 0, min(FIRST, TOGETHER)
     for region in regions:
         start = source.read(region.start, PEEK) if region.is_chunk else b""
         head = chunk_head(start, region.length)
@@ -118,9 +121,9 @@ def _groups(
         into = buffers.take(head.size) if head and head.compression == "zstd" else None
         calls.append(partial(load_one, region, into))
         size += region.length if head is None else head.size
-        if size >= TOGETHER:
+        if size >= enough:
             yield _Group(calls)
-            calls, size = [], 0
+            calls, size, enough = [], 0, min(2 * enough, TOGETHER)
     yield _Group(calls)
 
 
