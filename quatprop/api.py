@@ -260,11 +260,11 @@ sample_rate, clock
     >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
+    from quatprop.concurrency.threads import use_threads
     from quatprop.formats import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
     from quatprop.signals.rates import choose_rates, signal_of_series
-    from quatprop.threads import use_threads
 
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
@@ -465,7 +465,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
 
 
 def _path(name: str, path: StrPath) -> str:
-    from quatprop.parsers import path as parse_path
+    from quatprop.settings.parsers import path as parse_path
 
     try:
         return parse_path(path)

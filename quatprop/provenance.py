@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from quatprop.concurrency.threads import thread_count
 from quatprop.errors import DamagedLogError, UnreadableLogError
-from quatprop.threads import thread_count
 
 if TYPE_CHECKING:
     from typing import Self

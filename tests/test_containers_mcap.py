@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from quatprop import threads
+from quatprop.concurrency import threads
 from quatprop.containers.base import Channel, Loss
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap import loading

@@ -12,8 +12,8 @@ from mcap.writer import Writer
 from test_containers_ulog import added, record
 from test_damage_mcap import MESSAGES, read, unclosed, written
 
-from quatprop import threads
 from quatprop.cli import cli
+from quatprop.concurrency import threads
 from quatprop.containers.base import Loss
 from quatprop.containers.limits import MAX_UNPACKED, decompressed_limit
 from quatprop.containers.mcap import loading as mcap

@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import feather, parquet
 from test_containers_ulog import added, gyro, write
 
-from quatprop import threads
+from quatprop.concurrency import threads
 from quatprop.conditioning import Conditioning
 from quatprop.containers import coalesce, ulog
 from quatprop.containers.mcap import index as mcap_index

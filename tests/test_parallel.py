@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quatprop.parallel import in_order, map_processes, worker_count
+from quatprop.concurrency.processes import in_order, map_processes, worker_count
 
 
 def work(item):
@@ -93,7 +93,7 @@ def test_windows_has_at_most_61_processes(monkeypatch, platform, wanted, items, 
 WAITS = """
 import os, sys, time
 from pathlib import Path
-from quatprop.parallel import map_processes
+from quatprop.concurrency.processes import map_processes
 def work(folder):
     path = Path(folder, f"{os.getpid()}")
     path.touch()

@@ -9,9 +9,9 @@ import pytest
 
 from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
-from quatprop.parsers import StaticBias
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, parse, parse_all
+from quatprop.settings.parsers import StaticBias
 from quatprop.times import Instant
 
 

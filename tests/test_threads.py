@@ -6,7 +6,13 @@ from itertools import islice
 
 import pytest
 
-from quatprop.threads import OrderedThreadPool, in_background, prefetch, thread_count, use_threads
+from quatprop.concurrency.threads import (
+    OrderedThreadPool,
+    in_background,
+    prefetch,
+    thread_count,
+    use_threads,
+)
 
 COUNTS = (1, 2, 3, 8)
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 
 from quatprop.batch.logs import OTHER_OUTPUT, output_paths
 from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
+from quatprop.concurrency.processes import KILLED, map_processes
+from quatprop.concurrency.threads import available_cores
 from quatprop.containers.stores import is_address, upload, without_secret
 from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
-from quatprop.parallel import KILLED, map_processes
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
 from quatprop.temp_files import temp_folder
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
-from quatprop.threads import available_cores
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:

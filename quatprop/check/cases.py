@@ -16,9 +16,9 @@ from quatprop.check.spelling import sentence, suite_key
 from quatprop.check.suite import read_suite
 from quatprop.comparison.settings import COMPARE, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
-from quatprop.parsers import FROM_THE_LOG
 from quatprop.pipeline.settings import propagation_settings
 from quatprop.settings import PROPAGATE, READ_ATTITUDES
+from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.attitude_input import attitude_input
 from quatprop.text import Setting, Text, did_you_mean, quoted
 

@@ -13,8 +13,8 @@ from quatprop.check.judge import judge
 from quatprop.check.lock import write_lock
 from quatprop.check.spelling import sentence
 from quatprop.check.update import update
+from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
-from quatprop.parallel import KILLED, in_order, map_processes
 from quatprop.text import plain
 from quatprop.third_party_errors import as_user_error
 

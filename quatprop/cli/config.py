@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from quatprop.cli.types import PATH
-from quatprop.parsers import FROM_THE_LOG
+from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.text import did_you_mean, quoted
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import click
 
 from quatprop.cli.spelling import option as option_name
 from quatprop.cli.types import PATH, OneOf, Parsed
-from quatprop.parsers import Choice, flag
+from quatprop.settings.parsers import Choice, flag
 from quatprop.text import Setting
 
 Command = TypeVar("Command", bound="Callable[..., Any]")
@@ -21,7 +21,7 @@ Command = TypeVar("Command", bound="Callable[..., Any]")
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from quatprop.parsers import Parser
+    from quatprop.settings.parsers import Parser
     from quatprop.signals.attitude_input import AttitudeInput
 
     class Option(Protocol):

@@ -18,8 +18,8 @@ from quatprop.cli.options import (
 from quatprop.cli.spelling import option, spelled
 from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.comparison.settings import COMPARE
-from quatprop.quantities import picture_size
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
+from quatprop.settings.quantities import picture_size
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import click
 
 from quatprop.cli.help import Command
 from quatprop.cli.types import PATH, OneOf, Parsed
-from quatprop.parsers import MAX_FREQUENCY, duration, numbers
+from quatprop.settings.parsers import MAX_FREQUENCY, duration, numbers
 from quatprop.writers import GENERAL_KINDS
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")

@@ -12,7 +12,7 @@ from quatprop.text import did_you_mean
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from quatprop.parsers import Parser
+    from quatprop.settings.parsers import Parser
 
     ParamType = click.ParamType[Any]
     Choice = click.Choice[str]

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.parsers import Choice, duration, length, number
-from quatprop.quantities import RAD_PER_UNIT, quantity
 from quatprop.settings import parse_all
+from quatprop.settings.parsers import Choice, duration, length, number
+from quatprop.settings.quantities import RAD_PER_UNIT, quantity
 from quatprop.text import Setting, quoted, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.parsers import Parser
+    from quatprop.settings.parsers import Parser
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Which frames of B are rotated before the comparison."""

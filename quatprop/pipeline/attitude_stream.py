@@ -6,13 +6,13 @@ from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from quatprop.concurrency.threads import in_background
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
-from quatprop.parsers import FROM_THE_LOG
 from quatprop.pipeline.gyro_errors import known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import log_remarks
@@ -20,12 +20,12 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.conditioning_inputs import conditioning_inputs
 from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
 from quatprop.text import Setting
-from quatprop.threads import in_background
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 from quatprop.writers.targets import is_stream

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import SensorErrors
-from quatprop.parsers import number
+from quatprop.settings.parsers import number
 from quatprop.text import Setting, listed, quoted
 from quatprop.times import NS_PER_S
 

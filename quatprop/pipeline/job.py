@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
@@ -18,7 +19,6 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
-from quatprop.threads import in_background, use_threads
 from quatprop.writers import keeps_provenance, kind_of, layout_of, open_writer
 from quatprop.writers.targets import refuse_overlap
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 from quatprop.conditioning import Conditioning
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
-from quatprop.parsers import FROM_THE_LOG, BiasSource, StaticBias
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
 from quatprop.settings import SELECT_RATES, parse_all
+from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias
 from quatprop.text import Setting
 from quatprop.timeline import Policy
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
+from quatprop.concurrency.threads import thread_count, use_threads
 from quatprop.containers.stores import without_secret
 from quatprop.errors import (
     LogError,
@@ -31,7 +32,6 @@ from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
 from quatprop.text import Text, plain
-from quatprop.threads import thread_count, use_threads
 from quatprop.timeline import OBSERVE, StampChecks, Timeline
 from quatprop.timeline.counts import remarks as timeline_remarks
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from decode import ours, read_and_decompress
 from table import Table, best_of
 
+from quatprop.concurrency.threads import use_threads
 from quatprop.formats import open_log
 from quatprop.kinematics.propagate import Propagation
 from quatprop.pipeline.plausibility import RateChecks
@@ -14,7 +15,6 @@ from quatprop.provenance import digest_of
 from quatprop.selection import RateSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
-from quatprop.threads import use_threads
 from quatprop.timeline import Policy, Timeline
 from quatprop.writers import open_writer
 

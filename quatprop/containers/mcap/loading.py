@@ -6,6 +6,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.buffers import Buffers
 from quatprop.containers.compression import LARGE
 from quatprop.containers.limits import DecompressionBudget
@@ -18,7 +19,6 @@ from quatprop.containers.mcap.regions import (
     load,
 )
 from quatprop.containers.mcap.selected import expected_ranges, selected_messages
-from quatprop.threads import Deferred, prefetch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence

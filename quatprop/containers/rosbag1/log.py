@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
+from quatprop.concurrency.threads import prefetch
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import source_of
@@ -36,7 +37,6 @@ from quatprop.containers.rosbag1.selected import expected_ranges, selected_messa
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
-from quatprop.threads import prefetch
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
 from quatprop.checksum import crc32
-from quatprop.threads import OrderedThreadPool
+from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.writers.mcap.channel import CHUNK_BYTES, MessageChannel, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents, encoded
 

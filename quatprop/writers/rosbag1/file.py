@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import lz4.frame
 import numpy as np
 
-from quatprop.threads import OrderedThreadPool
+from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.writers.base import block_slices, provenance_json
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.records import MAGIC, NS_PER_S, ChunkInfo, u4

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.csv
 
 from quatprop.arrow_arrays import to_arrow
+from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.provenance import COMMENT
-from quatprop.threads import OrderedThreadPool
 from quatprop.writers.atomic import OutputFile, output_errors, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 

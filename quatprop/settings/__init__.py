@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from quatprop.errors import UsageError
-from quatprop.parsers import (
+from quatprop.settings.parsers import (
     Choice,
     bias,
     columns,
@@ -26,7 +26,7 @@ from quatprop.parsers import (
     path,
     text,
 )
-from quatprop.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
 from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from os import PathLike
 
-    from quatprop.parsers import Parser
+    from quatprop.settings.parsers import Parser
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),

@@ -7,13 +7,13 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
-from quatprop.parsers import number
+from quatprop.settings.parsers import number
 from quatprop.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.parsers import Parser
+    from quatprop.settings.parsers import Parser
 
 RAD_PER_UNIT = {
     "rad": 1.0,
