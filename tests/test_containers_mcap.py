@@ -416,7 +416,7 @@ def test_an_undefined_channel_is_told(tmp_path):
     )
     log = McapLog(saved(tmp_path, content[:8] + kept))
     assert log.channels() == []
-    assert Loss("channel 1", "no record defines it") in log.losses
+    assert Loss("channel 1", "no record defines it", 30) in log.losses
 
 
 def beside_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):

@@ -220,6 +220,31 @@ def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
     assert f"chunk at byte {chunks(intact)[4][0]}" in {loss.place for loss in losses}
 
 
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare", "without index"])
+def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
+    """The message index lists it still; without one, its channel is known to be undefined."""
+    options = {
+        "bare": BARE,
+        "without index": {"index_types": IndexType.NONE, "use_statistics": False},
+    }.get(layout, {})
+    intact = written(compression=CompressionType.NONE, enable_crcs=False, **options)
+    begin, _ = chunks(intact)[4]
+    damaged = numbers_of_chunks(intact)[4][7]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), begin) - 6
+    content = intact[:at] + struct.pack("<H", 777) + intact[at + 2 :]
+    if layout == "unclosed":
+        content = unclosed(content)
+    numbers, losses = read(tmp_path, content)
+    assert numbers == without([damaged])
+    reason = "its message index lists messages that are not among its records"
+    expected = (
+        Loss("channel 777", "no record defines it", 1)
+        if options
+        else Loss(f"chunk at byte {begin}", reason, 1)
+    )
+    assert [loss for loss in losses if loss.messages] == [expected]
+
+
 def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
     """A message whose length is wrong costs itself."""
     for closed in (True, False):

@@ -16,12 +16,7 @@ from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.limits import checksums_matter
-from quatprop.containers.mcap.definitions import (
-    IDS,
-    Definitions,
-    leading_definitions,
-    read_definitions,
-)
+from quatprop.containers.mcap.definitions import Definitions, leading_definitions, read_definitions
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
     CHANNEL,
@@ -47,6 +42,9 @@ if TYPE_CHECKING:
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.summary import McapIndex
+
+UNDEFINED = "no record defines it"
+"""Why the messages of a channel are lost."""
 
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""
@@ -86,9 +84,9 @@ def build_index(source: FileSource) -> McapIndex:
     for opcode, content, place, first_id in scan.definitions.records:
         index.define(opcode, content, place, first_id)
     read_definitions(source, index, is_complete=summary.is_complete)
-    for channel in {id_ for region in index.regions for id_ in region.ids}:
-        if channel not in index.channels:
-            index.losses.note(f"channel {channel % IDS}", "no record defines it")
+    for region in index.regions:
+        for id_ in region.own([id_ for id_ in region.ids if id_ not in index.channels]):
+            index.losses.note(f"channel {id_}", UNDEFINED, region.count(id_), region.start)
     return index
 
 

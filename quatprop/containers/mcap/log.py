@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
 from quatprop.containers.file_source import source_of
-from quatprop.containers.mcap.index import build_index
+from quatprop.containers.mcap.index import UNDEFINED, build_index
 from quatprop.containers.mcap.loading import load_regions
 from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
 from quatprop.containers.mcap.metadata import read_provenance
@@ -163,7 +163,9 @@ class McapLog(MessageLog):
                     count += lost or 0
                     continue
                 if isinstance(content, Loaded):
-                    data, messages = content.data, self._messages(content, region, region.own(ids))
+                    data = content.data
+                    messages, lost = self._messages(content, region, channel.topic, ids)
+                    count += lost
                 else:
                     data, messages = content
                     self._unchecked.add(region.start)
@@ -212,21 +214,20 @@ class McapLog(MessageLog):
         return UnreadableLogError(self.path, f"{error.strerror}; check the path")
 
     def _messages(
-        self, loaded: Loaded, region: Region, ids: Sequence[int]
-    ) -> LocatedMessages | None:
-        """Locate the messages of a region by its index or, if that fails, by its records."""
+        self, loaded: Loaded, region: Region, topic: str, ids: Sequence[int]
+    ) -> tuple[LocatedMessages | None, int]:
+        """Locate the messages of a region by its index or, if that fails, by its records.
+
+        Also returns how many more the index lists.
+        """
         data, raw, damage = loaded
+        ids = region.own(ids)
         offsets = indexed_offsets(raw, region.start, region, ids)
         if offsets is not None:
             messages = messages_at(data, offsets)
             if messages is not None and messages.are_all_of(ids):
-                return messages
+                return messages, 0
         walked = walk_records(data)
-        if damage:
-            self.losses.note(region.place, damage)
-        elif walked.end < len(data):
-            reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
-            self.losses.note(region.place, reason)
         if walked.malformed:
             self.losses.note(region.place, "too short to be messages", walked.malformed)
         indexed = indexed_offsets(raw, region.start, region, list(region.holds or ()))
@@ -234,7 +235,27 @@ class McapLog(MessageLog):
             messages = messages_past_damage(data, walked.offsets, indexed)
         else:
             messages = messages_at(data, walked.offsets)
-        return messages.of(ids) if messages else None
+        if offsets is None and messages:
+            self._note_undefined(region, messages)
+        messages = messages.of(ids) if messages else None
+        found = len(messages) if messages else 0
+        listed = found if offsets is None else len(offsets)
+        lost = max(0, listed - found - walked.malformed)
+        if damage:
+            self.losses.note(region.place, damage, lost or None, topic)
+        elif walked.end < len(data):
+            reason = f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
+            self.losses.note(region.place, reason, lost or None, topic)
+        elif lost:
+            reason = "its message index lists messages that are not among its records"
+            self.losses.note(region.place, reason, lost, topic)
+        return messages, lost
+
+    def _note_undefined(self, region: Region, messages: LocatedMessages) -> None:
+        """Note the messages of channels that no record defines."""
+        for id_, count in messages.counts().items():
+            if region.first_id + id_ not in self.index.channels:
+                self.losses.note(f"channel {id_}", UNDEFINED, count, region.start)
 
 
 def _ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
