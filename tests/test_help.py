@@ -1,9 +1,6 @@
 """Help: groups of options, one screen of common ones, examples that run, names that were meant."""
 
-import os
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -68,8 +65,9 @@ def test_help_is_coloured_unless_no_color_is_set():
     assert "\x1b" not in run("--help", NO_COLOR="1").output
 
 
-def test_the_examples_of_every_command_run(tmp_path):
+def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
     """One after the other, in a folder that has the sample logs."""
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
     for name in COMMANDS:
         examples = cli.get_command(None, name).examples
@@ -77,15 +75,8 @@ def test_the_examples_of_every_command_run(tmp_path):
         for line in examples:
             program, *arguments = shlex.split(line)
             assert program == "quatprop"
-            done = subprocess.run(
-                [sys.executable, "-m", "quatprop", *arguments],
-                cwd=tmp_path,
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            assert done.returncode == 0, (line, done.stderr)
+            done = run(*arguments)
+            assert done.exit_code == 0, (line, done.stderr)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +89,7 @@ def test_the_examples_of_every_command_run(tmp_path):
         (["propagate", "--zzz"], "No such option '--zzz'"),
         (["propagate", "x", "--method", "conning"], "'cubic'; did you mean 'coning'?"),
         (["compare", "--topic", "x"], "No such option '--topic'; did you mean '--topic-a'?"),
-        (["convert", "--as", "euler", "x"], "'matrix'; did you mean 'euler-zyx'?"),
+        (["convert", "--as", "euler", "x"], "did you mean 'euler-zyx'?"),
     ],
 )  # fmt: skip
 def test_the_name_that_was_meant_is_suggested(arguments, sentence):
