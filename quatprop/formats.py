@@ -83,6 +83,7 @@ READERS: dict[str, Reader] = {
     ),
     "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
+    "hdf5": Reader("quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5")),
     "jsonl": Reader(
         "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
     ),

@@ -29,7 +29,7 @@ MAGIC_BYTES = max(map(len, MAGIC))
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 
-TABLES = {"parquet", "feather", "npy", "npz", "jsonl", "tum", "kitti", "csv"}
+TABLES = {"parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"}
 """Kinds of files that hold many other things, too."""
 
 OTHER_OUTPUT = Text(

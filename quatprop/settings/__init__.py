@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "jsonl", "tum", "kitti", "csv"),
+    *("parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"),
 )
 """The keys of :data:`quatprop.formats.READERS`."""
 

@@ -54,6 +54,12 @@ class NumpyTable(TypedTable):
         """Open an array at its beginning."""
         raise NotImplementedError
 
+    def _open_rows(self, member: str) -> BinaryIO:
+        """Open an array at its first number."""
+        stream = self._open_array(member)
+        read_header(stream)
+        return stream
+
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         wanted = [
             (leaf.name, self._members[k])
@@ -80,8 +86,7 @@ class NumpyTable(TypedTable):
         with ExitStack() as stack, archive_damage():
             streams = []
             for (array, start), group in groupby(sorted(wanted, key=place), place):
-                stream = stack.enter_context(self._open_array(array))
-                read_header(stream)
+                stream = stack.enter_context(self._open_rows(array))
                 _skip(stream, start)
                 streams.append((stream, [(name, member.column) for name, member in group]))
             step = max(member.column.step for _, member in wanted)

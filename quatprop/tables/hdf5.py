@@ -1,0 +1,199 @@
+"""HDF5 files: datasets of columns, by the paths of their groups."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
+
+import numpy as np
+
+from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
+from quatprop.tables.base import TableNotes
+from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
+from quatprop.tables.numpy_table import NumpyTable
+from quatprop.text import plain, quoted
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_CHUNK_CACHE_BYTES = 1 << 26
+_SAMPLE_RATES = ("sampling_rate", "sample_rate")
+_COLUMN_NAMES = ("columns", "column_names", "names")
+_MOST_UNPACKED = 2000
+"""Bytes that a byte of the file may become: deflate stops at 1032."""
+
+_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
+"""What h5py raises for damaged files."""
+
+
+class Hdf5Log(NumpyTable):
+    """Datasets of one dimension are columns, those of two have one for each of their columns.
+
+    ``group/gyr`` of shape ``(N, 3)`` becomes ``group.gyr[0]`` to ``group.gyr[2]``, or
+    ``group.gyr.x`` where its attribute ``columns`` says so in text of fixed length. The attribute
+    ``sampling_rate`` of the file, Hz, counts the rows where there is no time.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        h5py is not installed.
+    DamagedLogError
+        Its groups and datasets cannot be listed.
+    UnsupportedLogError
+        It has no dataset that is a table.
+    """
+
+    kind = "hdf5"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        try:
+            import h5py
+        except ImportError as error:
+            raise UsageError(
+                f"{plain(path)}: HDF5 needs h5py, which is not installed; "
+                "pip install 'quatprop[hdf5]'"
+            ) from error
+        self._refused = ""
+        try:
+            # Programs that are still writing keep a lock, which only matters to other writers.
+            self._file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
+        except _ERRORS as error:
+            raise DamagedLogError(path, _damage(error)) from error
+        try:
+            self._sample_rate = _sample_rate(self._file)
+            self._file.visititems(self._describe)
+        except BaseException as error:
+            self._file.close()
+            if isinstance(error, _ERRORS):
+                raise DamagedLogError(path, _damage(error)) from error
+            raise
+        if not self._leaves:
+            self._file.close()
+            raise UnsupportedLogError(path, self._refused or "it has no datasets; name a log")
+
+    @property
+    def notes(self) -> TableNotes:
+        """The sample rate that the file declares."""
+        return TableNotes(sample_rate=self._sample_rate)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _describe(self, path: str, item: Any) -> None:
+        """Add the columns of a dataset; those that are no columns are ignored."""
+        if not hasattr(item, "shape"):
+            return
+        try:
+            columns = _columns(item, self.path.stat().st_size)
+        except HeaderError as error:
+            self._refused = self._refused or f"its dataset {quoted(path)}: {error}"
+            return
+        name = path.replace("/", ".")
+        given = _given_names(item, len(columns))
+        for column, own in zip(columns, given or [""] * len(columns), strict=True):
+            inner = own or column.name
+            dot = "." if inner and not inner.startswith("[") else ""
+            self._add_column(name + dot + inner, path, column)
+
+    def _open_rows(self, member: str) -> BinaryIO:
+        return cast("BinaryIO", _DatasetBytes(self._file[member]))
+
+
+class _DatasetBytes(io.RawIOBase):
+    """The numbers of a dataset, row after row, as they would stand in a file of NumPy.
+
+    Parameters
+    ----------
+    dataset
+        The dataset.
+    """
+
+    def __init__(self, dataset: Any) -> None:
+        self._dataset = dataset
+        self._step = dataset.dtype.itemsize * (dataset.shape[1] if len(dataset.shape) > 1 else 1)
+        self._next = 0
+        self._rest = memoryview(b"")
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer, or a part of it."""
+        if not self._rest:
+            block = self._block(max(1, len(buffer) // self._step))
+            self._next += len(block)
+            self._rest = memoryview(block.tobytes())
+        size = min(len(buffer), len(self._rest))
+        buffer[:size] = self._rest[:size]
+        self._rest = self._rest[size:]
+        return size
+
+    def _block(self, count: int) -> NDArray[Any]:
+        """Return the next rows, fewer of them before a chunk that is damaged.
+
+        Raises
+        ------
+        EOFError
+            It begins here.
+        """
+        while True:
+            try:
+                return np.ascontiguousarray(self._dataset[self._next : self._next + count])
+            except _ERRORS as error:
+                if count == 1:
+                    raise EOFError(plain(error)) from error
+            count //= 2
+
+
+def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
+    """Return the columns of a dataset in a file of some bytes.
+
+    Raises
+    ------
+    HeaderError
+        It is no table of numbers.
+    """
+    if dataset.shape is None or dataset.dtype.hasobject:
+        raise HeaderError(f"its type is {dataset.dtype}, not numbers")
+    if dataset.nbytes > _MOST_UNPACKED * file_size:
+        raise HeaderError(f"it claims {dataset.nbytes} bytes, which the file cannot hold")
+    return columns_of(ArrayHeader(dataset.dtype, dataset.shape, is_fortran=False))
+
+
+def _damage(error: BaseException) -> str:
+    return f"its groups and datasets are damaged ({plain(error)}); was it closed and copied whole?"
+
+
+def _attribute(item: Any, name: str) -> NDArray[Any]:
+    """Return an attribute of fixed size; empty where it is another.
+
+    Text of variable length is not asked for: HDF5 crashes or hangs where that is damaged.
+    """
+    if name in item.attrs and not item.attrs.get_id(name).dtype.hasobject:
+        return np.atleast_1d(np.asarray(item.attrs[name]))
+    return np.empty(0)
+
+
+def _sample_rate(file: Any) -> float | None:
+    for name in _SAMPLE_RATES:
+        value = _attribute(file, name)
+        if value.size == 1 and value.dtype.kind in "iuf" and 0 < value.flat[0] < np.inf:
+            return float(value.flat[0])
+    return None
+
+
+def _given_names(dataset: Any, count: int) -> list[str]:
+    """Return the names of columns that an attribute of the dataset gives; none without one."""
+    for name in _COLUMN_NAMES:
+        value = _attribute(dataset, name)
+        if value.dtype.kind == "S" and value.shape == (count,):
+            names = [text.decode(errors="replace").strip() for text in value.tolist()]
+            if all(names) and len(set(names)) == count > 1:
+                return names
+    return []

@@ -1,0 +1,139 @@
+"""HDF5 files: datasets of columns, groups, names, damage, what is never believed."""
+
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from quatprop import propagate, read_attitudes, read_rates
+from quatprop.cli import cli
+
+h5py = pytest.importorskip("h5py")
+
+RATE_HZ, COUNT = 2000 / 7, 1000
+SECONDS = np.arange(COUNT) / RATE_HZ
+RATES = np.random.default_rng(4).normal(size=(COUNT, 3))
+
+
+def broad(path, **options):
+    """Write a file as BROAD publishes them, with a turn of 0.5 rad/s about z as its truth."""
+    with h5py.File(path, "w") as file:
+        file.attrs["sampling_rate"] = RATE_HZ
+        file.create_dataset("imu_gyr", data=RATES, **options)
+        file["imu_acc"] = np.tile([0.0, 0.0, 9.81], (COUNT, 1))
+        xyzw = Rotation.from_rotvec(np.outer(SECONDS, [0, 0, 0.5])).as_quat()
+        file["opt_quat"] = xyzw[:, [3, 0, 1, 2]]
+        file["movement"] = np.ones(COUNT, np.bool_)
+    return path
+
+
+def refusal(path, *options):
+    """Return the error of a run that is refused."""
+    result = CliRunner().invoke(cli, ["propagate", str(path), "-o", "-", *options])
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.exit_code == 2
+    return result.stderr
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"chunks": (7, 2)}, {"compression": "gzip", "shuffle": True}, {"dtype": ">f8"}],
+    ids=str,
+)
+def test_a_file_of_broad_is_read_to_the_bit(tmp_path, options):
+    """Rates are those stored, however they are stored, and the file says at what rate."""
+    rates = read_rates(broad(tmp_path / "a.hdf5", **options), rate_unit="rad/s")
+    assert rates.rate.tobytes() == RATES.tobytes()
+    assert np.abs(rates.t_ns * 1e-9 - SECONDS).max() < 1e-9
+
+
+def test_the_truth_of_broad_is_read(tmp_path):
+    """Its columns have numbers, so which is the scalar must be said."""
+    truth = read_attitudes(
+        broad(tmp_path / "a.h5"),
+        quat_cols=[f"opt_quat[{k}]" for k in range(4)],
+        from_layout="scalar-first",
+    )
+    expected = np.column_stack([np.cos(SECONDS / 4), np.sin(SECONDS / 4)])
+    assert np.abs(truth.wxyz[:, [0, 3]] - expected).max() < 1e-15
+
+
+def test_columns_are_named_by_groups_fields_and_attributes(tmp_path):
+    """Datasets of one dimension, records, and an attribute with names are one table each."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["a/t_ns"] = np.arange(3) * 10**9
+        file["a/deep/gyr"] = RATES[:3]
+        file["a/deep/gyr"].attrs["columns"] = np.array([b"x", b"y", b"z"])
+        file["b"] = np.array([(5, 1.0), (6, 2.0)], [("t", "<i8"), ("u", "<f4")])
+        file["note"] = "text"
+        file["image"] = np.zeros((2, 2, 2))
+    options = {"rate_unit": "rad/s", "time_col": "a.t_ns", "time_unit": "ns"}
+    rates = read_rates(path, **options)
+    assert rates.rate.tobytes() == RATES[:3].tobytes()
+    assert rates.t_ns.tolist() == [0, 10**9, 2 * 10**9]
+    assert refusal(path, "--rate-cols", "x,y,z").endswith(
+        "the columns are 'a.deep.gyr.x', 'a.deep.gyr.y', 'a.deep.gyr.z', 'a.t_ns', 'b.t', 'b.u'\n"
+    )
+    error = refusal(path, "--rate-cols", "b.u,a.deep.gyr.y,a.deep.gyr.z", "--rate-unit", "rad/s",
+                    "--time-col", "a.t_ns", "--time-unit", "ns")  # fmt: skip
+    assert "have '2', '3' rows, so they are not one table; choose others" in error
+
+
+def test_a_cut_file_is_refused_in_a_sentence(tmp_path):
+    """HDF5 says itself how long it should be."""
+    path = broad(tmp_path / "a.h5")
+    path.write_bytes(path.read_bytes()[:-1000])
+    error = refusal(path)
+    assert error.startswith(f"Error: {path}: its groups and datasets are damaged (")
+    assert "truncated file" in error
+    assert error.endswith("; was it closed and copied whole?\n")
+
+
+def test_a_damaged_chunk_loses_what_follows_it(tmp_path):
+    """What is before it is kept, and the loss is counted."""
+    path = broad(tmp_path / "a.h5", compression="gzip", chunks=(100, 3))
+    with h5py.File(path) as file:
+        chunk = file["imu_gyr"].id.get_chunk_info(5)
+    data = bytearray(path.read_bytes())
+    data[chunk.byte_offset : chunk.byte_offset + chunk.size] = b"\xff" * chunk.size
+    path.write_bytes(data)
+    out = tmp_path / "out.csv"
+    result = CliRunner().invoke(
+        cli, ["propagate", str(path), "--rate-unit", "rad/s", "-o", str(out)]
+    )
+    assert result.exit_code == 3
+    assert "it is damaged: it has 500 of the 1000 rows it claims (" in result.stderr
+    assert len(read_attitudes(out).t_ns) == 500
+
+
+def test_a_size_that_the_file_cannot_hold_is_not_believed(tmp_path):
+    """Chunks that were never written would be read as zeros for days."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("gyr", shape=(10**12, 3), chunks=(1000, 3), dtype="f8")
+    assert refusal(path) == (
+        f"Error: {path}: its dataset 'gyr': it claims 24000000000000 bytes, which the file cannot "
+        "hold\n"
+    )
+
+
+def test_without_h5py_the_way_out_is_named(tmp_path, monkeypatch):
+    """A sentence, not an ImportError."""
+    path = broad(tmp_path / "a.h5")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    assert refusal(path) == (
+        f"Error: {path}: HDF5 needs h5py, which is not installed; pip install 'quatprop[hdf5]'\n"
+    )
+
+
+def test_the_same_numbers_give_the_same_attitudes(tmp_path):
+    """The format of the file does not matter."""
+    stored = propagate(broad(tmp_path / "a.h5"), rate_unit="rad/s")
+    np.save(tmp_path / "a.npy", RATES)
+    again = propagate(
+        tmp_path / "a.npy", rate_unit="rad/s", rate_cols=["0", "1", "2"], sample_rate=RATE_HZ
+    )
+    assert stored.wxyz.tobytes() == again.wxyz.tobytes()
