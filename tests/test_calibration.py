@@ -150,3 +150,12 @@ def test_a_calibration_is_an_input_of_a_case(tmp_path):
     )
     _, (case,) = load_cases(suite)
     assert case.inputs["calibration"] == str(tmp_path / "gyro.json")
+
+
+def test_a_key_that_is_not_known_is_refused(tmp_path):
+    """A misspelt bias is not left out silently."""
+    path = tmp_path / "gyro.json"
+    path.write_text(json.dumps({"matrix": MATRIX.tolist(), "bais": BIAS.tolist()}))
+    with pytest.raises(UsageError) as caught:
+        read_calibration(path)
+    assert str(caught.value) == f"calibration {path}: no key 'bais'; did you mean 'bias'?"

@@ -108,6 +108,18 @@ def test_steady_times_do_not_drift():
     assert len(t_ns) == 33_367 * 2997 // 100 + 1
 
 
+def test_more_times_than_samples_could_mean_are_refused():
+    """Each interval alone may be short enough: ten thousand times a sample are the most."""
+    steady = Steady(Fraction(10**9))
+    steady.refuse_excess(np.arange(1001) * 9_999)
+    with pytest.raises(UsageError) as caught:
+        steady.refuse_excess(np.arange(1001) * 10_011)
+    assert str(caught.value) == (
+        "between 1001 samples from 0 to 10011000 ns there would be 10,011,000 attitudes at "
+        "1e+09 Hz; choose a lower rate"
+    )
+
+
 def test_ten_million_times_between_two_samples_are_allowed():
     """One more comes from a wrong timestamp: the interval is named, with every way out."""
     steady = Steady(Fraction(1))

@@ -12,7 +12,10 @@ from quatprop.text import plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from quatprop.conditioning.static_detection import Rest
     from quatprop.pipeline.gyro_errors import UncertaintyReport
@@ -53,9 +56,9 @@ def _facts(report: RunReport) -> Iterator[Row]:
         yield "bias", f"{series.values} of {plain(series.source)} ({plain(series.field)}), in time"
     if (matrix := report.conditioning.calibration) is not None:
         yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
-    if (frames := report.conditioning.mount_frames) is not None:
-        yield "mount", f"{plain(' -> '.join(frames))}, by the static transforms of the log"
-    if convention.q0_from != "given":
+    if (mount := report.conditioning.mount) is not None:
+        yield "mount", _mount(mount, report.conditioning.mount_frames)
+    if convention.q0_from not in {"given", "identity"}:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result)
@@ -120,6 +123,13 @@ def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
         f"scatter {rest.scatter_rad_s:.3g} rad/s; steady by {', '.join(rest.steady)}; "
         "the whole log was searched"
     )
+
+
+def _mount(mount: NDArray[np.float64], frames: Sequence[str] | None) -> str:
+    if frames is not None:
+        return f"{plain(' -> '.join(frames))}, by the static transforms of the log"
+    rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount)
+    return f"{rows} (matrix, sensor axes to body axes)"
 
 
 def _samples(report: RunReport) -> str:

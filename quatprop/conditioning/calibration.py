@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 LARGEST_CONDITION = 1e3
 """A matrix with a larger condition number is no calibration: it loses a direction."""
+
+OWN_KEYS = ("matrix", "bias")
 
 MAX_BYTES = 1_000_000
 """A larger file is no calibration."""
@@ -68,6 +70,9 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     """
     content = _imu(path, _loaded(path), topic)
     if "matrix" in content:
+        for key in map(str, content):
+            if key not in OWN_KEYS:
+                raise _unusable(path, f"no key {quoted(key)}{did_you_mean(key, OWN_KEYS)}")
         bias = content.get("bias")
         return Calibration(
             _matrix(path, "matrix", content["matrix"]),

@@ -55,6 +55,9 @@ def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSerie
 MAX_ROWS = 10_000_000
 """More times than this between two samples come from a wrong timestamp."""
 
+MAX_PER_SAMPLE = 10_000
+"""More times than this for each sample of a block come from a wrong rate."""
+
 
 class Times(Protocol):
     """The times at which attitudes are wanted."""
@@ -102,7 +105,8 @@ class Steady:
         Raises
         ------
         UsageError
-            An interval holds more than :data:`MAX_ROWS` times.
+            An interval holds more than :data:`MAX_ROWS` times, or the block more than that and
+            than :data:`MAX_PER_SAMPLE` for each sample.
         """
         if len(t_ns) < 2:  # noqa: PLR2004  # ends of an interval
             return
@@ -120,6 +124,13 @@ class Steady:
                     ", or leave a part out",
                 ),
                 *(" with ", Setting("start"), " or ", Setting("end")),
+            )
+        rows = int(t_ns[-1] - t_ns[0]) * self._rate / NS_PER_S
+        if rows > MAX_ROWS and rows > MAX_PER_SAMPLE * len(t_ns):
+            raise UsageError(
+                f"between {len(t_ns)} samples from {t_ns[0]} to {t_ns[-1]} ns there would be "
+                f"{int(rows):,} attitudes at {float(self._rate):.6g} Hz; choose a lower ",
+                Setting("rate"),
             )
 
 

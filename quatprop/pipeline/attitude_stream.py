@@ -239,7 +239,7 @@ class AttitudeStream:
                 samples=source.samples,
                 layout=layout,
                 q0_wxyz=self._q0,
-                q0_from=settings.q0.source or "given",
+                q0_from=settings.q0.origin,
             ),
             policy=settings.policy,
             counts=counts,

@@ -34,6 +34,9 @@ STEADY = 0.05
 """Specific force that scatters by more than this share of its mean is not gravity alone."""
 
 
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class InitialAttitude:
     """Where a propagation begins.
@@ -56,9 +59,17 @@ class InitialAttitude:
     """
 
     source: str = ""
-    wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+    wxyz: tuple[float, ...] = IDENTITY
     heading: float = 0.0
     down: bool = False
+
+    @property
+    def origin(self) -> str:
+        """Where the attitude comes from, for the report."""
+        if self.source == "level":
+            axis = "down" if self.down else "up"
+            return f"level, reference z {axis}, heading {math.degrees(self.heading):.6g} deg"
+        return self.source or ("identity" if self.wxyz == IDENTITY else "given")
 
     def __post_init__(self) -> None:
         unit_q0(self.wxyz)

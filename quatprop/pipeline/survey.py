@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     Log = MessageLog | TableLog
     Int64 = NDArray[np.int64]
 
+READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
+
 _TIMING = ("rate_hz", "span_s", "first_ns", "last_ns", "median_dt_ns", "min_dt_ns", "max_dt_ns",
            "gaps", "duplicates", "backwards")  # fmt: skip
 _RATES = ("rate_unit", "max_rate_rad_s", "max_rate_deg_s")
@@ -85,22 +87,24 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
         use_threads(threads + 1 if threads > 1 else 1),
         open_log(path, kind, msg_path=selection.msg_path) as log,
     ):
+        # A binary log on stdin was copied; text was not.
+        read_once = str(log.path) == "-"
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
         rates: tuple[RateSurvey, ...] = ()
         try:
-            rates = tuple(_rates(log, selection, path))
+            rates = tuple(_rates(log, selection, read_once=read_once))
         except (NoRatesError, NoSuchTopicError) as error:
             no_rates = error
         attitudes: tuple[AttitudeSurvey, ...] = ()
-        if not (only_rates or (path == "-" and rates)):
+        if not (only_rates or (read_once and rates)):
             attitudes = tuple(_attitudes(log, selection))
         if no_rates is not None and not attitudes:
             raise no_rates
         return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
 
 
-def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[RateSurvey]:
+def _rates(log: Log, selection: RateSelection, *, read_once: bool) -> Iterator[RateSurvey]:
     list_again = partial(rate_candidates, log)
     for candidate in rate_candidates(log, selection):
         try:
@@ -108,12 +112,13 @@ def _rates(log: Log, selection: RateSelection, path: str) -> Iterator[RateSurvey
         except (TimelineError, UndeclaredError) as error:
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        surveyed = _survey_rates(signal, path)
+        surveyed = _survey_rates(signal, str(log.path))
         if missing is not None:
             known = replace(surveyed, missing=missing, remarks=())
             yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
             continue
-        remarks = (*surveyed.remarks, *(log_remarks(log, signal) if path != "-" else ()))
+        more = (READ_ONCE,) if read_once else log_remarks(log, signal)
+        remarks = (*surveyed.remarks, *more)
         yield replace(surveyed, remarks=(*remarks, *log.remarks))
 
 
