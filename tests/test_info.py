@@ -1,6 +1,7 @@
 """`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -207,3 +208,20 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     (facts,), _ = info(shared_logs / "irregular" / "tilt_laser.bag")
     (said,) = [one["missing"] for one in facts["attitudes"] if one["source"] == "/tf"]
     assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")
+
+
+def test_a_binary_log_on_stdin_is_listed_whole():
+    """It was copied, so attitudes are looked for, too; text is read once, which is reported."""
+    command = [sys.executable, "-m", "quatprop", "info", "--json", "-"]
+    with (SAMPLES / "tumbling.bag").open("rb") as bag:
+        piped = subprocess.run(command, stdin=bag, capture_output=True, check=True)
+    (log,), _ = info(SAMPLES / "tumbling.bag")
+    (copied,) = json.loads(piped.stdout)
+    assert {**copied, "path": log["path"]} == log
+    with (SAMPLES / "spin.csv").open("rb") as rows:
+        piped = subprocess.run(command, stdin=rows, capture_output=True, check=True)
+    (copied,) = json.loads(piped.stdout)
+    assert (
+        "text on stdin is read only once: attitudes were not looked for"
+        in (copied["sources"][0]["remarks"])
+    )

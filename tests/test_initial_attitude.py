@@ -304,3 +304,20 @@ def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_
         f"Error: {log}: the messages of 'sensor_combined/0', which carry the rates, carry no "
         "orientation; give another --q0, such as a file of attitudes that convert wrote\n"
     )
+
+
+@pytest.mark.parametrize(
+    ("wanted", "origin"),
+    [
+        (InitialAttitude(), "identity"),
+        (InitialAttitude(wxyz=(0.0, 1.0, 0.0, 0.0)), "given"),
+        (InitialAttitude("log"), "log"),
+        (
+            InitialAttitude("level", heading=math.pi / 2, down=True),
+            "level, reference z down, heading 90 deg",
+        ),
+    ],
+)
+def test_the_report_names_where_q0_is_from(wanted, origin):
+    """Nothing is called given that was not."""
+    assert wanted.origin == origin

@@ -80,7 +80,7 @@ def test_the_only_instance_of_a_topic_need_not_be_named(tmp_path, shared_logs):
     with pytest.raises(
         NoSuchTopicError,
         match=r"no topic 'estimator_attitude' that carries attitudes; choose one of "
-        r"'estimator_attitude/0', 'estimator_attitude/1'$",
+        r"'estimator_attitude/0', 'estimator_attitude/1'; did you mean 'estimator_attitude/0'\?$",
     ):
         chosen(two, topic="estimator_attitude")
 
