@@ -125,26 +125,29 @@ class EverySecond:
     """
 
     def __init__(self) -> None:
+        self._count = 0
         self._held: GyroSeries | None = None
+        self._rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
 
     def of(self, block: GyroSeries) -> GyroSeries:
         """Return the samples of the next block that remain."""
+        if block.span_ns is None and not block.averages:
+            # No sample depends on others, so none is copied.
+            sparse = block[self._count % 2 :: 2]
+            self._count += len(block)
+            self._rest = block[len(block) - (self._count + 1) % 2 :]
+            return sparse
         samples, first = block, 0
         if self._held is not None:
             # The first of these was returned before.
             samples, first = GyroSeries.joined([self._held, block]), 2
         last = (len(samples) - 1) // 2 * 2
-        self._held = samples[last:]
-        sparse = samples[first : last + 1 : 2]
-        if samples.span_ns is None and not samples.averages:
-            return sparse
-        return self._joined(samples[: last + 1], sparse)
+        self._held, self._rest = samples[last:], samples[last + 1 :]
+        return self._joined(samples[: last + 1], samples[first : last + 1 : 2])
 
     def rest(self) -> GyroSeries:
         """Return the last sample, where it was left out; at the end of the segment."""
-        if self._held is None:
-            return GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
-        return self._held[1:]
+        return self._rest
 
     @staticmethod
     def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:
