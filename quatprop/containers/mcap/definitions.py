@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.containers.base import Channel
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
@@ -17,6 +18,8 @@ from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
+    from mcap import records
+
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.regions import Region
@@ -26,6 +29,7 @@ IDS = 1 << 16
 
 _LEADING = 1 << 14
 """Bytes of a chunk that are read for the definitions at its beginning."""
+_ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 _NOT_DEFINITIONS = frozenset(range(256)) - {SCHEMA, CHANNEL}
 
 
@@ -51,15 +55,15 @@ class Definitions:
         self._current.clear()
 
     def redefines(self, opcode: int, content: Buffer) -> bool:
-        """Tell whether a record gives a channel another topic, encoding or schema."""
+        """Tell whether a record gives an id another channel or schema than before."""
         before = self._current.get((opcode, bytes(content[:2])))
-        if before is None or opcode != CHANNEL or before[0] == content:
+        if before is None or before[0] == content:
             return False
-        earlier, later = _identity(before[0]), _identity(content)
+        earlier, later = _identity(opcode, before[0]), _identity(opcode, content)
         return earlier is not None and later is not None and earlier != later
 
     def add(self, opcode: int, content: Buffer, place: str) -> None:
-        """Add a record; one that redefines a channel begins another part."""
+        """Add a record; one that redefines an id begins another part."""
         key = opcode, bytes(content[:2])
         if self.redefines(opcode, content):
             self.first_id += IDS
@@ -71,13 +75,25 @@ class Definitions:
             self.records.append((opcode, content, place, self.first_id))
 
 
-def _identity(content: Buffer) -> tuple[str, str, int] | None:
-    """Return topic, encoding and schema of a channel record; None where it is damaged."""
+def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | None:
+    """Return what a record says of a channel or schema; None where it is damaged."""
     index = McapIndex()
-    index.define(CHANNEL, content, "")
+    index.define(opcode, content, "")
     for channel in index.channels.values():
-        return channel.topic, channel.message_encoding, channel.schema_id
+        return of_channel(channel)
+    for schema in index.schemas.values():
+        return of_schema(schema)
     return None
+
+
+def of_channel(channel: records.Channel) -> tuple[str, str, int]:
+    """Return what makes a channel another one: topic, encoding and schema."""
+    return channel.topic, channel.message_encoding, channel.schema_id
+
+
+def of_schema(schema: records.Schema) -> tuple[str, str, bytes]:
+    """Return what makes a schema another one: name, encoding and text."""
+    return schema.name, schema.encoding, schema.data
 
 
 def leading_definitions(source: FileSource, region: Region) -> list[tuple[int, Buffer]]:
@@ -142,3 +158,27 @@ def _define_from(
         region.counts = messages.counts() if messages else {}
         region.holds = dict.fromkeys(region.counts, 0)
     return True
+
+
+def ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
+    """Return the ids of each channel; MCAP gives every publisher an id of its own."""
+    ids: dict[Channel, list[int]] = {}
+    for id_, record in sorted(index.channels.items()):
+        schema = index.schemas.get(record.schema_id)
+        channel = Channel(
+            topic=record.topic,
+            type_name=_type_name(schema.name if schema else "", record.message_encoding),
+            encoding=record.message_encoding,
+            schema_encoding=schema.encoding if schema else "",
+            schema=schema.data if schema else b"",
+        )
+        ids.setdefault(channel, []).append(id_)
+    return ids
+
+
+def _type_name(name: str, encoding: str) -> str:
+    """Return a ROS type as ``package/msg/Name``, any other as it is."""
+    package, slash, rest = name.replace("::", "/").partition("/")
+    if encoding not in _ROS_ENCODINGS or not slash:
+        return name
+    return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"

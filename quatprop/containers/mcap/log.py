@@ -10,10 +10,12 @@ import numpy as np
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
 from quatprop.containers.file_source import source_of
+from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import UNDEFINED, build_index
 from quatprop.containers.mcap.loading import load_regions
 from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
 from quatprop.containers.mcap.metadata import read_provenance
+from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Loaded, RegionError
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
@@ -27,10 +29,7 @@ if TYPE_CHECKING:
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
-    from quatprop.containers.mcap.summary import McapIndex
     from quatprop.containers.msg_files import MsgFiles
-
-_ROS_ENCODINGS = frozenset({"ros1", "cdr"})
 
 
 class McapLog(MessageLog):
@@ -76,7 +75,8 @@ class McapLog(MessageLog):
             raise
         self._regions = index.regions
         self._unchecked: set[int] = set()
-        self._ids = _ids_by_channel(index)
+        self._ids = ids_by_channel(index)
+        self._definitions = DefinitionCheck(self.path, index)
         self._stated = index.counts
         self.losses = index.losses
         if self.losses and not (self._ids or self._regions):
@@ -226,8 +226,10 @@ class McapLog(MessageLog):
         if offsets is not None:
             messages = messages_at(data, offsets)
             if messages is not None and messages.are_all_of(ids):
+                self._definitions.check_beside(loaded, region, ids, messages)
                 return messages, 0
         walked = walk_records(data)
+        self._definitions.check(data, walked.definitions, region, ids)
         if walked.malformed:
             self.losses.note(region.place, "too short to be messages", walked.malformed)
         indexed = indexed_offsets(raw, region.start, region, list(region.holds or ()))
@@ -256,30 +258,6 @@ class McapLog(MessageLog):
         for id_, count in messages.counts().items():
             if region.first_id + id_ not in self.index.channels:
                 self.losses.note(f"channel {id_}", UNDEFINED, count, region.start)
-
-
-def _ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
-    """Return the ids of each channel; MCAP gives every publisher an id of its own."""
-    ids: dict[Channel, list[int]] = {}
-    for id_, record in sorted(index.channels.items()):
-        schema = index.schemas.get(record.schema_id)
-        channel = Channel(
-            topic=record.topic,
-            type_name=_type_name(schema.name if schema else "", record.message_encoding),
-            encoding=record.message_encoding,
-            schema_encoding=schema.encoding if schema else "",
-            schema=schema.data if schema else b"",
-        )
-        ids.setdefault(channel, []).append(id_)
-    return ids
-
-
-def _type_name(name: str, encoding: str) -> str:
-    """Return a ROS type as ``package/msg/Name``, any other as it is."""
-    package, slash, rest = name.replace("::", "/").partition("/")
-    if encoding not in _ROS_ENCODINGS or not slash:
-        return name
-    return f"{package}/{rest}" if "/" in rest else f"{package}/msg/{rest}"
 
 
 def _message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:

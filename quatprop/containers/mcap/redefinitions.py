@@ -1,0 +1,130 @@
+"""Ids that an MCAP file defines anew inside a chunk, which the format forbids.
+
+Messages are read by the definitions of the summary, or of the beginnings of chunks; those inside
+chunks are compared with them, so that no message goes to a topic that it is not of.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.mcap.definitions import IDS, of_channel, of_schema
+from quatprop.containers.mcap.messages import indexed_offsets
+from quatprop.containers.mcap.regions import RECORD
+from quatprop.containers.mcap.summary import McapIndex
+from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
+from quatprop.errors import UnsupportedLogError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.regions import Loaded, Region
+
+
+class DefinitionCheck:
+    """Compares definitions inside chunks with those by which the messages are read.
+
+    Parameters
+    ----------
+    path
+        The file, for errors.
+    index
+        The definitions by which its messages are read.
+    """
+
+    def __init__(self, path: Path, index: McapIndex) -> None:
+        self.path = path
+        self.index = index
+        self._found: dict[tuple[int, int, bytes], tuple[list[int], str, str]] = {}
+
+    def check_beside(
+        self, loaded: Loaded, region: Region, ids: Sequence[int], messages: LocatedMessages
+    ) -> None:
+        """Compare what a chunk whose message index is right holds beside messages.
+
+        Parameters
+        ----------
+        loaded, region, ids
+            The chunk, and the ids in it of the channels that are read.
+        messages
+            Their messages.
+
+        Raises
+        ------
+        UnsupportedLogError
+            A channel that is read, or its schema, is redefined there.
+        """
+        begin = _begin_of_messages(loaded, region, ids, messages)
+        data = memoryview(loaded.data)[:begin]
+        self.check(data, walk_records(data).definitions, region, ids)
+
+    def check(
+        self,
+        data: Buffer,
+        definitions: Sequence[tuple[int, int, int]],
+        region: Region,
+        ids: Sequence[int],
+    ) -> None:
+        """Compare the definitions of a region: opcode, and begin and end of each in `data`."""
+        for opcode, begin, end in definitions:
+            record = region.first_id, opcode, bytes(data[begin:end])
+            if record not in self._found:
+                self._found[record] = self._redefined(*record)
+            channels, what, change = self._found[record]
+            if not set(ids).isdisjoint(region.own(channels)):
+                raise UnsupportedLogError(
+                    self.path,
+                    f"the {region.place} redefines {what} ({change}), which MCAP forbids; copy the "
+                    "messages with an MCAP library into a file in which each definition has its "
+                    "own id",
+                )
+
+    def _redefined(self, first_id: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
+        """Return which channels a record redefines, its id, and how it differs."""
+        index, here = self.index, McapIndex()
+        here.define(opcode, content, "", first_id)
+        for id_, channel in here.channels.items():
+            known = index.channels.get(id_)
+            if known and of_channel(known) != of_channel(channel):
+                return [id_], f"channel {id_ % IDS}", _change(known.topic, channel.topic)
+        for id_, schema in here.schemas.items():
+            before = index.schemas.get(id_)
+            if before and of_schema(before) != of_schema(schema):
+                channels = [c.id for c in index.channels.values() if c.schema_id == id_]
+                return channels, f"schema {id_ % IDS}", _change(before.name, schema.name)
+        return [], "", ""
+
+
+def _begin_of_messages(
+    loaded: Loaded, region: Region, ids: Sequence[int], messages: LocatedMessages
+) -> int | None:
+    """Return where messages begin in a chunk of which they fill the rest; None where they do not.
+
+    To add up their lengths is far quicker than to follow the records.
+    """
+    data, raw, _ = loaded
+    if not len(messages):
+        return None
+    begin = int(messages.starts[0]) - MESSAGE_HEAD.itemsize
+    size = int((messages.ends - messages.starts).sum()) + len(messages) * MESSAGE_HEAD.itemsize
+    # A stride of 1 byte lets records begin anywhere.
+    lengths = np.ndarray((len(data) - 8,), "<u8", data, offset=1, strides=(1,))
+    for id_ in set(region.holds or ()).difference(ids):
+        offsets = indexed_offsets(raw, region.start, region, [id_])
+        if offsets is None or len(offsets) == 0:
+            return None
+        begin = min(begin, int(offsets[0]))
+        try:
+            size += int(lengths[offsets].sum()) + len(offsets) * RECORD.size
+        except IndexError:
+            return None
+    return begin if begin >= 0 and begin + size == len(data) else None
+
+
+def _change(before: str, now: str) -> str:
+    return f"{before} is now {now}" if before != now else f"{before} has changed"
