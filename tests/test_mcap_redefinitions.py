@@ -1,6 +1,7 @@
 """MCAP files that define an id anew, which the format forbids, against the library's own reader."""
 
 import struct
+import zlib
 
 import pytest
 from mcap.reader import NonSeekingReader
@@ -40,10 +41,10 @@ def messages(id_, *stamps):
     )
 
 
-def chunk(*parts, indexed):
-    """Return a chunk, with a message index where wanted."""
+def chunk(*parts, indexed, checked=True):
+    """Return a chunk, with a message index and a checksum where wanted."""
     content = b"".join(parts)
-    head = struct.pack("<QQQII", 0, 99, len(content), 0, 0)
+    head = struct.pack("<QQQII", 0, 99, len(content), zlib.crc32(content) if checked else 0, 0)
     written = record(6, head + struct.pack("<Q", len(content)) + content)
     entries, position = {}, 0
     while position < len(content):
@@ -127,9 +128,27 @@ def test_an_id_that_is_defined_anew_inside_a_chunk_is_refused(tmp_path, anew, to
         with pytest.raises(UnsupportedLogError) as refused:
             list(log.blocks(first))
         assert str(refused.value) == (
-            f"{path}: the chunk at byte {8 + 9 + 16} redefines {told}, which MCAP forbids; copy "
-            "the messages with an MCAP library into a file in which each definition has its own id"
+            f"{path}: chunk at byte {8 + 9 + 16}: it redefines {told}, so it is not certain whose "
+            "messages these are; MCAP forbids that; copy the messages with an MCAP library into a "
+            "file in which each definition has its own id"
         )
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_definition_that_may_be_damaged_costs_its_chunk(tmp_path, indexed):
+    """Without a checksum, a new definition may be damage: the other chunks are read."""
+    damaged = chunk(FIRST[0], FIRST[1], messages(1, 4, 5), channel(1, "/A"), messages(1, 6),
+                    indexed=indexed, checked=False)  # fmt: skip
+    before, after = (chunk(messages(1, *stamps), indexed=indexed) for stamps in [(0, 1), (7, 8)])
+    path = saved(tmp_path, *FIRST[:2], before, damaged, after)
+    log = McapLog(path)
+    assert read(log) == {("/a", "a/msg/A"): [0, 1, 7, 8]}
+    (loss,) = log.losses
+    assert loss.place == f"chunk at byte {path.read_bytes().index(damaged)}"
+    assert loss.reason == (
+        "it redefines channel 1 (/a is now /A), so it is not certain whose messages these are"
+    )
+    assert loss.messages == 3
 
 
 @pytest.mark.parametrize("indexed", [True, False])

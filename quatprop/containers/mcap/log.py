@@ -16,7 +16,7 @@ from quatprop.containers.mcap.loading import load_regions
 from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
 from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.redefinitions import DefinitionCheck
-from quatprop.containers.mcap.regions import Loaded, RegionError
+from quatprop.containers.mcap.regions import Loaded, RegionError, chunk_head
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
@@ -76,7 +76,7 @@ class McapLog(MessageLog):
         self._regions = index.regions
         self._unchecked: set[int] = set()
         self._ids = ids_by_channel(index)
-        self._definitions = DefinitionCheck(self.path, index)
+        self._definitions = DefinitionCheck(index)
         self._stated = index.counts
         self.losses = index.losses
         if self.losses and not (self._ids or self._regions):
@@ -157,14 +157,16 @@ class McapLog(MessageLog):
         count = 0
         with closing(load_regions(self.source, regions, ids)) as loaded:
             for region, not_before_ns, content in zip(regions, next_starts, loaded, strict=True):
+                messages: LocatedMessages | None = None
                 if isinstance(content, RegionError):
-                    lost = _message_count([region], ids)
-                    self.losses.note(region.place, content.reason, lost, channel.topic)
-                    count += lost or 0
-                    continue
-                if isinstance(content, Loaded):
+                    count += self._note_lost(content, region, channel.topic, ids)
+                elif isinstance(content, Loaded):
                     data = content.data
-                    messages, lost = self._messages(content, region, channel.topic, ids)
+                    try:
+                        messages, lost = self._messages(content, region, channel.topic, ids)
+                    except RegionError as error:
+                        self._refuse_redefined(content, region, error)
+                        lost = self._note_lost(error, region, channel.topic, ids)
                     count += lost
                 else:
                     data, messages = content
@@ -252,6 +254,21 @@ class McapLog(MessageLog):
             reason = "its message index lists messages that are not among its records"
             self.losses.note(region.place, reason, lost, topic)
         return messages, lost
+
+    def _note_lost(self, error: RegionError, region: Region, topic: str, ids: Sequence[int]) -> int:
+        lost = _message_count([region], ids)
+        self.losses.note(region.place, error.reason, lost, topic)
+        return lost or 0
+
+    def _refuse_redefined(self, loaded: Loaded, region: Region, error: RegionError) -> None:
+        """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
+        chunk = chunk_head(loaded.raw, region.length)
+        if chunk and chunk.crc:
+            raise UnsupportedLogError(
+                self.path,
+                f"{region.place}: {error.reason}; MCAP forbids that; copy the messages with an "
+                "MCAP library into a file in which each definition has its own id",
+            ) from error
 
     def _note_undefined(self, region: Region, messages: LocatedMessages) -> None:
         """Note the messages of channels that no record defines."""

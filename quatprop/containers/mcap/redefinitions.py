@@ -12,14 +12,12 @@ import numpy as np
 
 from quatprop.containers.mcap.definitions import IDS, of_channel, of_schema
 from quatprop.containers.mcap.messages import indexed_offsets
-from quatprop.containers.mcap.regions import RECORD
+from quatprop.containers.mcap.regions import RECORD, RegionError
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
-from quatprop.errors import UnsupportedLogError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.mcap.messages import LocatedMessages
@@ -31,14 +29,11 @@ class DefinitionCheck:
 
     Parameters
     ----------
-    path
-        The file, for errors.
     index
         The definitions by which its messages are read.
     """
 
-    def __init__(self, path: Path, index: McapIndex) -> None:
-        self.path = path
+    def __init__(self, index: McapIndex) -> None:
         self.index = index
         self._found: dict[tuple[int, int, bytes], tuple[list[int], str, str]] = {}
 
@@ -56,7 +51,7 @@ class DefinitionCheck:
 
         Raises
         ------
-        UnsupportedLogError
+        RegionError
             A channel that is read, or its schema, is redefined there.
         """
         begin = _begin_of_messages(loaded, region, ids, messages)
@@ -77,11 +72,8 @@ class DefinitionCheck:
                 self._found[record] = self._redefined(*record)
             channels, what, change = self._found[record]
             if not set(ids).isdisjoint(region.own(channels)):
-                raise UnsupportedLogError(
-                    self.path,
-                    f"the {region.place} redefines {what} ({change}), which MCAP forbids; copy the "
-                    "messages with an MCAP library into a file in which each definition has its "
-                    "own id",
+                raise RegionError(
+                    f"it redefines {what} ({change}), so it is not certain whose messages these are"
                 )
 
     def _redefined(self, first_id: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
