@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from click.testing import CliRunner
+from pyarrow import parquet as pq
 
 from quatprop.cli import cli
 from quatprop.cli.spelling import spelled
@@ -108,6 +110,35 @@ def test_attitudes_of_a_table_are_listed(tmp_path):
     )
     assert text(path)[1].split() == ["attitudes", "type", "samples", "Hz", "span", "s", "gaps",
                                      "dup", "back", "invalid", "layout"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["out.parquet", "out.mcap", "out.npz"])
+def test_how_attitudes_were_made_is_shown(tmp_path, name):
+    """Log, method and first attitude, as their file says, and in what terms they are stored."""
+    path, log = tmp_path / name, SAMPLES / "coning.mcap"
+    arguments = ["propagate", log, "-o", path, "--method", "mean", "--q0", "0.6,0,0,0.8"]
+    assert CliRunner().invoke(cli, list(map(str, arguments))).exit_code == 0
+    (source,) = info(path)[0][0]["attitudes"]
+    assert (source["method"], source["made_from"]) == ("mean", str(log))
+    assert source["q0_wxyz"] == pytest.approx([0.6, 0.0, 0.0, 0.8], abs=1e-15)
+    said = f"from {log}, method mean, q0 0.6,0,0,0.8 (wxyz), stored as hamilton body-to-ref"
+    assert text(path)[-1] == f"  {source['source']}: {said}"
+
+
+@pytest.mark.parametrize("metadata", ["[]", '{"convention": 3, "source": {"path": [1]}}',
+                                      '{"convention": {"q0_wxyz": ["a", 1, 2, 3]}}'])  # fmt: skip
+def test_what_others_write_as_metadata_does_no_harm(tmp_path, metadata):
+    """It is left out, or refused in a sentence."""
+    path = tmp_path / "a.parquet"
+    columns = {
+        name: pa.array([0.0 if name != "qw" else 1.0] * 2) for name in ("qw", "qx", "qy", "qz")
+    }
+    rows = pa.table({"t_ns": pa.array([0, 10], pa.int64()), **columns})
+    pq.write_table(rows.replace_schema_metadata({"quatprop": metadata}), path)
+    result = CliRunner().invoke(cli, ["info", str(path)])
+    assert result.exit_code in {0, 2}
+    assert isinstance(result.exception, SystemExit | None)
+    assert "stored as" not in result.output
 
 
 def test_the_time_of_attitudes_may_be_unknown_too(tmp_path):

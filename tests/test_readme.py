@@ -47,14 +47,17 @@ def test_the_library_section_runs(folder, monkeypatch, capsys):
     readme = (ROOT / "README.md").read_text()
     section = readme.split("## From Python")[1].split("\n## ")[0]
     monkeypatch.chdir(folder)
-    names = {}
+    names, made = {}, []
     for block in re.findall(r"```python\n(.*?)```", section, re.DOTALL):
         with warnings.catch_warnings():
             # The rates of the sample log are frozen, as quatprop remarks.
             warnings.simplefilter("ignore", RemarkWarning)
             exec(block, names)  # noqa: S102  # the README is ours
-    samples, passed = capsys.readouterr().out.splitlines()
+        made += [names.pop("made")] if "made" in names else []
+    samples, passed, recorded = capsys.readouterr().out.splitlines()
     assert samples.startswith("1000 [-9.99772140e-01 ")
     assert passed.startswith("True 0.0001")
+    assert recorded == "coning [1.0, 0.0, 0.0, 0.0]"
+    assert [facts["convention"]["method"] for facts in made] == ["coning"] * 3
     assert len(names["attitudes"]) == 1000
     assert (folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg\n")

@@ -19,7 +19,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.pipeline.log_survey import LogSurvey, SignalSurvey
+    from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, SignalSurvey
 
 COLUMNS = {
     "source": "source",
@@ -89,6 +89,7 @@ def _lines(log: LogSurvey) -> Iterator[str]:
         yield from _table(log.sources, RATE_COLUMNS)
     if log.attitudes:
         yield from _table(log.attitudes, ATTITUDE_COLUMNS)
+    yield from (f"  {_cell(one.source)}: {made}" for one in log.attitudes if (made := _making(one)))
     for signal in (*log.sources, *log.attitudes):
         remarks = (*((signal.missing,) if signal.missing else ()), *signal.remarks)
         yield from (f"  {_cell(signal.source)}: {spelled(remark)}" for remark in remarks)
@@ -105,6 +106,22 @@ def _table(signals: Sequence[SignalSurvey], columns: Mapping[str, str]) -> Itera
             for number, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         yield f"  {'  '.join(cells)}".rstrip()
+
+
+def _making(attitudes: AttitudeSurvey) -> str:
+    """Return how attitudes were made, as their file says, in words; ``""`` where it does not."""
+    facts = []
+    if attitudes.made_from is not None:
+        facts.append(f"from {plain(attitudes.made_from)}")
+    if attitudes.method is not None:
+        facts.append(f"method {plain(attitudes.method)}")
+    if attitudes.q0_wxyz is not None:
+        facts.append(f"q0 {','.join(f'{x:.9g}' for x in attitudes.q0_wxyz)} (wxyz)")
+    return (
+        ", ".join([*facts, f"stored as {attitudes.convention} {attitudes.direction}"])
+        if facts
+        else ""
+    )
 
 
 def _cell(value: object) -> str:

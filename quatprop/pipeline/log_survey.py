@@ -87,6 +87,9 @@ class AttitudeSurvey(SignalSurvey):
         What the numbers mean.
     invalid
         Rows that are no unit quaternions.
+    method, made_from, q0_wxyz
+        How they were made, as the metadata of their file say: the integration rule, the log of the
+        rates, and the first attitude (Hamilton, body -> reference, scalar first).
     """
 
     attitude: str = ""
@@ -94,6 +97,9 @@ class AttitudeSurvey(SignalSurvey):
     convention: str | None = None
     direction: str | None = None
     invalid: int | None = None
+    method: str | None = None
+    made_from: str | None = None
+    q0_wxyz: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
+    from quatprop.provenance import JsonObject
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, Candidate, RateSignal, SelectionT, SignalT
     from quatprop.tables.base import TableLog
@@ -261,9 +262,25 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
         samples=stamps.counts.used,
         **_timing(stamps.counts),
         invalid=counts.invalid,
+        **_making(signal.provenance),
         remarks=(
             *signal.remarks,
             *((counts.summary,) if counts.invalid else ()),
             *log.remarks,
         ),
     )
+
+
+def _making(provenance: JsonObject) -> dict[str, Any]:
+    """Return how attitudes were made; what is not as this package writes it is left out."""
+    convention, source = (
+        part if isinstance(part := provenance.get(key), dict) else {}
+        for key in ("convention", "source")
+    )
+    method, path, q0 = convention.get("method"), source.get("path"), convention.get("q0_wxyz")
+    known_q0 = isinstance(q0, list) and [type(x) for x in q0] == [float] * 4
+    return {
+        "method": method if isinstance(method, str) else None,
+        "made_from": path if isinstance(path, str) else None,
+        "q0_wxyz": tuple(q0 or ()) if known_q0 else None,
+    }
