@@ -104,7 +104,9 @@ def test_another_method_is_no_mounting():
     a, b = (quatprop.propagate(series, method=method) for method in ("start", "coning"))
     cause = quatprop.compare(a, b, tol="1e-9rad").likely_cause
     assert cause.name == "method"
-    assert cause.sentence == "A follows from B's rates with method start, and B with method coning"
+    assert cause.sentence == (
+        "the same rates lead to A with method start, and to B with method coning"
+    )
     assert cause.rms_after < 1e-12
     assert cause.rms_before > 1e-5
     assert spelled(cause.remedy) == "propagate A with --method coning"
@@ -115,8 +117,8 @@ def test_one_interval_may_be_the_method_or_the_clock():
     series = GyroSeries(T_NS, rates(SECONDS))
     a, b = (quatprop.propagate(series, method=method) for method in ("start", "end"))
     assert quatprop.compare(a, b).likely_cause.sentence == (
-        "A follows from B's rates with method start, and B with method end, or their timestamps "
-        "are one interval, 10 ms, apart"
+        "the same rates lead to A with method start, and to B with method end, or their "
+        "timestamps are one interval, 10 ms, apart"
     )
 
 

@@ -315,6 +315,17 @@ def test_an_update_says_what_changed(folder):
     assert check(suite).exit_code == 0
 
 
+def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
+    """A suite has no A and no B."""
+    suite = write(folder, stored("coning", "coning.mcap"))
+    check(suite, "--update")
+    write(folder, stored("coning", "coning.mcap", 'method = "coning"'))
+    assert (
+        "likely cause: the same rates lead to the log's attitudes with method coning, and to the "
+        "reference with method start (method)"
+    ) in check(suite, "--update").stdout
+
+
 def test_what_passes_is_left_as_it_is(folder):
     """A second update touches nothing."""
     suite = write(folder, stored() + TRUTH)

@@ -201,6 +201,15 @@ def test_rows_that_are_no_rotations_leave_the_old_file(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["in.csv", "out.csv"]
 
 
+def test_rates_without_an_attitude_are_to_be_propagated_first(tmp_path):
+    """Where all rows are absent, leaving them out would leave nothing."""
+    path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,nan,nan,nan,nan\n2,nan,nan,nan,nan\n")
+    assert refused(path, tmp_path / "out.csv").endswith(
+        "none of 2 rows holds an attitude (they are absent or not finite); if the log holds body "
+        "rates, propagate them first\n"
+    )
+
+
 def test_normalize_scales_what_has_another_length(tmp_path):
     """The summary says how far off it was."""
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,2,0,0,0\n2,0.8,0.6,0,0\n")

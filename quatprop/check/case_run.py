@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from quatprop.check.spelling import sentence
 from quatprop.comparison.compare import compare
-from quatprop.comparison.summary import criterion_text
+from quatprop.comparison.summary import criterion_text, with_names
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
@@ -125,6 +126,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         failure = "" if error <= limit else "the only attitude is above the tolerance"
         return CaseComparison(error, "at the only sample", failure)
     result = compare(a, b, case.comparison)
+    named = partial(with_names, a="the log's attitudes", b="the reference")
     first_ns = result.association.first_ns
     failure = ""
     if result.first_exceeding is not None:
@@ -135,12 +137,12 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     cause = result.likely_cause
     causes = (cause, cause.also) if cause else ()
     others = [one for one in result.criteria if one.setting != "tol" and not one.passed]
-    failures = [*filter(None, [failure]), *(criterion_text(one, result) for one in others)]
+    failures = [*filter(None, [failure]), *(named(criterion_text(one, result)) for one in others)]
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure="; ".join(failures),
-        cause="; ".join(f"{one.sentence} ({one.name})" for one in causes if one),
+        cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes if one),
         coverage=next((one.value for one in result.criteria if one.unit == "%"), None),
         report=result.report(),
     )

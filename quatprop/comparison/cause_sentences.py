@@ -111,8 +111,8 @@ def _misreading(trial: Trial) -> tuple[str, Text | None]:
         return MISREADINGS[trial.name], _reading(trial)
     which, other = ("A", "B") if trial.side == "a" else ("B", "A")
     sentence = (
-        f"{which} multiplies on the left what {other} multiplies on the right: body rates against "
-        "inertial rates"
+        f"what multiplies on the left in {which} multiplies on the right in {other}: body rates "
+        "against inertial rates"
     )
     return sentence, Text("propagate with ", Setting("rates", "body|inertial"))
 
@@ -159,7 +159,7 @@ def _rounded(amount_ns: int, std_ns: int) -> str:
 
 
 def _methods(methods: MethodPair, interval: float) -> tuple[str, Text]:
-    sentence = f"A follows from B's rates with method {methods.a}, and B with method {methods.b}"
+    sentence = f"the same rates lead to A with method {methods.a}, and to B with method {methods.b}"
     if {methods.a, methods.b} == {"start", "end"}:
         amount = duration_text(round(interval * NS_PER_S))
         sentence += f", or their timestamps are one interval, {amount}, apart"

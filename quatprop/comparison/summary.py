@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -89,6 +90,29 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
         case _:
             return f"{label} {angle_text(value)}, at most {angle_text(limit)}"
+
+
+def with_names(sentence: str, a: str, b: str) -> str:
+    """Return a sentence about A and B with their names, where a reader knows no A and B.
+
+    Parameters
+    ----------
+    sentence
+        Such as :attr:`quatprop.comparison.diagnosis.Cause.sentence`.
+    a, b
+        What A and B are.
+
+    Examples
+    --------
+    >>> with_names("B is 5 ms late: see A's clock", "new.csv", "the reference")
+    "the reference is 5 ms late: see new.csv's clock"
+    """
+
+    def named(found: re.Match[str]) -> str:
+        name = a if found[1] == "A" else b
+        return name + ("" if not found[2] else "'" if name.endswith("s") else "'s")
+
+    return re.sub(r"\b([AB])\b('s)?", named, sentence)
 
 
 def _series(operand: LoadedAttitudes) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.summary import comparison_rows, criterion_text
+from quatprop.comparison.summary import comparison_rows, criterion_text, with_names
 from quatprop.plot.accumulators import ERROR, Accumulator
 from quatprop.plot.page import FactTable, Page
 from quatprop.plot.picture import Group, Mark, PlottedFile, picture
@@ -188,18 +189,20 @@ def _warnings(
     files: Sequence[ComparedFile], reference: LoadedAttitudes, spell: Spell
 ) -> Iterator[str]:
     for name, operand, comparison in files:
+        named = partial(with_names, a=name, b="the reference")
         if first := comparison.first_exceeding:
             yield (
-                f"{name} is above the tolerance, first at sample {first.index} of {first.at}, "
+                f"{name} is above the tolerance, first at sample {first.index} of "
+                f"{named(first.at)}, "
                 f"{first.t_ns} ns: {degrees_text(first.error_rad, DIGITS)}"
             )
         for criterion in comparison.criteria:
             if not criterion.passed and criterion.setting != "tol":
-                yield f"{name}: {criterion_text(criterion, comparison)}"
+                yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):
-                yield f"{name}: likely cause ({each.name}): {spell(each.advice)}"
-        yield from (f"{name}: {spell(remark)}" for remark in comparison.remarks)
+                yield f"{name}: likely cause ({each.name}): {named(spell(each.advice))}"
+        yield from (f"{name}: {named(spell(remark))}" for remark in comparison.remarks)
         yield from _operand_warnings(operand, spell)
     yield from _operand_warnings(reference, spell)
 

@@ -167,6 +167,11 @@ class QuaternionCheck:
 
     def _reason(self) -> Text:
         counts = self.counts
+        if counts.not_finite == counts.read:
+            return Text(
+                f"none of {counts.read} rows holds an attitude (they are absent or not finite); if "
+                "the log holds body rates, propagate them first"
+            )
         scaling = (Setting("normalize"), " scales those of another length, ")
         ways = scaling if counts.not_unit else ()
         return Text(f"{counts.summary}; ", *ways, Setting("on_invalid", "drop"), " leaves them out")
