@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.provenance import JsonObject
     from quatprop.selection import RateSelection
-    from quatprop.signals.signal import AttitudeSignal, Candidate, RateSignal, SelectionT, SignalT
+    from quatprop.signals.choice import Candidate, SelectionT, SignalT
+    from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import TableLog
     from quatprop.timeline.counts import StampCounts
 

@@ -19,9 +19,10 @@ from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.attitude_tables import of_table
+from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
 from quatprop.signals.message_values import FieldReader, stamps_logged, timed_values
-from quatprop.signals.signal import ATTITUDES, AttitudeSignal, Candidate, choose, message_candidates
+from quatprop.signals.signal import AttitudeSignal
 from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, plain, quoted

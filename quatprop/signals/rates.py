@@ -10,10 +10,11 @@ import numpy as np
 from quatprop.errors import UndeclaredError
 from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
+from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
-from quatprop.signals.signal import RATES, Candidate, RateSignal, choose, message_candidates
+from quatprop.signals.signal import RateSignal
 from quatprop.signals.time_ranges import RangeReader
 from quatprop.tables.base import is_table
 from quatprop.tables.matching.choose import match_rates

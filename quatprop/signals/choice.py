@@ -1,0 +1,184 @@
+"""The choice of a signal among those that a log seems to hold.
+
+:mod:`quatprop.signals.rates` and :mod:`quatprop.signals.attitudes` list the signals of a log as
+candidates; :func:`choose` takes the only one. Nothing is guessed silently: what was inferred is in
+the remarks of the signal, what is ambiguous is refused with the setting that settles it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from quatprop.errors import (
+    AmbiguousTopicError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    UnsupportedLogError,
+    UsageError,
+)
+from quatprop.messages.definitions import message_type
+from quatprop.signals.message_values import channels_of
+from quatprop.signals.signal import Signal
+from quatprop.text import Setting, listed, plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.selection import SignalSelection
+    from quatprop.tables.base import TableLog
+
+TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
+"""Settings that only tables have."""
+
+SignalT = TypeVar("SignalT", bound=Signal)
+SelectionT = TypeVar("SelectionT", bound="SignalSelection")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate(Generic[SignalT]):
+    """A signal that a log seems to hold.
+
+    Parameters
+    ----------
+    topic, field
+        Where it is in messages; ``""`` in a table.
+    signal
+        Returns it; raises a LogError or UsageError where something about it is not declared.
+    preferred
+        Whether it comes before others: rates that a sensor measured before estimated or commanded
+        ones, the attitude of a vehicle before those of its several estimators.
+    """
+
+    topic: str
+    field: str
+    signal: Callable[[], SignalT]
+    preferred: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class SignalKind:
+    """What error messages say about rates or about attitudes.
+
+    Parameters
+    ----------
+    name
+        Such as ``"body rates"``.
+    secondary
+        What candidates are that are not preferred.
+    field
+        The setting that names their message field.
+    none
+        The error for a log without any.
+    """
+
+    name: str
+    secondary: str
+    field: str
+    none: type[NoRatesError | NoAttitudesError]
+
+
+RATES = SignalKind("body rates", "estimated body rates", "rate_field", NoRatesError)
+ATTITUDES = SignalKind("attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
+
+
+def choose(
+    log: MessageLog | TableLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind
+) -> SignalT:
+    """Return the only signal among some candidates.
+
+    Raises
+    ------
+    AmbiguousTopicError
+        Several topics remain.
+    UsageError
+        Several fields of one topic remain.
+    UnsupportedLogError
+        One topic has several message definitions.
+    LogError
+        Something about the signal is not declared.
+    """
+    preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
+    topics = [candidate.topic for candidate in preferred]
+    if len(set(topics)) > 1:
+        raise AmbiguousTopicError(log.path, topics, kind.name)
+    definitions = max(Counter(candidate.field for candidate in preferred).values())
+    if definitions > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"topic {quoted(topics[0])} was recorded with {definitions} different message "
+            "definitions, which are not read together; write the messages of each to a log of its "
+            "own, by their times with `mcap filter`, or with `rosbag filter`",
+        )
+    if len(preferred) > 1:
+        raise UsageError(
+            f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
+            f"{listed(candidate.field for candidate in preferred)}; choose one with ",
+            Setting(kind.field),
+        )
+    signal = preferred[0].signal()
+    ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
+    if not ignored:
+        return signal
+    remark = f"ignored {kind.secondary}: {listed(ignored)}"
+    return replace(signal, remarks=(*signal.remarks, remark))
+
+
+def message_candidates(
+    log: MessageLog,
+    selection: SelectionT,
+    kind: SignalKind,
+    find: Callable[[MessageLog, Channel, SelectionT], list[Candidate[SignalT]]],
+) -> list[Candidate[SignalT]]:
+    """Return the candidates in a log of messages, at least one.
+
+    Parameters
+    ----------
+    log
+        The log.
+    selection
+        What the user has chosen.
+    kind
+        What is wanted.
+    find
+        Returns the candidates of one channel.
+
+    Raises
+    ------
+    NoSuchTopicError
+        The topic is not there, or carries nothing of this kind.
+    UsageError
+        No message has the field, or a setting is for tables.
+    SchemaError
+        The only channel has no definition, or one that cannot be used.
+    NoRatesError, NoAttitudesError
+        The log holds nothing of this kind.
+    """
+    for name in TABLE_SETTINGS:
+        if getattr(selection, name, None) is not None:
+            raise UsageError(
+                Setting(name), f" is for tables, and {quoted(log.path)} holds messages"
+            )
+    channels = channels_of(log, selection.topic)
+    if found := [one for channel in channels for one in find(log, channel, selection)]:
+        return found
+    if channels and (name := getattr(selection, kind.field)) is not None:
+        if len(channels) == 1:
+            message_type(channels[0], log.path)  # its definition may be what is missing
+        known = [
+            f"{candidate.field} ({channel.topic})"
+            for channel in channels
+            for candidate in find(log, channel, replace(selection, **{kind.field: None}))
+        ]
+        there = f"the {kind.name} that are recognised are {listed(known)}"
+        if not known:
+            there = f"the topics are {listed(f'{c.topic} ({c.type_name})' for c in channels)}"
+        raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
+    if selection.topic is None:
+        raise kind.none(log.path, [f"{c.topic} ({c.type_name})" for c in channels])
+    anywhere = replace(selection, topic=None, **{kind.field: None})
+    topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
+    raise NoSuchTopicError(log.path, selection.topic, topics, kind.name)
