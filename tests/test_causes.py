@@ -129,8 +129,35 @@ def test_half_an_interval_may_be_the_method_or_the_clock(noisy):
     late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
     assert late.sentence.startswith("B is ")
     assert late.sentence.endswith(
-        " late, which is half an interval of A: another integration rule does the same"
+        " late (half a sampling interval of A): a clock offset, or another integration rule"
     )
+    assert spelled(late.remedy) == (
+        "--time-offset auto takes the offset out, --method changes the rule"
+    )
+
+
+def test_an_offset_is_an_interval_only_within_its_uncertainty(noisy):
+    """5.7 ms are not half of 10 ms where the offset is known to a tenth of that difference."""
+    a, b = noisy
+    cause = quatprop.compare(a, AttitudeSeries(T_NS + 5_700_000, b.wxyz)).likely_cause
+    late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
+    assert "interval" not in late.sentence
+    assert spelled(late.remedy) == "--time-offset auto takes the offset out"
+
+
+def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting():
+    """Rates that go round the z axis at 0.5 rad/s: 50 ms later is 0.025 rad about z."""
+    rate = np.stack([np.cos(0.5 * SECONDS), np.sin(0.5 * SECONDS), 0 * SECONDS + 2], axis=1)
+    a = quatprop.propagate(GyroSeries(T_NS, rate))
+    b = AttitudeSeries(T_NS + 50_000_000, a.wxyz)
+    cause = quatprop.compare(a, b).likely_cause
+    assert cause.sentence == (
+        "B is 50 ms late; this motion does not distinguish it from body frames that differ by "
+        "1.43239 deg"
+    )
+    assert spelled(cause.remedy) == "--time-offset -50ms or --align mount takes it out"
+    for remedy in ({"time_offset": "-50ms"}, {"align": "mount"}):
+        assert quatprop.compare(a, b, **remedy).error_rad.rms < 1e-6
 
 
 def test_motion_about_one_axis_leaves_alternatives():

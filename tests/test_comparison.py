@@ -193,7 +193,9 @@ def test_an_unknown_time_shift_is_named():
     found = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz))
     assert found.likely_cause.name == "time offset"
     assert found.likely_cause.sentence == "B is 50 ms late"
-    assert str(found.likely_cause.advice) == "B is 50 ms late; time_offset='auto' takes it out"
+    assert (
+        str(found.likely_cause.advice) == "B is 50 ms late; time_offset='auto' takes the offset out"
+    )
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():

@@ -61,12 +61,18 @@ SCALES = {
 SCALE_TOLERANCE = 0.03
 """Relative difference from such a ratio; gyroscopes are not calibrated much better."""
 
+WITHIN_STDS = 2.0
+"""Standard deviations by which an offset of half or one interval may differ from that."""
+
+ROUNDED = 0.01
+"""What it may always differ by, as a share of the interval: timestamps are rounded."""
+
 NEAR_INTERVAL = 0.15
-"""Difference from half or one interval, as a share of it, that is still that offset."""
+"""What it may differ by at most, as a share of the interval, however uncertain it is."""
 
 
 def described(
-    trial: Trial, alternatives: Sequence[str], intervals: Sequence[float]
+    trial: Trial, alternatives: Sequence[Trial], intervals: Sequence[float]
 ) -> tuple[str, str, Setting | Text | None]:
     """Return the name of a cause, a sentence, and what settles it.
 
@@ -75,15 +81,35 @@ def described(
     trial
         The mistake.
     alternatives
-        Names of mistakes that explain the windows equally well.
+        Mistakes that explain the windows equally well.
     intervals
         Median intervals of A and B, s.
     """
     sentence, remedy = _told(trial, intervals)
     if alternatives:
-        others = " or ".join(dict.fromkeys(ALTERNATIVES[name] for name in alternatives))
+        others = " or ".join(dict.fromkeys(map(_alternative, alternatives)))
         sentence += f"; this motion does not distinguish it from {others}"
+        if isinstance(trial.value, TimeOffset) and "body frame" in {
+            one.name for one in alternatives
+        }:
+            # Motion that looks the same in turned axes may have a constant speed, by which no
+            # offset is found.
+            offset = Setting("time_offset", f"{trial.value.seconds * 1000:.6g}ms")
+            remedy = Text(offset, " or ", Setting("align", "mount"), " takes it out")
     return trial.name, sentence, remedy
+
+
+def _alternative(trial: Trial) -> str:
+    match trial.value:
+        case TimeOffset(seconds):
+            return f"a time offset of {duration_text(round(abs(seconds) * NS_PER_S))}"
+        case RateRatio(value):
+            return f"rates that differ by a factor of {max(value, 1 / value):.6g}"
+        case np.ndarray() if trial.name == "body frame":
+            turn = float(geodesic_angle(IDENTITY, trial.value))
+            return f"body frames that differ by {degrees_text(turn)}"
+        case _:
+            return ALTERNATIVES[trial.name]
 
 
 def _told(trial: Trial, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
@@ -140,12 +166,13 @@ def _offset(offset: TimeOffset, intervals: Sequence[float]) -> tuple[str, Settin
     late = "late" if offset.seconds < 0 else "early"
     amount, std = (round(value * NS_PER_S) for value in (abs(offset.seconds), offset.std))
     sentence = f"B is {_rounded(amount, std)} {late}"
-    remedy = Text(Setting("time_offset", "auto"), " takes it out")
+    remedy = Text(Setting("time_offset", "auto"), " takes the offset out")
     for name, interval in zip("AB", intervals, strict=True):
-        for share, text in ((0.5, "half an interval"), (1.0, "an interval")):
-            if abs(abs(offset.seconds) / interval - share) < NEAR_INTERVAL:
-                sentence += f", which is {text} of {name}: another integration rule does the same"
-                return sentence, Text(remedy, ", if it is not the ", Setting("method"))
+        within = min(max(WITHIN_STDS * offset.std, ROUNDED * interval), NEAR_INTERVAL * interval)
+        for share, text in ((0.5, "half a sampling interval"), (1.0, "one sampling interval")):
+            if abs(abs(offset.seconds) - share * interval) <= within:
+                sentence += f" ({text} of {name}): a clock offset, or another integration rule"
+                return sentence, Text(remedy, ", ", Setting("method"), " changes the rule")
     return sentence, remedy
 
 

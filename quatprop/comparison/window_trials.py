@@ -51,6 +51,9 @@ SIGNIFICANT = 5.0
 MUCH_BETTER = 0.7
 """A mistake with free parameters is preferred to one without only where less than this remains."""
 
+NEGLIGIBLE = 1e-4
+"""Share of the differences that interpolation between samples may leave."""
+
 DISCRETE = {*MISREADINGS, "side", "rate sign", "axes"}
 """Mistakes without free parameters."""
 
@@ -86,7 +89,7 @@ class WindowTrials:
 
     def found(
         self, interval: float, *, turned: bool, only: str = ""
-    ) -> tuple[Trial, list[str]] | None:
+    ) -> tuple[Trial, list[Trial]] | None:
         """Return the trial that explains the differences, and what explains them as well."""
         if self.before.rms <= NO_DIFFERENCE or self.unexplained > MAX_UNEXPLAINED:
             return None
@@ -103,11 +106,20 @@ class WindowTrials:
             if not some:
                 continue
             best = min(some, key=lambda trial: trial.rms)
-            if min(trial.rms for trial in accepted) < MUCH_BETTER * best.rms:
+            least = min(trial.rms for trial in accepted)
+            if not self._is_negligible(best) and least < MUCH_BETTER * best.rms:
                 continue
             chosen = next(trial for trial in some if not self._worse(trial, best))
-            also = [trial.name for trial in accepted if not self._worse(trial, best)]
-            return chosen, sorted({*also} - {chosen.name} - FITTED - {"body frame"})
+            # Among mistakes with parameters one may look like another; they always fit somewhat
+            # better than those without.
+            also = [
+                trial
+                for trial in accepted
+                if trial.name != chosen.name
+                and not self._worse(trial, best)
+                and (trial.name in DISCRETE or chosen.name not in DISCRETE)
+            ]
+            return chosen, sorted(also, key=lambda trial: trial.name)
         return None
 
     def _gain(self, worse: Trial, better: Trial) -> float:
@@ -115,8 +127,12 @@ class WindowTrials:
         with np.errstate(divide="ignore"):
             return self._freedom * float(np.log(worse.rms) - np.log(better.rms))
 
+    def _is_negligible(self, trial: Trial) -> bool:
+        """Tell whether what remains may be due to interpolation and rounding alone."""
+        return trial.rms <= max(EXACT, NEGLIGIBLE * self.before.rms)
+
     def _worse(self, trial: Trial, best: Trial) -> bool:
-        if trial.rms <= EXACT or trial.rms <= TIE * best.rms:
+        if self._is_negligible(trial) or trial.rms <= TIE * best.rms:
             return False
         return self._gain(trial, best) >= MIN_GAIN
 
