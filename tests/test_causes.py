@@ -180,6 +180,18 @@ def test_two_causes_are_both_named(noisy):
     assert {cause.name, cause.also.name if cause.also else ""} >= {"time offset"}
 
 
+def test_what_explains_most_of_the_error_is_named_first(noisy):
+    """A delay of 30 ms explains a degree or two, turned frames by 172 deg nearly all of it."""
+    a, _ = noisy
+    turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_quat(scalar_first=True)
+    late = delayed(changed(a, lambda q: multiply(turn, q)), 30)
+    cause = quatprop.compare(a, late, tol="5deg").likely_cause
+    assert (cause.name, cause.also.name) == ("reference frame", "time offset")
+    assert cause.also.sentence.startswith("B is 30 ms")
+    assert np.degrees(cause.also.total_before) == pytest.approx(171.9, abs=2)
+    assert np.degrees(cause.also.total_after) == pytest.approx(np.degrees(3.0), abs=0.01)
+
+
 def test_independent_motions_have_no_cause():
     """Two motions that have nothing to do with each other are not explained by anything."""
     rng = np.random.default_rng(2)

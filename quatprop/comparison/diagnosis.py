@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.association import shifted
 from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
+    FRAME_AND_BIAS,
     constant_rotations,
     isolated_samples,
     rate_biases,
@@ -24,7 +26,7 @@ from quatprop.comparison.hypotheses import (
 )
 from quatprop.comparison.rule_trials import method_trials
 from quatprop.comparison.statistics import NS_PER_S, rms
-from quatprop.comparison.trials import trials
+from quatprop.comparison.trials import TimeOffset, trials
 from quatprop.comparison.window_trials import WindowTrials
 from quatprop.comparison.windows import undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
@@ -82,6 +84,9 @@ class Cause:
         those of the rotations, less a constant rate. None: they are those of the attitudes.
     also
         A second cause, of which the first hides the effect.
+    total_before, total_after
+        RMS errors of the attitudes without and with the explanation, rad, where it was found in
+        rotations over windows and they are known.
     """
 
     name: str
@@ -91,6 +96,8 @@ class Cause:
     remedy: Setting | Text | None = None
     window_ns: int | None = None
     also: Cause | None = None
+    total_before: float | None = None
+    total_after: float | None = None
 
     @property
     def advice(self) -> Text:
@@ -130,14 +137,37 @@ def likely_cause(
     a, b = (_first_samples(series) for series in _from_common_start(a, b))
     if len(a) < MIN_PAIRS or len(b) < MIN_PAIRS:
         return None
-    mistake = _cause_over_windows(a, b, turned=alignment != "mount")
-    if mistake and mistake.rms_after <= GROSS * mistake.rms_before:
+
+    def total(seconds: float) -> float | None:
+        """Return the RMS error with B at a later time."""
+        try:
+            pairs = match(a, shifted(b, round(seconds * NS_PER_S)))
+        except ComparisonError:
+            return None
+        errors = remaining_errors(pairs, alignment, pairs.b)
+        return None if errors is None else rms(errors)
+
+    mistake = _cause_over_windows(a, b, total, turned=alignment != "mount")
+    if mistake and mistake.rms_after <= GROSS * mistake.rms_before and not _is_minor(mistake):
         return mistake
     main = _cause_of_errors(a, b, match, alignment)
     return replace(main, also=mistake) if main else mistake
 
 
-def _cause_over_windows(a: AttitudeSeries, b: AttitudeSeries, *, turned: bool) -> Cause | None:
+def _is_minor(cause: Cause) -> bool:
+    """Tell whether most of the error of the attitudes has another cause."""
+    if cause.total_before is None or cause.total_after is None:
+        return False
+    return cause.total_after > GROSS * cause.total_before
+
+
+def _cause_over_windows(
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    total: Callable[[float], float | None],
+    *,
+    turned: bool,
+) -> Cause | None:
     """Return the mistake that the rotations over windows show."""
     if cause := _method_cause(a, b):
         return cause
@@ -160,7 +190,11 @@ def _cause_over_windows(a: AttitudeSeries, b: AttitudeSeries, *, turned: bool) -
     trial, alternatives = found
     name, sentence, remedy = described(trial, alternatives, intervals)
     window_ns = round(clearest.length * NS_PER_S)
-    return Cause(name, sentence, clearest.before.rms, trial.rms, remedy, window_ns)
+    cause = Cause(name, sentence, clearest.before.rms, trial.rms, remedy, window_ns)
+    if isinstance(trial.value, TimeOffset):
+        seconds = trial.value.seconds
+        cause = replace(cause, total_before=total(0.0), total_after=total(seconds))
+    return cause
 
 
 def _method_cause(a: AttitudeSeries, b: AttitudeSeries) -> Cause | None:
@@ -204,7 +238,8 @@ def _cause_of_errors(
     limit = min(max(AS_GOOD * best, EXACT), before / FACTOR)
     chosen = next(place for place, remaining in enumerate(after) if remaining <= limit)
     cause = hypotheses[chosen]
-    remedy = cause.remedy and Text(cause.remedy, " takes it out")
+    what = "the frames" if cause.name == FRAME_AND_BIAS else "it"
+    remedy = cause.remedy and Text(cause.remedy, f" takes {what} out")
     return Cause(cause.name, cause.sentence, before, after[chosen], remedy)
 
 

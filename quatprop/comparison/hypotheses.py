@@ -32,6 +32,9 @@ EXACT = 1e-12
 MAX_RAMP = 2.0
 """Error, rad, up to which its rotation vector is proportional to the drift."""
 
+FRAME_AND_BIAS = "rate bias and reference frame"
+"""Name of the two together."""
+
 ISOLATED = 0.01
 """Share of the samples that may be isolated errors."""
 
@@ -114,10 +117,11 @@ def rate_biases(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
     error = remaining_errors(pairs, alignment, unbiased)
     if error is not None:
         yield Hypothesis("rate bias", sentence, error)
-    error = remaining_errors(pairs, "mean", unbiased)
-    if error is not None and alignment in ("none", "first"):
-        name, also = "rate bias and reference frame", "; also, the reference frames differ"
-        yield Hypothesis(name, sentence + also, error)
+    if alignment in ("none", "first"):
+        mean = align("mean", pairs.a, unbiased)
+        frames = f"the reference frames differ by {degrees_text(mean.reference_rad, 4)}; also, "
+        error = geodesic_angle(pairs.a, mean.apply(unbiased))
+        yield Hypothesis(FRAME_AND_BIAS, frames + sentence, error, Setting("align", "mean"))
 
 
 def _short(q: Float64) -> Float64:

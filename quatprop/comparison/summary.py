@@ -202,13 +202,19 @@ def _sample(sample: ComparedSample, first_ns: int) -> str:
 
 def _evidence(cause: Cause) -> str:
     if cause.window_ns is None:
-        rms = f"{cause.rms_before:.3g} rad to {cause.rms_after:.3g} rad"
-        return f"without it the RMS error goes from {rms}"
+        return f"without it {_from_to(cause.rms_before, cause.rms_after)}"
+    total = ""
+    if cause.total_before is not None and cause.total_after is not None:
+        total = f"; {_from_to(cause.total_before, cause.total_after)}"
     before, after = (degrees_text(rms, 3) for rms in (cause.rms_before, cause.rms_after))
     return (
         f"rotations over {duration_text(cause.window_ns)} differ by {before} RMS, and without it "
-        f"by {after}"
+        f"by {after}{total}"
     )
+
+
+def _from_to(before: float, after: float) -> str:
+    return f"the RMS error goes from {degrees_text(before, 4)} to {degrees_text(after, 4)}"
 
 
 def _remarks(name: str, operand: LoadedAttitudes, spell: Spell) -> Iterator[Row]:
