@@ -61,3 +61,12 @@ def test_the_library_section_runs(folder, monkeypatch, capsys):
     assert [facts["convention"]["method"] for facts in made] == ["coning"] * 3
     assert len(names["attitudes"]) == 1000
     assert (folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg\n")
+
+
+def test_the_contents_name_every_section():
+    """Each heading once, in order, with the anchor that it has."""
+    readme = (ROOT / "README.md").read_text()
+    contents = readme.split("\nContents: ")[1].split("\n\n")[0]
+    heads = re.findall(r"^## (.*)$", readme, re.MULTILINE)
+    anchors = [re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-") for head in heads]
+    assert re.findall(r"\[(.*?)\]\(#(.*?)\)", contents) == list(zip(heads, anchors, strict=True))

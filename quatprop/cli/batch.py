@@ -34,10 +34,7 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 """The options of ``propagate`` that hold for every log."""
 
 
-EXAMPLES = (
-    "quatprop batch sample_logs -o attitudes --method coning",
-    "quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",
-)
+EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
@@ -111,11 +108,9 @@ EXAMPLES = (
 def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    Folders, and prefixes of object stores, are searched for logs; quoted patterns are expanded,
-    ** included. DIR/manifest.jsonl records each log as soon as it has ended. A log that cannot be
-    used does not stop the others.
-
-    Exit code 2: a log could not be used; 3: all done, but with data lost.
+    Folders, prefixes of object stores and quoted patterns (with **) are searched for logs.
+    DIR/manifest.jsonl lists each log once it has ended. One that cannot be used does not stop
+    the others (exit code 2; 3: data was lost).
     """
     from quatprop.batch.run import outdated, plan
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme

@@ -32,18 +32,21 @@ GROUPS = {
         ),
     ),
     "Time range": ("start end", ""),
-    "Rates": ("bias mount", "calibration"),
+    "Rates": ("bias mount imu", "calibration"),
     "Initial attitude": ("q0", "heading reference_z q0_layout"),
     "Integration": ("method", "rates"),
-    "Timestamps": ("on_gap", "on_backwards on_nonfinite max_gap"),
-    "Uncertainty": ("", "sigma imu noise_density bias_sigma random_walk scale_sigma sigma_axes"),
+    "Timestamps": ("on_gap on_backwards", "on_nonfinite max_gap"),
+    "Uncertainty": ("", "noise_density bias_sigma random_walk scale_sigma sigma_axes"),
     "Limits": (
         "tol",
         "rms_tol final_tol p95_tol window_tol window_rms_tol drift_tol min_coverage max_sigma",
     ),
     "Alignment": ("align time_offset window", "match max_dt min_matched"),
     "Output": (
-        "output folder to layout convention direction sign representation euler_unit rate plot",
+        (
+            "output folder to layout convention direction sign representation euler_unit "
+            "rate sigma plot"
+        ),
         "into every at comment message out_topic frames report",
     ),
     "Execution": ("processes skip_existing", "threads config list_file root shard dask retries"),
@@ -84,7 +87,7 @@ def brief(names: str, text: str) -> tuple[str, str]:
     """
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    default = re.sub("(;|, (but|required|else)) .*]", "]", default)
+    default = re.sub("[;,] (but|required|else|without) .*]", "]", default)
     return names, said if default.startswith("default: none") else said + bracket + default
 
 

@@ -117,11 +117,9 @@ def _making(attitudes: AttitudeSurvey) -> str:
         facts.append(f"method {plain(attitudes.method)}")
     if attitudes.q0_wxyz is not None:
         facts.append(f"q0 {','.join(f'{x:.9g}' for x in attitudes.q0_wxyz)} (wxyz)")
-    return (
-        ", ".join([*facts, f"stored as {attitudes.convention} {attitudes.direction}"])
-        if facts
-        else ""
-    )
+    if facts:
+        facts.append(f"stored as {attitudes.convention} {attitudes.direction}")
+    return ", ".join(facts)
 
 
 def _cell(value: object) -> str:

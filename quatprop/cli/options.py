@@ -107,11 +107,11 @@ HELP = {
     "leave out.  [default: error]",
     "method": "Integration rule: the rate over an interval is that of the sample at its start, of "
     "the one at its end, their mean, linear between them (coning), or a cubic through four samples "
-    "(cubic). Coning and cubic also correct averages and increments for coning.  [default: end "
-    "where the log's samples are averages or increments, else start]",
+    "(cubic). Coning and cubic also correct averages and increments for coning.  [default: "
+    "start; end where the log's samples are averages or increments]",
     "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
     "body]",
-    "q0": "Attitude body to reference at the first sample: four numbers; level, roll and pitch "
+    "q0": "First attitude, body-to-ref: four numbers; level, roll and pitch "
     "from gravity at rest; log, the log's own orientation; or FILE, an attitude series, at that "
     "time.  [default: identity]",
     "heading": "For --q0 level: rotation about the reference's z axis.  [default: 0]",
@@ -152,7 +152,7 @@ HELP = {
     " [default: by --imu, else 0]",
     "scale_sigma": "Standard deviation of its scale factors, such as 1000ppm or 0.1%.  "
     "[default: 0]",
-    "imu": "Take noise density and random walk from this file of Kalibr or an Allan variance "
+    "imu": "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
     "tool.  [default: none]",
     "sigma": "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
     "in rad, covariances in messages that have them.",
