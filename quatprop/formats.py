@@ -1,8 +1,4 @@
-"""All readers of logs: one line of :data:`READERS` a format.
-
-The kind of a log is recognised by its content first and by its suffix second; where neither tells,
-the log is refused, and the user names the kind.
-"""
+"""Open a log of any kind: a file, a folder, an address in an object store, or stdin."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ from collections import defaultdict
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quatprop.containers.base import MessageLog
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
@@ -24,11 +20,11 @@ from quatprop.containers.stores import find, is_address, without_secret
 from quatprop.errors import (
     DamagedLogError,
     LogError,
-    UnknownFormatError,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.log_kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.temp_files import temp_folder
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.third_party_errors import as_errors_of
@@ -38,62 +34,7 @@ if TYPE_CHECKING:
 
     from quatprop.tables.base import TableLog
 
-HEAD_BYTES = 4096
-"""Bytes at the beginning of a file by which its kind is recognised."""
-
 _MAGIC_BYTES = 16
-
-_CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
-"""Bytes that do not occur in text."""
-
-
-class Reader(NamedTuple):
-    """How one kind of log is recognised and opened.
-
-    Parameters
-    ----------
-    load
-        ``"module:Class"``, imported when a log of this kind is opened.
-    magic
-        What its content may begin with; empty where only the suffix tells.
-    suffixes
-        Suffixes by which it is recognised where the content does not tell.
-    reads_source
-        Whether it reads from an open :class:`~quatprop.containers.file_source.FileSource`;
-        otherwise it opens the path itself.
-    """
-
-    load: str
-    magic: tuple[bytes, ...]
-    suffixes: tuple[str, ...]
-    reads_source: bool = False
-
-
-READERS: dict[str, Reader] = {
-    "mcap": Reader("quatprop.containers.mcap.log:McapLog", (b"\x89MCAP",), (".mcap",), True),
-    "bag": Reader(
-        "quatprop.containers.rosbag1.log:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active"), True
-    ),
-    "db3": Reader("quatprop.containers.rosbag2.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
-    "rosbag2": Reader("quatprop.containers.rosbag2.log:Rosbag2Log", (), ()),
-    "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
-    "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
-    "feather": Reader(
-        "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow"), True
-    ),
-    "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
-    "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
-    "hdf5": Reader("quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5")),
-    "jsonl": Reader(
-        "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
-    ),
-    "tum": Reader("quatprop.tables.csv.tum:TumLog", (), (".tum",)),
-    "kitti": Reader("quatprop.tables.csv.tum:KittiLog", (), (".kitti",)),
-    "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
-}
-"""Every kind of log, in the order in which errors and help list them."""
-
-_TEXT_KINDS = ("csv", "tum", "kitti")
 
 _INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
 """Kinds of which only a part is read from an object store: they say where everything is."""
@@ -117,7 +58,8 @@ def open_log(
         A file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"`` for
         stdin.
     kind
-        A key of :data:`READERS`; None to recognise it by the content, then by the suffix.
+        A key of :data:`quatprop.log_kinds.READERS`; None to recognise it by the content, then by
+        the suffix.
     msg_path
         A ``.msg`` file, a package or a folder of packages with the definitions that a bag lacks;
         None for files that lie beside it.
@@ -198,8 +140,8 @@ def _open_remote(
     else:
         name = Path(PurePosixPath(found.path).name)
         source = stack.enter_context(RemoteSource(address, name))
-        head = _head(source)
-        told = kind or ("" if file_compression(head) else _kind(name, head))
+        head = head_of(source)
+        told = kind or ("" if file_compression(head) else kind_of(name, head))
         if told not in _INDEXED_KINDS:
             source.close()
             return _open_remote(address, kind, msg_path, stack, copied=True)
@@ -279,7 +221,7 @@ def _open_stdin(
     head = stream.peek(_MAGIC_BYTES) if hasattr(stream, "peek") else b""
     named = (name for name, reader in READERS.items() if head.startswith(reader.magic))
     kind = kind or next(named, "csv")
-    if kind in _TEXT_KINDS:
+    if kind in TEXT_KINDS:
         return _enter(kind, stream, stack)
     folder = temp_folder()
     stack.callback(folder.remove)
@@ -293,15 +235,15 @@ def _open_stdin(
 def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | TableLog:
     """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
     source = stack.enter_context(FileSource(path))
-    head = _head(source)
+    head = head_of(source)
     inside = path.with_suffix("") if path.suffix else path
     is_compressed = file_compression(head) != ""
     if is_compressed and kind is None:
-        text_kinds = (k for k in _TEXT_KINDS if inside.suffix.lower() in READERS[k].suffixes)
+        text_kinds = (k for k in TEXT_KINDS if inside.suffix.lower() in READERS[k].suffixes)
         kind = next(text_kinds, None)
     # A text table decompresses itself as it is read, and its name may tell what it holds.
-    if kind in _TEXT_KINDS or not is_compressed:
-        return _open_source(source, kind or _kind(path, head), stack)
+    if kind in TEXT_KINDS or not is_compressed:
+        return _open_source(source, kind or kind_of(path, head), stack)
     source.close()
     try:
         copy = stack.enter_context(DecompressedCopy(path))
@@ -309,7 +251,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | T
         raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
     stack.enter_context(_renamed_errors(path))
     source = stack.enter_context(FileSource(copy.path))
-    log = _open_source(source, kind or _kind(inside, _head(source)), stack)
+    log = _open_source(source, kind or kind_of(inside, head_of(source)), stack)
     if copy.damage:
         log.losses.note("end of the file", copy.damage)
     return log
@@ -344,38 +286,3 @@ def _renamed_errors(path: Path | str) -> Iterator[None]:
     except LogError as error:
         error.move_to(path)
         raise
-
-
-def _kind(path: Path, head: bytes) -> str:
-    for kind, reader in READERS.items():
-        if head.startswith(reader.magic):
-            return kind
-    suffix = path.suffix.lower()
-    for kind, reader in READERS.items():
-        if suffix in reader.suffixes:
-            return kind
-    if _is_text(head):
-        return "csv"
-    raise UnknownFormatError(path, READERS)
-
-
-def _is_text(head: bytes) -> bool:
-    """Tell text from binary: UTF-8 (a character may be cut at the end) without control bytes."""
-    if set(head) & _CONTROL:
-        return False
-    try:
-        head.decode()
-    except UnicodeDecodeError as error:
-        return error.start > len(head) - 4
-    return True
-
-
-def _head(source: FileSource) -> bytes:
-    """Return the first bytes of a file."""
-    try:
-        head = source.read(0, HEAD_BYTES)
-    except OSError as error:
-        raise UnreadableLogError(source.path, os_reason(error)) from error
-    if not head:
-        raise UnreadableLogError(source.path, "the file is empty; was the recording closed?")
-    return head

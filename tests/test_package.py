@@ -67,7 +67,7 @@ LAYERS = (
     {"series", "selection", "settings", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
-    {"containers", "tables", "messages", "formats"},
+    {"containers", "tables", "messages", "log_kinds", "formats"},
     {"signals", "rendering"},
     {"writers"},
     {"into", "simulate"},
@@ -120,7 +120,7 @@ def test_help_imports_nothing_heavy():
 
 def test_the_kinds_of_the_command_line_are_those_of_the_table():
     """--from lists exactly the kinds that have a reader."""
-    from quatprop.formats import READERS
+    from quatprop.log_kinds import READERS
     from quatprop.settings import KINDS
 
     assert tuple(READERS) == KINDS

@@ -8,7 +8,8 @@ import pytest
 from quatprop.conventions.layout import LAYOUTS
 from quatprop.conversion.convert import Conversion, convert
 from quatprop.errors import NotRotationsError
-from quatprop.formats import READERS, open_log
+from quatprop.formats import open_log
+from quatprop.log_kinds import READERS
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries

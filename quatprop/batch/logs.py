@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.stores import below, find, is_address, list_objects, locate, without_secret
 from quatprop.errors import UnreadableLogError, UsageError
-from quatprop.formats import READERS
+from quatprop.log_kinds import READERS
 from quatprop.text import Setting, Text, quoted
 
 if TYPE_CHECKING:

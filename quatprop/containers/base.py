@@ -200,7 +200,7 @@ class Log(ABC):
     Attributes
     ----------
     kind
-        The key in :data:`quatprop.formats.READERS`.
+        The key in :data:`quatprop.log_kinds.READERS`.
     path
         The file or folder.
     losses

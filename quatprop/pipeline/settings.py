@@ -37,8 +37,8 @@ class PropagationSettings:
     Parameters
     ----------
     kind
-        Kind of the log, a key of :data:`quatprop.formats.READERS`; None: told by its content, then
-        by its suffix.
+        Kind of the log, a key of :data:`quatprop.log_kinds.READERS`; None: told by its content,
+        then by its suffix.
     selection
         Which samples.
     policy

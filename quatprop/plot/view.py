@@ -23,7 +23,7 @@ class View:
     Parameters
     ----------
     kind
-        A key of :data:`quatprop.formats.READERS`; None: by content and suffix.
+        A key of :data:`quatprop.log_kinds.READERS`; None: by content and suffix.
     show
         None: the rates of a file that has some, else its attitudes.
     rates, attitudes

@@ -41,7 +41,7 @@ KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
     *("parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"),
 )
-"""The keys of :data:`quatprop.formats.READERS`."""
+"""The keys of :data:`quatprop.log_kinds.READERS`."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")

@@ -35,7 +35,7 @@ class AttitudeInput:
     path
         Any log or table with attitudes, or ``"-"``.
     kind
-        A key of :data:`quatprop.formats.READERS`; None for the kind that content and suffix show.
+        A key of :data:`quatprop.log_kinds.READERS`; None for the kind that content and suffix show.
     selection
         Which attitudes.
     normalize

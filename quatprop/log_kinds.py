@@ -1,0 +1,109 @@
+"""All kinds of logs: one line of :data:`READERS` a kind.
+
+The kind of a log is recognised by its content first and by its suffix second; where neither tells,
+the log is refused, and the user names the kind.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.containers.file_source import os_reason
+from quatprop.errors import UnknownFormatError, UnreadableLogError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from quatprop.containers.file_source import FileSource
+
+HEAD_BYTES = 4096
+"""Bytes at the beginning of a file by which its kind is recognised."""
+
+_CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
+"""Bytes that do not occur in text."""
+
+
+class Reader(NamedTuple):
+    """How one kind of log is recognised and opened.
+
+    Parameters
+    ----------
+    load
+        ``"module:Class"``, imported when a log of this kind is opened.
+    magic
+        What its content may begin with; empty where only the suffix tells.
+    suffixes
+        Suffixes by which it is recognised where the content does not tell.
+    reads_source
+        Whether it reads from an open :class:`~quatprop.containers.file_source.FileSource`;
+        otherwise it opens the path itself.
+    """
+
+    load: str
+    magic: tuple[bytes, ...]
+    suffixes: tuple[str, ...]
+    reads_source: bool = False
+
+
+READERS: dict[str, Reader] = {
+    "mcap": Reader("quatprop.containers.mcap.log:McapLog", (b"\x89MCAP",), (".mcap",), True),
+    "bag": Reader(
+        "quatprop.containers.rosbag1.log:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active"), True
+    ),
+    "db3": Reader("quatprop.containers.rosbag2.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
+    "rosbag2": Reader("quatprop.containers.rosbag2.log:Rosbag2Log", (), ()),
+    "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
+    "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
+    "feather": Reader(
+        "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow"), True
+    ),
+    "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
+    "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
+    "hdf5": Reader("quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5")),
+    "jsonl": Reader(
+        "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
+    ),
+    "tum": Reader("quatprop.tables.csv.tum:TumLog", (), (".tum",)),
+    "kitti": Reader("quatprop.tables.csv.tum:KittiLog", (), (".kitti",)),
+    "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
+}
+"""Every kind of log, in the order in which errors and help list them."""
+
+TEXT_KINDS = ("csv", "tum", "kitti")
+"""Kinds that are read as they come, compressed or from a pipe too."""
+
+
+def kind_of(path: Path, head: bytes) -> str:
+    """Return the kind of a log by its first bytes, or else by its suffix."""
+    for kind, reader in READERS.items():
+        if head.startswith(reader.magic):
+            return kind
+    suffix = path.suffix.lower()
+    for kind, reader in READERS.items():
+        if suffix in reader.suffixes:
+            return kind
+    if _is_text(head):
+        return "csv"
+    raise UnknownFormatError(path, READERS)
+
+
+def _is_text(head: bytes) -> bool:
+    """Tell text from binary: UTF-8 (a character may be cut at the end) without control bytes."""
+    if set(head) & _CONTROL:
+        return False
+    try:
+        head.decode()
+    except UnicodeDecodeError as error:
+        return error.start > len(head) - 4
+    return True
+
+
+def head_of(source: FileSource) -> bytes:
+    """Return the first bytes of a file."""
+    try:
+        head = source.read(0, HEAD_BYTES)
+    except OSError as error:
+        raise UnreadableLogError(source.path, os_reason(error)) from error
+    if not head:
+        raise UnreadableLogError(source.path, "the file is empty; was the recording closed?")
+    return head
