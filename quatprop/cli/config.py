@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +24,8 @@ PATHS = {"msg_path", "at", "q0", "calibration", "imu"}
 def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
     if name is None or ctx.resilient_parsing:
         return
+    import tomllib
+
     try:
         table = tomllib.loads(Path(name).read_bytes().decode())
     except OSError as error:

@@ -18,7 +18,6 @@ from quatprop.messages.signal_fields import orientation_field_at, orientation_fi
 from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
-from quatprop.signals.attitude_tables import of_table
 from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
 from quatprop.signals.message_values import FieldReader, stamps_logged, timed_values
@@ -86,6 +85,8 @@ def attitude_candidates(
         candidate is refused when its signal is asked for.
     """
     if is_table(log):
+        from quatprop.signals.attitude_tables import of_table
+
         return [Candidate("", "", partial(of_table, log, selection))]
     return message_candidates(cast("MessageLog", log), selection, ATTITUDES, _candidates)
 

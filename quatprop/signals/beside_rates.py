@@ -12,8 +12,6 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.choose import match_rates
-from quatprop.tables.matching.column_names import parse_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -66,6 +64,9 @@ def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelectio
 
 
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
+    from quatprop.tables.matching.choose import match_rates
+    from quatprop.tables.matching.column_names import parse_name
+
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):
         if match := _ACCELERATION.fullmatch(parse_name(name).key):

@@ -18,7 +18,6 @@ from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.signals.rates import UNITS
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.choose import match_bias
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -108,6 +107,8 @@ def read_biases(
 
 
 def _of_table(source: str, log: TableLog) -> BiasSeries:
+    from quatprop.tables.matching.choose import match_bias
+
     columns = match_bias(log)
     rows = ((t_ns, bias * UNITS[columns.unit]) for t_ns, bias in log.rows(columns.timed))
     return _series(source, columns.name, rows)

@@ -17,7 +17,6 @@ from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
 from quatprop.signals.time_ranges import RangeReader
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.choose import match_rates
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -84,6 +83,8 @@ def rate_candidates(
 
 
 def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
+    from quatprop.tables.matching.choose import match_rates
+
     columns = match_rates(log, selection)
     return RateSignal(
         name=columns.name,
