@@ -121,7 +121,7 @@ def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool
 def cli() -> None:
     """Turn recorded gyroscope logs into attitude.
 
-    Reads body rates from MCAP, ROS 1 and ROS 2 bags, PX4 ULog, CSV, Parquet and other tables, applies the exact
-    constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product, attitude
-    body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
+    Reads body rates from MCAP, ROS 1 and ROS 2 bags, PX4 ULog, CSV, Parquet and other tables,
+    applies the exact constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product,
+    attitude body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
     """
