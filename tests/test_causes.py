@@ -192,6 +192,15 @@ def test_what_explains_most_of_the_error_is_named_first(noisy):
     assert np.degrees(cause.also.total_after) == pytest.approx(np.degrees(3.0), abs=0.01)
 
 
+def test_turned_frames_come_before_a_method():
+    """Another integration rule does not turn the reference frame."""
+    series = GyroSeries(T_NS, rates(SECONDS))
+    a, b = (quatprop.propagate(series, method=method) for method in ("start", "coning"))
+    turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_quat(scalar_first=True)
+    cause = quatprop.compare(a, changed(b, lambda q: multiply(turn, q))).likely_cause
+    assert (cause.name, cause.also.name) == ("reference frame", "method")
+
+
 def test_independent_motions_have_no_cause():
     """Two motions that have nothing to do with each other are not explained by anything."""
     rng = np.random.default_rng(2)

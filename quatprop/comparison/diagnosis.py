@@ -64,6 +64,9 @@ MAX_REMAINING_METHOD = 0.02
 GROSS = 0.5
 """A mistake that leaves less than this comes before causes found in the errors themselves."""
 
+SMALL = {"method", "scale"}
+"""Mistakes that turn no reference frame: where frames differ too, that comes first."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cause:
@@ -148,9 +151,12 @@ def likely_cause(
         return None if errors is None else rms(errors)
 
     mistake = _cause_over_windows(a, b, total, turned=alignment != "mount")
-    if mistake and mistake.rms_after <= GROSS * mistake.rms_before and not _is_minor(mistake):
+    gross = mistake and mistake.rms_after <= GROSS * mistake.rms_before and not _is_minor(mistake)
+    if gross and mistake and mistake.name not in SMALL:
         return mistake
     main = _cause_of_errors(a, b, match, alignment)
+    if gross and (main is None or main.name != "reference frame"):
+        return mistake
     return replace(main, also=mistake) if main else mistake
 
 
