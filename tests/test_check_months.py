@@ -107,7 +107,7 @@ def test_ninety_percent_missing(ci):
     assert (code, is_) == (1, "fail")
     assert "coverage 9." in said
     assert "% of the time and" in said
-    assert "% of the samples of B, at least 99 %" in said
+    assert "% of the samples of the reference, at least 99 %" in said
 
 
 def test_another_sample_rate(ci):
