@@ -289,14 +289,21 @@ def test_what_looks_wrong_is_a_warning():
     assert seen[0].filename == __file__
 
 
-@pytest.mark.parametrize("row", [[2, 0, 0, 0], [np.nan, 0, 0, 0], [0, 0, 0, 0]])
-def test_what_is_no_rotation_is_neither_written_nor_compared(tmp_path, row):
+@pytest.mark.parametrize(
+    ("row", "sentence"),
+    [
+        ([2, 0, 0, 0], "1 of 1 rows are invalid quaternions"),
+        ([np.nan, 0, 0, 0], "none of 1 rows holds an attitude"),
+        ([0, 0, 0, 0], "1 of 1 rows are invalid quaternions"),
+    ],
+)
+def test_what_is_no_rotation_is_neither_written_nor_compared(tmp_path, row, sentence):
     """As where it is read from a file."""
     series, good = (AttitudeSeries([0], [wxyz]) for wxyz in (row, [1, 0, 0, 0]))
-    with pytest.raises(LogError, match=r"^series: 1 of 1 rows are invalid quaternions"):
+    with pytest.raises(LogError, match=rf"^series: {sentence}"):
         quatprop.write(series, tmp_path / "a.csv")
     assert not list(tmp_path.iterdir())
-    with pytest.raises(LogError, match=r"^b: 1 of 1 rows are invalid quaternions"):
+    with pytest.raises(LogError, match=rf"^b: {sentence}"):
         quatprop.compare(good, series)
 
 
