@@ -17,15 +17,6 @@ os.environ["QUATPROP_TRACEBACK"] = "1"
 """Errors of the package itself are not made sentences of, so that no test can pass over one."""
 
 
-def pytest_collection_modifyitems(items):
-    """Run the tests of cut files last.
-
-    Arrow takes address space for the sizes that they declare and does not give it back; a process
-    with hundreds of gigabytes of it cannot be forked, which other tests do.
-    """
-    items.sort(key=lambda item: item.path.name == "test_damage.py")
-
-
 class Recordings(type(Path())):
     """A folder of recordings; one that is not the file it was skips the test that asks for it."""
 

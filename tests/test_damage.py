@@ -2,10 +2,12 @@
 
 import io
 import os
+import re
 import shutil
 import sqlite3
 import struct
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -331,6 +333,23 @@ def test_feather_rows_that_are_not_there_are_not_read(tmp_path, claimed):
     log.write_bytes(log.read_bytes().replace(right, wrong))
     found, lost = samples(log)
     assert (len(found), lost) == (0, True)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc to look at")
+def test_no_memory_is_taken_for_the_length_at_the_end_of_a_cut_feather_file(tmp_path):
+    """What stands where the length of the footer would be is no length."""
+    log = tmp_path / "log.feather"
+    table = pa.table({name: np.zeros(ROWS) for name in ("t_ns", "wx", "wy", "wz")})
+    feather.write_feather(table, log, compression="uncompressed")
+    log.write_bytes(log.read_bytes()[:-2000] + (0xF0000000).to_bytes(4, "little") + bytes(6))
+
+    def address_space():
+        status = Path("/proc/self/status").read_text()
+        return int(re.search(r"VmSize:\s*(\d+) kB", status)[1])
+
+    before = address_space()
+    assert samples(log)[1]
+    assert address_space() - before < 1_000_000
 
 
 def test_feather_buffers_too_large_for_any_memory_are_a_loss(tmp_path):

@@ -190,8 +190,11 @@ class FeatherLog(_ArrowLog):
 
     def _second_file(self) -> int | None:
         tail = self._file.size() - _FEATHER_TAIL
-        (length,) = struct.unpack_from("<I", self._file.read_at(_FEATHER_TAIL, tail))
+        length, magic = struct.unpack("<I6s", self._file.read_at(_FEATHER_TAIL, tail))
         footer = tail - length
+        # Arrow takes memory for the length of a read before it reads.
+        if magic != _FEATHER_MAGIC or footer < 0:
+            return None
         batches_end = _batches_end(self._file.read_at(length, footer))
         # Behind the last batch there is only the mark of the end of the stream.
         end = footer if footer - batches_end > _END_OF_STREAM else 0
