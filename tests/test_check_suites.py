@@ -868,3 +868,13 @@ def test_pytest_reports_a_broken_suite(folder):
     assert result.returncode == 2
     assert "it is not TOML: Expected ']'" in result.stdout
     assert "Traceback" not in result.stdout
+
+
+@pytest.mark.parametrize("key", ["imu", "msg-path", "calibration", "at"])
+def test_a_file_that_a_key_names_is_beside_the_suite_and_pinned(tmp_path, key):
+    """Wherever the command is started."""
+    suite = tmp_path / "suite.toml"
+    suite.write_text(f'[case.a]\nlog = "a.csv"\nreference = "a.parquet"\n{key} = "beside.txt"\n')
+    (tmp_path / "beside.txt").touch()
+    _, (case,) = cases.load_cases(suite)
+    assert case.inputs[key] == str(tmp_path / "beside.txt")

@@ -73,3 +73,18 @@ def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, text, sentence):
     assert result.exit_code == 2
     assert sentence in result.stderr.splitlines()[-1]
     assert not (tmp_path / "a.csv").exists()
+
+
+@pytest.mark.parametrize("key", ["bias", "imu"])
+def test_a_file_that_a_key_names_is_beside_the_configuration(tmp_path, key):
+    """Wherever the command is started: not there, it cannot be read."""
+    (tmp_path / "imu.yaml").write_text("gyroscope_noise_density: 1e-4\n")
+    (tmp_path / "bias.csv").write_text(
+        "#timestamp,b_w_RS_S_x,b_w_RS_S_y,b_w_RS_S_z\n"
+        "1700000000000000000,0,0,0\n1700000009000000000,0,0,0\n"
+    )
+    name = {"bias": "bias.csv", "imu": "imu.yaml"}[key]
+    (tmp_path / "run.toml").write_text(f'{key} = "{name}"\n')
+    done = run("propagate", SAMPLES / "tumbling.bag", "-o", tmp_path / "a.csv", "--config",
+               tmp_path / "run.toml")  # fmt: skip
+    assert done.exit_code == 0, done.output

@@ -18,7 +18,7 @@ from quatprop.comparison.settings import COMPARE, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.pipeline.settings import propagation_settings
 from quatprop.settings import PROPAGATE, READ_ATTITUDES
-from quatprop.settings.parsers import FROM_THE_LOG
+from quatprop.settings.parsers import file_beside
 from quatprop.signals.attitude_input import attitude_input
 from quatprop.text import Setting, Text, did_you_mean, quoted
 
@@ -48,12 +48,6 @@ PARSERS: Mapping[str, Callable[[object], Any]] = {
 
 OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 """Keys of a case that are no settings."""
-
-PATHS = {"at": (), "calibration": (), "msg_path": (), "q0": FROM_THE_LOG}
-"""Settings that name a file, and their values that do not."""
-
-MAY_BE_PATHS = {"bias"}
-"""Settings that name a file where there is one of that name."""
 
 
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
@@ -109,7 +103,7 @@ def reason_of(suite: Suite, table: CaseTable, key: str) -> str:
 
 def same_option(key: str, one: str | None, other: str | None) -> bool:
     """Return whether two texts are the same value of a key, as ``50`` and ``50.0`` are."""
-    if one is None or other is None or one == other or key in PATHS:
+    if one is None or other is None or one == other:
         return one == other
     try:
         return bool(PARSERS[key](one) == PARSERS[key](other))
@@ -242,13 +236,9 @@ class _CaseParser:
         parsed = {}
         for key, text in texts.items():
             value = text
-            if isinstance(text, str) and key in PATHS and text not in PATHS[key]:
-                path = self._suite.path.parent / text
-                if "," not in text or path.exists():
-                    value = self._inputs[key] = str(path)
-            if isinstance(text, str) and key in MAY_BE_PATHS:
-                path = self._suite.path.parent / text
-                if path.is_file():
+            if isinstance(text, str):
+                path = file_beside(keys[key], text, self._suite.path.parent)
+                if path is not None:
                     value = self._inputs[key] = str(path)
             try:
                 parsed[keys[key]] = PARSERS[key](value)

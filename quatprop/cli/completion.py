@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem, get_completion_class
 
 from quatprop.cli.help import SIDES, Command
 from quatprop.cli.types import OneOf
+from quatprop.settings.parsers import FILE_SETTINGS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
 """Settings whose value is a name in the log."""
-
-PATHS = {"msg_path", "q0", "at", "bias", "calibration"}
-"""Settings whose value may be a file."""
 
 EXAMPLES = (
     "quatprop completion bash",
@@ -67,7 +65,7 @@ def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionIte
     """
     base, _, side = name.rpartition("_")
     setting = base if side in SIDES else name
-    if setting in PATHS:
+    if setting in FILE_SETTINGS:
         return [CompletionItem(incomplete, type="file")]
     log = _log(ctx, side) if setting in NAMED else None
     if log is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from quatprop.cli.types import PATH
-from quatprop.settings.parsers import FROM_THE_LOG
+from quatprop.settings.parsers import file_beside
 from quatprop.text import did_you_mean, quoted
 
 if TYPE_CHECKING:
@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
 ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help_all"}
 """Parameters that are about one run, and stay on the command line."""
-
-PATHS = {"msg_path", "at", "q0", "calibration", "imu"}
-"""Settings whose value may be a file, relative to the configuration."""
 
 
 def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
@@ -50,12 +47,9 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
             hint = did_you_mean(key, parameters, "the keys are options without their dashes")
             raise click.UsageError(f"{name}: no such key {quoted(key)}{hint}")
         parameter = parameters[key]
-        beside = Path(name).parent / str(value)
-        if parameter in PATHS and value not in FROM_THE_LOG and beside.exists():
-            value = str(beside)  # noqa: PLW2901
-        if isinstance(value, list):
-            value = ",".join(map(str, value))  # noqa: PLW2901
-        defaults[parameter] = value if isinstance(value, bool) else str(value)
+        text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+        text = str(file_beside(parameter, text, Path(name).parent) or text)
+        defaults[parameter] = value if isinstance(value, bool) else text
     return defaults
 
 

@@ -27,6 +27,9 @@ Parser: TypeAlias = Callable[[object], Any]
 FROM_THE_LOG = ("level", "log")
 """Initial attitudes that are taken from the log itself."""
 
+FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"})
+"""Settings whose value is, or may be, the name of a file."""
+
 STATIC = "static"
 """The bias is the mean rate at rest."""
 
@@ -210,6 +213,17 @@ def moment(value: object) -> Instant:
     if isinstance(value, str):
         return instant(value)
     raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")
+
+
+def file_beside(name: str, text: str, folder: Path) -> Path | None:
+    """Return the file that a setting names, relative to a folder; None where it names none."""
+    path = folder / text
+    if name not in FILE_SETTINGS or (name == "q0" and text in FROM_THE_LOG):
+        return None
+    if name == "bias":
+        # It may as well be a topic, static, or numbers.
+        return path if path.is_file() else None
+    return None if "," in text and not path.exists() else path
 
 
 def initial_attitude(value: object) -> tuple[float, ...] | str:
