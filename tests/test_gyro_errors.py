@@ -103,14 +103,17 @@ def test_files_of_kalibr_and_of_allan_variance_tools(tmp_path, text):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "cannot be read: No such file or directory"),
-        (b"\xff\xfe", "is not YAML"),
-        (b"a: [1", "is not YAML"),
-        (b"- 1", "has none of the keys 'gyroscope_noise_density', 'gyroscope_random_walk'"),
-        (b"gyr_n: 1.0", "has none of the keys 'gyroscope_noise_density', 'gyroscope_random_walk'"),
+        (None, "it cannot be read: No such file or directory"),
+        (b"\xff\xfe", "it is neither YAML nor JSON"),
+        (b"a: [1", "it is neither YAML nor JSON"),
+        (b"- 1", "it holds no names with values"),
+        (
+            b"gyr_n: 1.0",
+            "it has none of the keys 'gyroscope_noise_density', 'gyroscope_random_walk'",
+        ),
         (
             b"imu0: {gyroscope_noise_density: 1}\nimu1: {gyroscope_noise_density: 2}",
-            "describes 2 IMUs",
+            "it describes 2 IMUs",
         ),
     ],
 )
@@ -121,7 +124,7 @@ def test_other_files_are_refused(tmp_path, content, message):
         path.write_bytes(content)
     with pytest.raises(UsageError) as error:
         read_imu(str(path))
-    assert str(error.value) == f"imu: '{path}' {message}"
+    assert str(error.value) == f"imu {path}: {message}"
 
 
 @pytest.mark.parametrize(
@@ -134,7 +137,7 @@ def test_values_that_are_no_numbers_are_refused(tmp_path, value, message):
     path.write_text(f"gyroscope_noise_density: {value}\n")
     with pytest.raises(UsageError) as error:
         read_imu(str(path))
-    assert str(error.value) == f"imu: gyroscope_noise_density in '{path}': {message}"
+    assert str(error.value) == f"imu {path}: gyroscope_noise_density: {message}"
 
 
 # --- runs

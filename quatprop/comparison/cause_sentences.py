@@ -85,7 +85,7 @@ def described(
     intervals
         Median intervals of A and B, s.
     """
-    sentence, remedy = _told(trial, intervals)
+    sentence, remedy = _sentence_and_remedy(trial, intervals)
     if alternatives:
         others = " or ".join(dict.fromkeys(map(_alternative, alternatives)))
         sentence += f"; this motion does not distinguish it from {others}"
@@ -112,7 +112,9 @@ def _alternative(trial: Trial) -> str:
             return ALTERNATIVES[trial.name]
 
 
-def _told(trial: Trial, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
+def _sentence_and_remedy(
+    trial: Trial, intervals: Sequence[float]
+) -> tuple[str, Setting | Text | None]:
     match trial.value:
         case TimeOffset():
             return _offset(trial.value, intervals)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import UsageError
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.settings.yaml_file import read_yaml, unusable
+from quatprop.text import did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from quatprop.errors import UsageError
 
     Float64 = NDArray[np.float64]
 
@@ -22,9 +24,7 @@ LARGEST_CONDITION = 1e3
 """A matrix with a larger condition number is no calibration: it loses a direction."""
 
 OWN_KEYS = ("matrix", "bias")
-
-MAX_BYTES = 1_000_000
-"""A larger file is no calibration."""
+"""Keys of a file in our own form."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     kalibr, ``IccSensors.py``, IccScaledMisalignedImu: the measured rate is
     M C_gyro_i w + A C_gyro_i a + b.
     """
-    content = _imu(path, _loaded(path), topic)
+    content = _imu(path, read_yaml("calibration", path), topic)
     if "matrix" in content:
         for key in map(str, content):
             if key not in OWN_KEYS:
@@ -93,26 +93,6 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     )
     inverse = np.linalg.inv(_checked(path, "M C_gyro_i", measured)).astype(np.float64)
     return Calibration(inverse, None, (uncorrected,) if by_force.any() else ())
-
-
-def _loaded(path: Path | str) -> Mapping[str, object]:
-    """Return the content of a file in YAML or JSON."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    try:
-        if Path(path).stat().st_size > MAX_BYTES:
-            raise _unusable(path, "it is too large for a calibration")
-        text = Path(path).read_text(encoding="utf-8")
-        # The safe loader creates plain values only, whatever the tags ask for.
-        content = YAML(typ="safe").load(text)
-    except OSError as error:
-        raise _unusable(path, f"it cannot be read: {error.strerror}") from error
-    except (YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise _unusable(path, "it is neither YAML nor JSON") from error
-    if not isinstance(content, dict):
-        raise _unusable(path, "it holds no names with values")
-    return content
 
 
 def _imu(path: Path | str, content: Mapping[str, object], topic: str) -> Mapping[str, object]:
@@ -162,4 +142,4 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
 
 
 def _unusable(path: Path | str, reason: str) -> UsageError:
-    return UsageError(Setting("calibration"), f" {plain(path)}: {reason}")
+    return unusable("calibration", path, reason)

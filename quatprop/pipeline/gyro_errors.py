@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import SensorErrors
 from quatprop.settings.parsers import number
-from quatprop.text import Setting, listed, quoted
+from quatprop.settings.yaml_file import read_yaml, unusable
+from quatprop.text import Setting, listed
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ IMU_KEYS: Final = {
 }
 """Keys of the files that Kalibr reads and Allan variance tools write, in rad/s/sqrt(Hz) and
 rad/s^2/sqrt(Hz), and what they are here."""
-
-MAX_IMU_BYTES: Final = 1 << 20
-"""A larger file is no description of an IMU."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +166,12 @@ def read_imu(path: str) -> dict[str, float]:
     UsageError
         It cannot be read, or states no error of a gyroscope.
     """
-    content = _yaml(path)
-    blocks = [content, *content.values()] if isinstance(content, dict) else []
+    content = read_yaml("imu", path)
+    blocks = [content, *content.values()]
     imus = [block for block in blocks if isinstance(block, dict) and IMU_KEYS.keys() & block.keys()]
     if len(imus) != 1:
-        what = f"describes {len(imus)} IMUs" if imus else f"has none of the keys {listed(IMU_KEYS)}"
-        raise UsageError(Setting("imu"), f": {quoted(path)} {what}")
+        none = f"it has none of the keys {listed(IMU_KEYS)}"
+        raise unusable("imu", path, f"it describes {len(imus)} IMUs" if imus else none)
     return dict(_values(imus[0], path))
 
 
@@ -185,32 +182,7 @@ def _values(imu: Mapping[str, object], path: str) -> Iterator[tuple[str, float]]
         try:
             value = number(stated)
         except UsageError as error:
-            raise UsageError(Setting("imu"), f": {key} in {quoted(path)}: ", error.text) from None
+            raise unusable("imu", path, f"{key}: {error.text}") from None
         if value < 0:
-            raise UsageError(Setting("imu"), f": {key} in {quoted(path)} is below 0")
+            raise unusable("imu", path, f"{key} is below 0")
         yield name, value
-
-
-def _yaml(path: str) -> object:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    def unusable(reason: str) -> UsageError:
-        return UsageError(Setting("imu"), f": {quoted(path)} {reason}")
-
-    try:
-        with Path(path).open("rb") as file:
-            text = file.read(MAX_IMU_BYTES + 1).decode()
-    except OSError as error:
-        raise unusable(f"cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise unusable("is not YAML") from error
-    if len(text) > MAX_IMU_BYTES:
-        raise unusable("is too large to be the description of an IMU")
-    # How OpenCV begins a file is not YAML.
-    text = text.removeprefix("%YAML:1.0")
-    try:
-        content: object = YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError) as error:
-        raise unusable("is not YAML") from error
-    return content

@@ -34,9 +34,6 @@ STEADY = 0.05
 """Specific force that scatters by more than this share of its mean is not gravity alone."""
 
 
-IDENTITY = (1.0, 0.0, 0.0, 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class InitialAttitude:
     """Where a propagation begins.
@@ -59,7 +56,7 @@ class InitialAttitude:
     """
 
     source: str = ""
-    wxyz: tuple[float, ...] = IDENTITY
+    wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     heading: float = 0.0
     down: bool = False
 
@@ -69,7 +66,7 @@ class InitialAttitude:
         if self.source == "level":
             axis = "down" if self.down else "up"
             return f"level, reference z {axis}, heading {math.degrees(self.heading):.6g} deg"
-        return self.source or ("identity" if self.wxyz == IDENTITY else "given")
+        return self.source or ("identity" if self == InitialAttitude() else "given")
 
     def __post_init__(self) -> None:
         unit_q0(self.wxyz)
