@@ -53,10 +53,8 @@ def _facts(report: RunReport) -> Iterator[Row]:
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
     if (series := report.conditioning.bias_series) is not None:
-        yield (
-            "bias",
-            f"{series.values} of {plain(series.source)} ({plain(series.field)}), interpolated in time",
-        )
+        origin = f"{plain(series.source)} ({plain(series.field)})"
+        yield "bias", f"{series.values} values of {origin}, interpolated in time"
     if (matrix := report.conditioning.calibration) is not None:
         yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
     if (mount := report.conditioning.mount) is not None:
