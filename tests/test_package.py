@@ -93,6 +93,20 @@ def test_layers_import_downwards_only(path):
             assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
 
 
+@pytest.mark.parametrize(
+    "path",
+    sorted([*Path(__file__).parent.glob("bench/*.py"), Path(__file__).with_name("fuzz.py")]),
+    ids=lambda path: path.stem,
+)
+def test_programs_beside_the_tests_import_what_is_there(path):
+    """The bench is not run here: what it imports of the package may have moved."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("quatprop"):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(module, name.name), f"{node.module} has no {name.name}"
+
+
 def test_only_the_command_line_speaks_and_exits():
     """Below cli/ nothing prints, exits, prompts or asserts on input."""
     for path in sorted(PACKAGE.rglob("*.py")):

@@ -10,7 +10,7 @@ from table import Table, best_of
 from quatprop.concurrency.threads import use_threads
 from quatprop.formats import open_log
 from quatprop.kinematics.propagate import Propagation
-from quatprop.pipeline.plausibility import RateChecks
+from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.provenance import digest_of
 from quatprop.selection import RateSelection
 from quatprop.series import AttitudeSeries
