@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.kinematics.quaternion import conjugate, log, multiply, rotate
+from quatprop.kinematics.quaternion import rotate
+from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -102,11 +103,9 @@ def body_angle(t_ns: Int64, wxyz: Float64, first_ns: int, *, inertial: bool = Fa
         Take the rates that multiply on the left (eq. 33) instead of those that multiply on the
         right (eq. 36).
     """
-    before, after = wxyz[:-1], wxyz[1:]
-    steps = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
-    steps *= np.where(steps[:, :1] < 0, -1.0, 1.0)
+    steps = rotation_vectors_between(wxyz, rates="inertial" if inertial else "body")
     angle = np.zeros((len(wxyz), 3))
-    np.cumsum(log(steps), axis=0, out=angle[1:])
+    np.cumsum(steps, axis=0, out=angle[1:])
     return BodyAngle((t_ns - first_ns) / NS_PER_S, angle)
 
 

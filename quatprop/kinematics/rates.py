@@ -156,12 +156,29 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
     >>> rates_between(np.array([0, 500_000_000]), [[1, 0, 0, 0], [0, 0, 0, 1]]).round(6)
     array([[0.      , 0.      , 6.283185]])
     """
+    seconds = np.diff(t_ns)[:, None] / NS_PER_S
+    return np.asarray(rotation_vectors_between(wxyz, rates=rates) / seconds)
+
+
+def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the rotation vectors from each attitude to the next, the shorter way round.
+
+    Parameters
+    ----------
+    wxyz, rates
+        As for :func:`rates_between`.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(N - 1, 3)``, rad.
+    """
     q = np.asarray(wxyz, dtype=np.float64)
     before, after = q[:-1], q[1:]
     inertial = _is_inertial(rates)
     step = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
     step *= np.where(step[:, :1] < 0, -1.0, 1.0)
-    return np.asarray(log(step) / (np.diff(t_ns)[:, None] / NS_PER_S))
+    return log(step)
 
 
 def _is_inertial(rates: str) -> bool:
