@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Bytes = NDArray[np.uint8]
 
-BUFFER = 1 << 23
+BUFFER = 1 << 21
 """Bytes in a buffer: the chunks in it stay in the processor's cache until they are decoded."""
 
 FIRST = 1 << 19
