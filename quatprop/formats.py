@@ -172,7 +172,7 @@ def _complete(log: MessageLog | TableLog, folders: list[Path], msg_path: str | P
         files = MsgFiles([Path(msg_path)], is_given=True)
     else:
         files = MsgFiles(folders)
-    log.complete(files)
+    log.complete(files.completed)
     types: defaultdict[str, set[str]] = defaultdict(set)
     for channel in log.channels():
         types[channel.topic].add(channel.type_name)

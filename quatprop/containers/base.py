@@ -15,13 +15,12 @@ import numpy as np
 from quatprop.provenance import JsonObject, provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Self
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.msg_files import MsgFiles
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
@@ -281,8 +280,14 @@ class MessageLog(Log):
         """
         raise NotImplementedError
 
-    def complete(self, files: MsgFiles) -> None:
-        """Add definitions that channels lack; nothing where the format always has them."""
+    def complete(self, completed: Callable[[Channel], Channel]) -> None:
+        """Add definitions that channels lack; nothing where the format always has them.
+
+        Parameters
+        ----------
+        completed
+            Returns a channel with its definition, where that is to be had.
+        """
 
     def provenance(self, topic: str) -> JsonObject:
         """Return how the messages of a topic were made, if this package made them; else empty.

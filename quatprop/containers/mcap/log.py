@@ -22,14 +22,13 @@ from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
-    from quatprop.containers.msg_files import MsgFiles
 
 
 class McapLog(MessageLog):
@@ -178,11 +177,11 @@ class McapLog(MessageLog):
                     yield _block(data, messages, not_before_ns)
         return count
 
-    def complete(self, files: MsgFiles) -> None:
+    def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
         ids_by_channel: dict[Channel, list[int]] = {}
         for channel, ids in self._ids.items():
-            ids_by_channel.setdefault(files.completed(channel), []).extend(ids)
+            ids_by_channel.setdefault(completed(channel), []).extend(ids)
         self._ids = ids_by_channel
 
     def recorded_provenance(self) -> dict[str, str]:

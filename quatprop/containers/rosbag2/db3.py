@@ -25,12 +25,11 @@ from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from apsw import SQLiteValue
 
-    from quatprop.containers.msg_files import MsgFiles
     from quatprop.containers.rosbag2.fetches import Fetch
 
 
@@ -286,9 +285,9 @@ class Db3Log(MessageLog):
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         self.losses.note(f"topic {quoted(channel.topic)}", reason, messages)
 
-    def complete(self, files: MsgFiles) -> None:
+    def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
-        self._topics = {id_: files.completed(channel) for id_, channel in self._topics.items()}
+        self._topics = {id_: completed(channel) for id_, channel in self._topics.items()}
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which the metadata may carry, as JSON."""

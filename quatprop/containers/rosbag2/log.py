@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.containers.msg_files import MsgFiles
-
 
 MAX_OPEN = 16
 """So many parts are kept open; an open database takes some megabytes. Others are opened again."""
@@ -262,11 +260,11 @@ class Rosbag2Log(MessageLog):
             place = f"topic {quoted(own.topic)}"
             self._note(part, [Loss(place, "their zstd data is damaged", damaged)])
 
-    def complete(self, files: MsgFiles) -> None:
+    def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
         for part in self._parts:
-            part.channels = {own: files.completed(whole) for own, whole in part.channels.items()}
-        self._channels = [files.completed(channel) for channel in self._channels]
+            part.channels = {own: completed(whole) for own, whole in part.channels.items()}
+        self._channels = [completed(channel) for channel in self._channels]
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""
