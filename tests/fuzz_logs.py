@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
+import h5py
 import lz4.frame
 import numpy as np
 import pyarrow as pa
@@ -213,6 +214,7 @@ def _write_tables(folder):
     np.savez(folder / "stored.npz", **columns)
     np.savez_compressed(folder / "packed.npz", **columns)
     rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
+    _write_hdf5(folder, columns)
     lines = {
         "small.csv": ["t_ns,wx,wy,wz", *(",".join(map(str, row)) for row in rows)],
         "semicolons.csv": [
@@ -232,6 +234,18 @@ def _write_tables(folder):
     ]  # fmt: skip
     for name, text in lines.items():
         (folder / name).write_bytes(("\n".join(text) + "\n").encode())
+
+
+def _write_hdf5(folder, columns):
+    """Write HDF5 files of a dataset a column, and of packed chunks with names of columns."""
+    with h5py.File(folder / "plain.h5", "w") as file:
+        file.update(columns)
+    with h5py.File(folder / "packed.h5", "w", libver="latest") as file:
+        file.attrs["sampling_rate"] = 100.0
+        rates = np.column_stack([columns[name] for name in ("wx", "wy", "wz")])
+        options = {"chunks": (50, 3), "compression": "gzip", "fletcher32": True}
+        gyro = file.create_dataset("imu/gyr", data=rates, **options)
+        gyro.attrs["columns"] = np.array([f"{axis} [rad/s]".encode() for axis in "xyz"])
 
 
 def damaged(data, rng):

@@ -1,10 +1,12 @@
 """Texts that end without a line end, and texts of absurd shapes."""
 
+import bz2
 import gzip
 import io
 import json
 import math
 import time
+import zlib
 
 import pytest
 from click.testing import CliRunner
@@ -12,7 +14,7 @@ from table_rates import rate_batches
 
 from quatprop.cli import cli
 from quatprop.containers.base import Loss
-from quatprop.errors import UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.csv.log import CsvLog
 from quatprop.text import quoted
 
@@ -179,14 +181,27 @@ def test_quotes_in_comments_and_within_cells_are_no_damage():
     assert read(text, QUOTED)[1:] == (2, [], [])
 
 
-def test_a_packed_text_that_is_cut_off_ends_with_its_last_whole_line():
-    """There is no doubt where the packing says that more follows."""
-    text = HEADER + rows_of(*(f"{k}.5" for k in range(20_000)))
-    packed = gzip.compress(text.encode())[:-500]
+@pytest.mark.parametrize("rows", [200, 20_000])
+def test_a_compressed_text_that_is_cut_off_ends_with_its_last_whole_line(rows):
+    """All that zlib decompresses of it is read; there is no doubt that more follows."""
+    text = (HEADER + rows_of(*(f"{k}.5" for k in range(rows)))).encode()
+    packed = gzip.compress(text)[: -300 if rows < 1000 else -500]
+    whole_lines = zlib.decompressobj(wbits=31).decompress(packed).count(b"\n")
     last, count, losses, remarks = read(packed)
-    assert last == [0.125, -0.25, count - 0.5]
+    assert (last, count) == ([0.125, -0.25, count - 0.5], whole_lines - 1)
     assert (losses[0], remarks) == (Loss(f"line {count + 2}", CUT, 1), [])
-    assert losses[1].place == "end of the file"
+    assert losses[1] == Loss("end of the file", "its gz data is damaged or cut off")
+
+
+def test_a_compressed_text_of_which_nothing_can_be_read_is_damaged(tmp_path):
+    """A block of bz2 is read whole or not at all, and the file is not empty."""
+    path = tmp_path / "log.csv.bz2"
+    path.write_bytes(bz2.compress((HEADER + rows_of(*"12345")).encode())[:-20])
+    with pytest.raises(DamagedLogError) as caught:
+        CsvLog(path)
+    assert str(caught.value) == (
+        f"{path}: its bz2 data is damaged or cut off, and nothing of it can be read"
+    )
 
 
 def test_the_doubt_is_said_by_the_commands(tmp_path):

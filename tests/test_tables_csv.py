@@ -380,15 +380,6 @@ def test_packed_tables_are_unpacked_on_the_way(pack):
     assert losses == []
 
 
-def test_a_packed_table_that_is_cut_off_gives_what_came_before():
-    """What can be unpacked is read, and the end is told."""
-    rows = "".join(f"{k},{k * 7919 % 1000},2,3\n" for k in range(400_000))
-    packed = gzip.compress(f"t_ns,wx,wy,wz\n{rows}".encode())
-    t_ns, _, losses = read(packed[: len(packed) // 2])
-    assert 100_000 < len(t_ns) < 300_000
-    assert losses[-1].place == "end of the file"
-
-
 def test_an_empty_file_is_told(tmp_path):
     """A file without a byte was never written to."""
     path = tmp_path / "log.csv"

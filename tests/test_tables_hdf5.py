@@ -92,6 +92,19 @@ def test_a_cut_file_is_refused_in_a_sentence(tmp_path):
     assert error.endswith("; was it closed and copied whole?\n")
 
 
+@pytest.mark.parametrize("version", ["earliest", "latest"])
+def test_two_files_joined_are_refused(tmp_path, version):
+    """HDF5 stops at the end that the first one states, and half the samples would be missing."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w", libver=version) as file:
+        file["gyr"] = RATES
+    size = path.stat().st_size
+    path.write_bytes(2 * path.read_bytes())
+    assert refusal(path) == (
+        f"Error: {path}: another file begins in it at byte {size}; split it there into two\n"
+    )
+
+
 def test_a_damaged_chunk_loses_what_follows_it(tmp_path):
     """What is before it is kept, and the loss is counted."""
     path = broad(tmp_path / "a.h5", compression="gzip", chunks=(100, 3))

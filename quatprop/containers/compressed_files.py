@@ -5,11 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.containers.compression import (
-    CompressionError,
-    decompressed_pieces,
-    decompression_errors,
-)
+from quatprop.containers.compression import CompressionError, decompressed_pieces
 from quatprop.containers.limits import decompressed_limit, too_large
 from quatprop.temp_files import temp_folder
 
@@ -71,21 +67,21 @@ class DecompressedCopy:
             self.path = self._temp.path / f"copy{Path(path.stem).suffix}"
             limit = decompressed_limit(path.stat().st_size)
             try:
-                self._fill(decompressed_pieces(compressed, compression), compression, limit)
+                self._fill(decompressed_pieces(compressed, compression), limit)
             except BaseException:
                 self.close()
                 raise
 
-    def _fill(self, pieces: Iterator[bytes], compression: str, limit: int) -> None:
+    def _fill(self, pieces: Iterator[bytes], limit: int) -> None:
         """Write the pieces up to the end or to the damage."""
         with self.path.open("wb") as copy:
             while True:
                 try:
                     piece = next(pieces, b"")
-                except decompression_errors(compression) as error:
+                except CompressionError as error:
                     if copy.tell() == 0:
-                        raise CompressionError(f"its {compression} data is damaged") from error
-                    self.damage = f"its {compression} data is damaged or cut off"
+                        raise
+                    self.damage = error.reason
                     return
                 if not piece:
                     return

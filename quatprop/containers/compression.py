@@ -11,7 +11,7 @@ import zlib
 from contextlib import suppress
 from functools import cached_property
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -97,7 +97,7 @@ def decompress(
         if into is not None and len(into) == size and _fill(data, compression, into):
             return into.data
         result = decompressor(data, size)
-    except decompression_errors(compression) as error:
+    except _decompression_errors(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
     if len(result) != size:
         raise CompressionError(f"it declares {size} bytes decompressed and holds {len(result)}")
@@ -109,13 +109,10 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
     if compression in {"", "none"}:
         return data
     result = bytearray()
-    try:
-        for piece in decompressed_pieces(BytesIO(data), compression):
-            result += piece
-            if len(result) > MAX_SIZE:
-                raise CompressionError(f"it decompresses to more than {MAX_SIZE} bytes")
-    except decompression_errors(compression) as error:
-        raise CompressionError(f"its {compression} data is damaged") from error
+    for piece in decompressed_pieces(BytesIO(data), compression):
+        result += piece
+        if len(result) > MAX_SIZE:
+            raise CompressionError(f"it decompresses to more than {MAX_SIZE} bytes")
     return result
 
 
@@ -141,22 +138,23 @@ def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
     result = bytearray()
     limit = min(size, MAX_SIZE)
     if compression in _DECOMPRESSORS:
-        with suppress(*decompression_errors(compression)):
-            for piece in decompressed_pieces(_Trickle(data), compression):
+        with suppress(CompressionError):
+            for piece in decompressed_pieces(BytesIO(data), compression):
                 result += piece
                 if len(result) >= limit:
                     break
     return bytes(result[:limit])
 
 
-class _Trickle(BytesIO):
+class _SmallReads:
     """Gives few bytes at a time, since a library discards all output of a damaged piece."""
 
-    def read(self, size: int | None = -1) -> bytes:
-        """Return the next bytes, fewer than asked for."""
-        return super().read(min(size, _FEED) if size is not None and size > 0 else _FEED)
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
 
-    read1 = read
+    def read(self, size: int) -> bytes:
+        """Return the next bytes, fewer than asked for."""
+        return self._file.read(min(size, _FEED))
 
 
 class _Contexts(threading.local):
@@ -244,7 +242,7 @@ _DECOMPRESSORS: dict[str, Callable[[Buffer, int], Buffer]] = {
 }
 
 
-def decompression_errors(compression: str) -> tuple[type[Exception], ...]:
+def _decompression_errors(compression: str) -> tuple[type[Exception], ...]:
     """Return the exceptions that the library of a compression raises for damaged data."""
     if compression == "zstd":
         import zstandard
@@ -255,23 +253,32 @@ def decompression_errors(compression: str) -> tuple[type[Exception], ...]:
 
 
 def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
-    """Yield the decompressed content of `file` in pieces of bounded size."""
-    if compression == "zstd":
-        yield from _frames(file, _contexts.zstd.decompressobj)
-    elif compression == "lz4":
-        import lz4.frame
+    """Yield the decompressed content of `file` in pieces of bounded size.
 
-        yield from _frames(file, lz4.frame.LZ4FrameDecompressor, _PIECE)
-    elif compression == "bz2":
-        import bz2
+    Raises
+    ------
+    CompressionError
+        The data is damaged or cut off; the pieces before hold what precedes the damage.
+    """
+    try:
+        if compression == "zstd":
+            yield from _frames(file, _contexts.zstd.decompressobj)
+        elif compression == "lz4":
+            import lz4.frame
 
-        yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
-    else:
-        import gzip
+            yield from _frames(file, lz4.frame.LZ4FrameDecompressor, _PIECE)
+        elif compression == "bz2":
+            import bz2
 
-        with gzip.GzipFile(fileobj=file) as stream:
-            while piece := stream.read1(_PIECE):
-                yield piece
+            yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
+        else:
+            import gzip
+
+            with gzip.GzipFile(fileobj=cast("BinaryIO", _SmallReads(file))) as stream:
+                while piece := stream.read1(_PIECE):
+                    yield piece
+    except _decompression_errors(compression) as error:
+        raise CompressionError(f"its {compression} data is damaged or cut off") from error
 
 
 def _frames(file: BinaryIO, new_frame: Callable[[], Any], *limit: int) -> Iterator[bytes]:

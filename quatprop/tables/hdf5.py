@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+_MAGIC = b"\x89HDF\r\n\x1a\n"
 _CHUNK_CACHE_BYTES = 1 << 26
 _SAMPLE_RATES = ("sampling_rate", "sample_rate")
 _COLUMN_NAMES = ("columns", "column_names", "names")
@@ -47,7 +48,7 @@ class Hdf5Log(NumpyTable):
     DamagedLogError
         Its groups and datasets cannot be listed.
     UnsupportedLogError
-        It has no dataset that is a table.
+        It has no dataset that is a table, or another file was joined to it.
     """
 
     kind = "hdf5"
@@ -75,6 +76,11 @@ class Hdf5Log(NumpyTable):
             if isinstance(error, _ERRORS):
                 raise DamagedLogError(path, _damage(error)) from error
             raise
+        if (end := _second_file(path)) is not None:
+            self._file.close()
+            raise UnsupportedLogError(
+                path, f"another file begins in it at byte {end}; split it there into two"
+            )
         if not self._leaves:
             self._file.close()
             raise UnsupportedLogError(path, self._refused or "it has no datasets; name a log")
@@ -164,6 +170,24 @@ def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
     if dataset.nbytes > _MOST_UNPACKED * file_size:
         raise HeaderError(f"it claims {dataset.nbytes} bytes, which the file cannot hold")
     return columns_of(ArrayHeader(dataset.dtype, dataset.shape, is_fortran=False))
+
+
+def _second_file(path: Path) -> int | None:
+    """Return where another file begins behind the end that the first one states.
+
+    References
+    ----------
+    The HDF Group, "HDF5 File Format Specification", II.A: "Superblock".
+    """
+    with path.open("rb") as file:
+        head = file.read(64)
+        version = head[len(_MAGIC)]
+        at = 28 if version > 1 else 40 + 4 * version
+        end = int.from_bytes(head[at : at + 8], "little")
+        if not head.startswith(_MAGIC) or end > path.stat().st_size:
+            return None
+        file.seek(end)
+        return end if file.read(len(_MAGIC)) == _MAGIC else None
 
 
 def _damage(error: BaseException) -> str:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
-import pyarrow as pa
-
 from quatprop.containers.compressed_files import file_compression
+from quatprop.containers.compression import CompressionError, decompressed_pieces
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ BLOCK_BYTES = 1 << 22
 
 _LONGEST_RECORD = 1 << 26
 _LOSSES_A_BLOCK = 8
-_COMPRESSED_STEP = 1 << 14
 
 
 class TextBlock(NamedTuple):
@@ -59,11 +57,7 @@ class TextStream:
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
         compression = file_compression(self._file.peek(4)[:4])
         if compression:
-            self._file = pa.CompressedInputStream(
-                self._file, "gzip" if compression == "gz" else compression
-            )
-        # Arrow returns what precedes damage in a compressed stream only in small steps.
-        self._step = _COMPRESSED_STEP if compression else _LONGEST_RECORD
+            self._file = _Decompressed(self._file, compression)
         self._rest = b""
         self.damage = ""
         self.is_compressed = bool(compression)
@@ -76,8 +70,11 @@ class TextStream:
         self._rest = self._rest[filled:]
         while filled < len(view) and not self.damage:
             try:
-                count = self._file.readinto(view[filled : filled + self._step])
-            except (OSError, EOFError) as error:
+                count = self._file.readinto(view[filled:])
+            except CompressionError as error:
+                self.damage = error.reason
+                break
+            except OSError as error:
                 self.damage = f"it cannot be read further: {plain(error)}"
                 break
             if not count:
@@ -93,6 +90,27 @@ class TextStream:
     def unread(self, data: bytes) -> None:
         """Give back what was read last."""
         self._rest = data + self._rest
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class _Decompressed(io.RawIOBase):
+    """A compressed file as it decompresses; all that precedes damage is given out."""
+
+    def __init__(self, file: BinaryIO, compression: str) -> None:
+        self._file = file
+        self._pieces = decompressed_pieces(file, compression)
+        self._rest = b""
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer, or a part of it."""
+        self._rest = self._rest or next(self._pieces, b"")
+        size = min(len(self._rest), len(buffer))
+        buffer[:size] = self._rest[:size]
+        self._rest = self._rest[size:]
+        return size
 
     def close(self) -> None:
         """Close the file."""

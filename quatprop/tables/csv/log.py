@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from quatprop.errors import UnreadableLogError, UnsupportedLogError, UsageError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
@@ -36,6 +36,8 @@ class CsvLog(TableLog):
     ------
     UnreadableLogError
         The file cannot be read, or is empty.
+    DamagedLogError
+        It is compressed, and nothing of it can be decompressed.
     UnsupportedLogError
         It is not a text of one table.
     """
@@ -52,6 +54,8 @@ class CsvLog(TableLog):
         if self._stream is None:
             self._text.close()
         if not self._head:
+            if damage := self._text.damage:
+                raise DamagedLogError(self.path, f"{damage}, and nothing of it can be read")
             raise UnreadableLogError(self.path, "it is empty; was the recording closed?")
         self._layout = detect_layout(self._head, self.path)
         if self._layout.header and self._layout.body == HEAD_BYTES == len(self._head):
