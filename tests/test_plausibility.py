@@ -6,10 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quatprop.formats import open_log
 from quatprop.kinematics.propagate import attitudes
-from quatprop.pipeline.plausibility import against_orientation, orientation_remarks
+from quatprop.pipeline.plausibility import against_orientation, log_remarks, orientation_remarks
 from quatprop.pipeline.rate_checks import RateChecks
+from quatprop.selection import RateSelection
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.signals.rates import choose_rates
+from quatprop.simulate.gyroscope import Gyroscope
+from quatprop.simulate.motion import Shape
+from quatprop.simulate.run import simulate
 from quatprop.timeline.counts import StampCounts
 
 MS = 1_000_000
@@ -157,6 +163,44 @@ def test_an_orientation_that_was_never_filled_tells_nothing_of_a_body_that_turns
     assert against_orientation([GyroSeries(t_ns, np.full((1000, 3), 0.5))], [still]) is None
 
 
+def test_motion_that_agrees_is_enough():
+    """Where the first samples agree with the orientation, no more of the log is read."""
+    t_ns = np.arange(20_000) * 10 * MS
+    rate = np.tile([0.01, 0.02, 0.03], (20_000, 1))
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate))
+    read = []
+
+    def batches(series):
+        for start in range(0, 20_000, 1000):
+            read.append(start)
+            yield series[start : start + 1000]
+
+    assert against_orientation(batches(GyroSeries(t_ns, rate)), batches(own)) is None
+    assert len(read) == 4
+
+
+def test_a_unit_shows_after_a_rest():
+    """A log that begins at rest is read on until it has moved."""
+    t_ns = np.arange(6000) * 10 * MS
+    rate = np.tile([0.01, 0.02, 0.03], (6000, 1))
+    rate[:4000] = 0
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate))
+    said = against_orientation([GyroSeries(t_ns, rate * 180 / math.pi)], [own[:3000], own[3000:]])
+    assert TOO_LARGE in str(said)
+
+
+def test_the_beginning_of_a_log_is_read_once(tmp_path, monkeypatch):
+    """Stamps and orientation are checked in what was read for the first of these checks."""
+    path = tmp_path / "imu.mcap"
+    simulate(path, "tumbling", Shape(), Gyroscope(200, 3000), truth=None)
+    with open_log(path) as log:
+        source = choose_rates(log, RateSelection())
+        called = []
+        monkeypatch.setattr(log, "blocks", lambda c, f=log.blocks: called.append(c) or f(c))
+        assert log_remarks(log, source) == []
+        assert [channel.topic for channel in called] == ["/imu"]
+
+
 def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
     """Where no message has an orientation, the log is not read to its end to find that out."""
     read = []
@@ -171,4 +215,4 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
     source = SimpleNamespace(name="/imu", batches=lambda: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
-    assert len(read) == 20
+    assert len(read) == 2

@@ -237,9 +237,12 @@ class MessageLog(Log):
     ----------
     has_publish_time
         Whether it records when a message was published, besides when it was logged.
+    kept
+        Blocks of channels that are read again soon; None where none are kept.
     """
 
     has_publish_time = False
+    kept: dict[Channel, Iterator[MessageBlock]] | None = None
 
     @abstractmethod
     def channels(self) -> list[Channel]:

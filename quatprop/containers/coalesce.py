@@ -47,7 +47,7 @@ def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
     for block in _joined(blocks):
         is_large = len(block) >= ENOUGH_MESSAGES // 2
         if not is_large:
-            waiting.append(_compacted(block))
+            waiting.append(compacted(block))
             messages += len(block)
             size += len(waiting[-1].data)
         if is_large or messages >= ENOUGH_MESSAGES or size >= ENOUGH_BYTES:
@@ -93,7 +93,7 @@ def _in_buffer(
     )
 
 
-def _compacted(block: MessageBlock) -> MessageBlock:
+def compacted(block: MessageBlock) -> MessageBlock:
     """Return a copy of a block without the bytes between its messages."""
     if not len(block):
         return block

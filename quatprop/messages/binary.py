@@ -175,7 +175,7 @@ class BinaryDecoder:
     def _plan(self, placement: Placement) -> Plan:
         if placement not in self._plans:
             try:
-                self._plans[placement] = compile_plan(self._root, self._ways, placement)
+                self._plans[placement] = compile_plan(self._root, tuple(self._ways), placement)
             except NotPlannedError as error:
                 raise SchemaError(
                     self.path, f"topic {quoted(self.channel.topic)}: {error}"

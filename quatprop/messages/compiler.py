@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from quatprop.messages.placement import Extents, Placement
@@ -55,7 +56,8 @@ class FieldTree:
         return self.below.get(step) or FieldTree()
 
 
-def compile_plan(root: Struct, ways: list[Steps], placement: Placement) -> Plan:
+@lru_cache(maxsize=256)
+def compile_plan(root: Struct, ways: tuple[Steps, ...], placement: Placement) -> Plan:
     """Return how to fetch some fields of a message type.
 
     Parameters

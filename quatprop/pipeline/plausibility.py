@@ -7,7 +7,8 @@ that looks right. Nothing here changes a sample; each finding is one sentence wi
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
+from quatprop.signals.message_values import beginning_kept
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, Text
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
@@ -36,6 +39,9 @@ if TYPE_CHECKING:
 
 COMPARED_SAMPLES = 20_000
 """Rates are compared with the log's own orientation over so many samples from its beginning."""
+
+AGREEING_SAMPLES = 2_000
+"""So many are enough where both move and agree, or where there is no valid orientation."""
 
 COMPARED_SPAN_NS = 1_000_000_000
 """Rotations are compared over this time: long enough for noise, short enough for drift."""
@@ -62,7 +68,8 @@ def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:
     source
         The rates.
     """
-    return [*stamp_remarks(source), *orientation_remarks(log, source)]
+    with nullcontext() if is_table(log) else beginning_kept(cast("MessageLog", log)):
+        return [*stamp_remarks(source), *orientation_remarks(log, source)]
 
 
 def stamp_remarks(source: RateSignal) -> list[Text]:
@@ -91,7 +98,8 @@ def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
-        remark = against_orientation(source.batches(), check.apply(_beginning(own.rows())))
+        rows = _beginning(own.rows(), COMPARED_SAMPLES, check.counts)
+        remark = against_orientation(source.batches(), check.apply(rows))
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
@@ -125,17 +133,21 @@ def against_orientation(
     Text or None
         None where they agree, where nothing moves, or where there is too little to compare.
     """
-    gyro_ns, rate = _joined((batch.t_ns, batch.rate) for batch in rates)
-    own_ns, own = _joined((batch.t_ns, batch.wxyz) for batch in orientations)
-    stamps, places, own_places = np.intersect1d(gyro_ns, own_ns, return_indices=True)
-    if len(stamps) < 2 or not np.isfinite(rate).all() or (np.diff(gyro_ns) < 0).any():  # noqa: PLR2004  # two ends
-        return None
-    after = np.searchsorted(stamps, stamps + COMPARED_SPAN_NS)
-    begins = np.flatnonzero(after < len(stamps))
-    ends = after[begins]
-    propagated, own = attitudes(gyro_ns, rate)[places], own[own_places]
-    by_rates = _rms(geodesic_angle(propagated[begins], propagated[ends]))
-    by_orientation = _rms(geodesic_angle(own[begins], own[ends]))
+    gyro = ((batch.t_ns, batch.rate) for batch in rates)
+    own = ((batch.t_ns, batch.wxyz) for batch in orientations)
+    gyro_read: list[tuple[Int64, Float64]] = []
+    own_read: list[tuple[Int64, Float64]] = []
+    for samples in (AGREEING_SAMPLES, COMPARED_SAMPLES):
+        own_read += _beginning(own, samples - _rows(own_read))
+        if own_read:
+            gyro_read += _beginning(gyro, samples - _rows(gyro_read))
+        if not gyro_read:
+            return None
+        by_rates, by_orientation = _rotations(gyro_read, own_read)
+        if min(by_rates, by_orientation) > MOVING and (
+            1 / OFF_SCALE < by_rates / by_orientation < OFF_SCALE
+        ):
+            return None
     if by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
         return Text(
             f"the log's own orientation rotates {by_orientation / max(by_rates, 1e-9):.3g} times "
@@ -151,22 +163,40 @@ def against_orientation(
     return None
 
 
-def _beginning(batches: Iterable[tuple[Int64, Float64]]) -> Iterator[tuple[Int64, Float64]]:
-    """Yield batches until they hold :data:`COMPARED_SAMPLES` rows."""
-    rows = 0
-    for t_ns, values in batches:
-        yield t_ns, values
-        rows += len(t_ns)
-        if rows >= COMPARED_SAMPLES:
+def _rotations(
+    rates: list[tuple[Int64, Float64]], orientations: list[tuple[Int64, Float64]]
+) -> tuple[float, float]:
+    """Return how far rates and orientations rotate in the time compared, RMS, rad; 0 if unknown."""
+    gyro_ns, rate = map(np.concatenate, zip(*rates, strict=True))
+    own_ns, own = map(np.concatenate, zip(*orientations, strict=True))
+    stamps, places, own_places = np.intersect1d(gyro_ns, own_ns, return_indices=True)
+    if len(stamps) < 2 or not np.isfinite(rate).all() or (np.diff(gyro_ns) < 0).any():  # noqa: PLR2004  # two ends
+        return 0.0, 0.0
+    after = np.searchsorted(stamps, stamps + COMPARED_SPAN_NS)
+    begins = np.flatnonzero(after < len(stamps))
+    ends = after[begins]
+    propagated, own = attitudes(gyro_ns, rate)[places], own[own_places]
+    return (
+        _rms(geodesic_angle(propagated[begins], propagated[ends])),
+        _rms(geodesic_angle(own[begins], own[ends])),
+    )
+
+
+def _rows(batches: list[tuple[Int64, Float64]]) -> int:
+    return sum(len(t_ns) for t_ns, _ in batches)
+
+
+def _beginning(
+    batches: Iterable[tuple[Int64, Float64]], rows: int, checked: QuaternionCounts | None = None
+) -> Iterator[tuple[Int64, Float64]]:
+    """Yield batches until they hold so many rows, or a few of which none is valid."""
+    left = rows
+    for batch in batches if rows > 0 else ():
+        yield batch
+        left -= len(batch[0])
+        none_valid = checked is not None and not checked.used
+        if left <= (rows - AGREEING_SAMPLES if none_valid else 0):
             return
-
-
-def _joined(batches: Iterable[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
-    """Return the stamps and rows at the beginning of a stream."""
-    parts = list(_beginning(batches))
-    if not parts:
-        return np.zeros(0, np.int64), np.zeros((0, 3))
-    return np.concatenate([t_ns for t_ns, _ in parts]), np.concatenate([rows for _, rows in parts])
 
 
 def _rms(angles: Float64) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from quatprop.errors import MessageError, TimelineError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.stamps import time_field_at
+from quatprop.signals.message_values import blocks_of
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def are_all(batches: Iterable[NDArray[Any]], value: object, limit: int | None = 
 def _stamps_alone(log: MessageLog, channel: Channel, stamp: Stamp) -> Iterator[Int64]:
     """Yield the stamps of one channel in no order, without noting what cannot be read."""
     decoder = decoder_of(channel, stamp.fields, log.path)
-    for block in log.blocks(channel):
+    for block in blocks_of(log, channel):
         try:
             yield stamp.ns(decoder.columns(block), log.path)
         except MessageError as error:

@@ -6,13 +6,14 @@ as absent become NaN, and messages that do not fit their definition are counted 
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, tee
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.coalesce import coalesce_blocks, compacted
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
@@ -63,11 +64,30 @@ def _only_instance(channels: list[Channel], topic: str) -> list[Channel]:
 
 def _with_sample(log: MessageLog, channel: Channel) -> Channel:
     if channel.encoding == "json":
-        for block in log.blocks(channel):
+        for block in blocks_of(log, channel):
             if len(block):
                 sample = block.data[block.starts[0] : block.ends[0]].tobytes()
                 return replace(channel, sample=sample)
     return channel
+
+
+@contextmanager
+def beginning_kept(log: MessageLog) -> Iterator[None]:
+    """Keep in this block what is read of messages, for who reads their beginning several times."""
+    log.kept = {}
+    try:
+        yield
+    finally:
+        log.kept = None
+
+
+def blocks_of(log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:
+    """Return the blocks of a channel; those that are kept are not read again."""
+    if log.kept is None:
+        return log.blocks(channel)
+    first = log.kept.get(channel) or map(compacted, log.blocks(channel))
+    log.kept[channel], blocks = tee(first)
+    return blocks
 
 
 class MessageReader(Protocol):
@@ -181,7 +201,7 @@ def stamps_logged(
 def _in_log_order(
     log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None
 ) -> Iterator[Columns]:
-    every = log.blocks(channel) if within is None else log.blocks_within(channel, within)
+    every = blocks_of(log, channel) if within is None else log.blocks_within(channel, within)
     blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
     batches = (_readable(log, channel, reader, block) for block in blocks)
     return merge_by_time([batches])
