@@ -113,7 +113,8 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     quat_field : str
         Field of a message that is the quaternion.
     quat_cols : str or sequence
-        The four columns of a table as stored, by name or number from 0.
+        The four columns of a table as stored, by name or number from 0; with `from_euler` the
+        three angles in the order of its letters.
     frame : str
         Of a list of transforms, ``"child"`` or ``"parent:child"``.
     from_layout : str
@@ -124,6 +125,10 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
         ``"body-to-ref"`` (the default) or ``"ref-to-body"``.
     from_angle_unit : str
         ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
+    from_euler : str
+        Sequence of Euler angles, such as ``"xyz"``: intrinsic rotations about x, the new y and the
+        newest z. Columns yaw, pitch and roll are ``"zyx"`` by default, and with another sequence
+        the angles about z, y and x.
     normalize : bool
         Scale quaternions to unit length; by default those off by more than 0.001 are refused.
     on_invalid : str
@@ -420,9 +425,10 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         Of q and -q ``"keep"`` what is there, ``"continuous"`` the one nearer to the row before, or
         ``"positive"`` the one with w >= 0.
     representation
-        ``"quaternion"``, ``"rotvec"`` (rad), ``"euler-zyx"`` (rad), ``"euler-zyx-deg"``,
-        ``"matrix"``, or the rates that lead from each attitude to the next, ``"body-rates"`` or
-        ``"inertial-rates"`` (rad/s): propagated by ``start`` they give the attitudes back.
+        ``"quaternion"``, ``"rotvec"`` (rad), ``"matrix"``, ``"euler-zyx"`` (rad) or
+        ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
+        lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
+        propagated by ``start`` they give the attitudes back.
 
     Returns
     -------

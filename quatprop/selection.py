@@ -72,7 +72,8 @@ class AttitudeSelection(SignalSelection):
     quat_field
         Dotted path of the quaternion in a message.
     quat_cols
-        The four columns of a table as stored, by name or number from 0.
+        The four columns of a table as stored, by name or number from 0; with `from_euler` the
+        three angles in the order of its letters.
     frame
         Of a list of transforms, ``"child"`` or ``"parent:child"``.
     from_layout
@@ -83,6 +84,8 @@ class AttitudeSelection(SignalSelection):
         ``"body-to-ref"`` or ``"ref-to-body"``.
     from_angle_unit
         ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
+    from_euler
+        Sequence of Euler angles, one of :data:`quatprop.settings.EULER_SEQUENCES`.
     """
 
     quat_field: str | None = None
@@ -92,6 +95,7 @@ class AttitudeSelection(SignalSelection):
     from_convention: str | None = None
     from_direction: str | None = None
     from_angle_unit: str | None = None
+    from_euler: str | None = None
 
     @classmethod
     def like(cls, other: SignalSelection) -> Self:

@@ -105,7 +105,7 @@ def test_quiet_leaves_the_exit_code(files):
         (["--time-offset", "auto"], "A turns at a constant speed, which shows no time offset"),
         (["--align", "mount"], "the body turns about one axis only"),
         (["--window", "1h"], "no two pairs are 3600 s apart: they span 990 ms"),
-        (["--quat-cols-b", "qw,qx"], "'qw,qx' does not name 4 columns A,B,C,D"),
+        (["--quat-cols-b", "qw,qx"], "'qw,qx' does not name 3 or 4 columns A,B,C[,D]"),
         (["--topic-b", "/imu"], "is a table"),
     ],
 )
@@ -298,6 +298,7 @@ OF_A_SIDE = {
     "--from-convention": ("jpl", "from_convention", "jpl"),
     "--from-direction": ("ref-to-body", "from_direction", "ref-to-body"),
     "--from-angle-unit": ("deg", "from_angle_unit", "deg"),
+    "--from-euler": ("xyz", "from_euler", "xyz"),
     "--clock": ("publish", "clock", "publish"),
     "--time-field": ("a.t", "time_field", "a.t"),
     "--time-col": ("3", "time_col", "3"),

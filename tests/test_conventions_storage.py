@@ -15,9 +15,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
-from quatprop.conventions import REPRESENTATIONS, Meaning, Signs, euler_zyx
+from quatprop.conventions import REPRESENTATIONS, Meaning, Signs
+from quatprop.conventions.representations import euler_angles, from_euler
 from quatprop.errors import UsageError
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.settings import EULER_SEQUENCES
 
 BODY_TO_REF = np.array([[81, -76, 48], [84, 87, -4], [-32, 36, 111]]) / 121
 
@@ -154,25 +156,46 @@ def unit(rows):
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-@given(st.lists(quaternions, min_size=1, max_size=20))
-def test_angles_are_those_of_scipy(rows):
-    """Yaw, pitch and roll compose to the same rotation as scipy's intrinsic ZYX."""
+@given(st.sampled_from(EULER_SEQUENCES), st.lists(quaternions, min_size=1, max_size=20))
+def test_angles_are_those_of_scipy(sequence, rows):
+    """They compose to the same rotation as scipy's intrinsic ones, within the stated ranges."""
     wxyz = unit(rows)
-    angles = euler_zyx(wxyz)
+    angles = euler_angles(sequence, wxyz)
     assert np.abs(angles[:, [0, 2]]).max() <= np.pi
-    assert np.abs(angles[:, 1]).max() <= np.pi / 2
-    back = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
-    assert geodesic_angle(back, wxyz).max() < 1e-14
+    middle = np.pi / 2 if sequence[0] == sequence[2] else 0
+    assert np.abs(angles[:, 1] - middle).max() <= np.pi / 2
+    back = Rotation.from_euler(sequence.upper(), angles)
+    assert geodesic_angle(back.as_quat(scalar_first=True), wxyz).max() < 1e-14
+    again = from_euler(sequence, angles)
+    assert geodesic_angle(again, wxyz).max() < 1e-14
+    away = np.abs(np.sin(angles[:, 1] - middle)) < 0.999999
+    expected = Rotation.from_quat(wxyz[away], scalar_first=True).as_euler(sequence.upper())
+    off = np.abs(angles[away] - expected)
+    assert np.minimum(off, 2 * np.pi - off).max(initial=0) < 1e-9
 
 
-@pytest.mark.parametrize("yaw", [-3.0, 0.0, 0.4])
-@pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-9, 1e-6])
-def test_angles_keep_the_attitude_where_yaw_and_roll_cannot_be_told_apart(yaw, tilt):
-    """Looking straight up, the angles still compose to the attitude within rounding."""
-    q = multiply(multiply(exp([0, 0, yaw]), exp([0, np.pi / 2 - tilt, 0])), exp([0.3, 0, 0]))
-    angles = euler_zyx(q[None])
-    back = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
-    assert geodesic_angle(back[0], q) < 1e-15 * 4
+@pytest.mark.parametrize("sequence", EULER_SEQUENCES)
+@pytest.mark.parametrize("first", [-3.0, 0.0, 0.4])
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6])
+def test_angles_keep_the_attitude_in_gimbal_lock(sequence, first, off):
+    """There they share the rotation equally, which scipy gives to the first; both compose to it."""
+    locks = (0, np.pi) if sequence[0] == sequence[2] else (-np.pi / 2, np.pi / 2)
+    inside = np.sign(sum(locks) / 2 - np.array(locks)) * off
+    wanted = np.array([(first, lock, 0.3) for lock in np.array(locks) + inside])
+    q = Rotation.from_euler(sequence.upper(), wanted)
+    angles = euler_angles(sequence, q.as_quat(scalar_first=True))
+    back = Rotation.from_euler(sequence.upper(), angles).as_quat(scalar_first=True)
+    assert geodesic_angle(back, q.as_quat(scalar_first=True)).max() < 1e-15 * 4
+
+
+@pytest.mark.parametrize("sequence", [s for s in EULER_SEQUENCES if s[0] == s[2]])
+def test_a_rotation_about_the_first_axis_is_shared_equally(sequence):
+    """Proper angles of it are in gimbal lock; the sign of a zero makes no difference."""
+    axis = "xyz".index(sequence[0])
+    for sign in (0.0, -0.0):
+        wxyz = np.full((1, 4), sign)
+        wxyz[0, [0, 1 + axis]] = np.cos(0.2), np.sin(0.2)
+        np.testing.assert_allclose(euler_angles(sequence, wxyz), [[0.2, 0, 0.2]], atol=1e-15)
 
 
 @given(st.lists(quaternions, min_size=1, max_size=20))

@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from quatprop import RemarkWarning, read_attitudes
 from quatprop.cli import cli
-from quatprop.conventions.representations import REPRESENTATIONS, from_euler_zyx, from_matrices
+from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
+from quatprop.settings import EULER_SEQUENCES
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import stamps_in
 from quatprop.writers import WRITERS, open_table
@@ -22,6 +24,7 @@ OPTIONS = {
     "rotvec": ["--as", "rotvec"],
     "euler-zyx": ["--as", "euler-zyx"],
     "euler-zyx-deg": ["--as", "euler-zyx", "--euler-unit", "deg"],
+    "euler-zxz": ["--as", "euler-zxz"],
     "matrix": ["--as", "matrix"],
 }
 
@@ -122,11 +125,67 @@ def test_each_representation_leads_back_to_its_attitude(rows):
         np.testing.assert_allclose(np.linalg.norm(back, axis=1), 1, rtol=1e-15)
 
 
-@given(st.lists(st.tuples(*[st.floats(-20, 20)] * 3), min_size=1, max_size=20))
-def test_angles_of_any_size_are_those_of_scipy(rows):
+@given(
+    st.sampled_from(EULER_SEQUENCES),
+    st.lists(st.tuples(*[st.floats(-20, 20)] * 3), min_size=1, max_size=20),
+)
+def test_angles_of_any_size_are_those_of_scipy(sequence, rows):
     """Beyond half a turn, and pitch beyond 90 degrees."""
-    expected = Rotation.from_euler("ZYX", rows).as_quat(scalar_first=True)
-    assert geodesic_angle(from_euler_zyx(np.array(rows)), expected).max() < 1e-14
+    expected = Rotation.from_euler(sequence.upper(), rows).as_quat(scalar_first=True)
+    assert geodesic_angle(from_euler(sequence, np.array(rows)), expected).max() < 1e-14
+
+
+@pytest.mark.parametrize(
+    ("head", "options", "sequence", "order"),
+    [
+        ("roll_deg,pitch_deg,yaw_deg", {"from_euler": "xyz"}, "XYZ", [0, 1, 2]),
+        ("yaw_deg,pitch_deg,roll_deg", {"from_euler": "yxz"}, "YXZ", [1, 2, 0]),
+        ("yaw_deg,pitch_deg,roll_deg", {"from_euler": "zyx"}, "ZYX", [0, 1, 2]),
+        ("euler_zxz_1_deg,euler_zxz_2_deg,euler_zxz_3_deg", {}, "ZXZ", [0, 1, 2]),
+        ("a [deg],b [deg],c [deg]", {"from_euler": "zyz", "quat_cols": "c,b,a"}, "ZYZ", [2, 1, 0]),
+    ],
+)
+def test_angles_of_other_tools_are_read_in_their_sequence(tmp_path, head, options, sequence, order):
+    """By their names, or by the option: yaw, pitch and roll are the angles about z, y and x."""
+    rows = [(10.0, 20.0, 30.0), (-170.0, 5.0, 80.0)]
+    path = written(tmp_path, head, rows)
+    with pytest.warns(RemarkWarning):
+        found = read_attitudes(path, **options).wxyz
+    angles = np.array(rows)[:, order]
+    expected = Rotation.from_euler(sequence, angles, degrees=True).as_quat(scalar_first=True)
+    assert geodesic_angle(found, expected).max() < 1e-15 * 4
+
+
+@pytest.mark.parametrize(
+    ("head", "options", "sentence"),
+    [
+        ("a,b,c", ["--quat-cols", "a,b,c"],
+         "which sequence of angles 'a', 'b', 'c' are, if they are angles (a quaternion has four "),
+        ("a,b,c", ["--quat-cols", "a,b"], "'a,b' does not name 3 or 4 columns A,B,C[,D]"),
+        ("qw,qx,qy,qz", ["--quat-cols", "qw,qx,qy,qz", "--from-euler", "xyz"],
+         "--from-euler is about three angles, and --quat-cols names 4 columns"),
+        ("yaw_deg,pitch_deg,roll_deg", ["--from-euler", "zxz"], "no attitudes found; its columns"),
+        ("a,b,c", ["--from-euler", "xyz", "--quat-cols", "a,b,c"],
+         "the unit of the angles 'a', 'b', 'c' is not declared; say it with --from-angle-unit"),
+        ("qw,qx,qy,qz", ["--from-euler", "xyx"], "no attitudes found; its columns"),
+    ],
+)  # fmt: skip
+def test_a_sequence_that_does_not_fit_the_columns_is_refused(tmp_path, head, options, sentence):
+    """The sentence names what would."""
+    path = written(tmp_path, head, [range(head.count(",") + 1)])
+    assert sentence in " ".join(run(path, "-", *options, code=2).stderr.split())
+
+
+def test_gimbal_lock_of_another_sequence_is_told(tmp_path):
+    """Proper angles are in it where the second is 0 or 180 deg."""
+    path = written(tmp_path, "euler_zxz_1_deg,euler_zxz_2_deg,euler_zxz_3_deg",
+                   [(10, 0, 5), (10, 0.02, 5), (10, 179.995, 5)])  # fmt: skip
+    out = tmp_path / "out.csv"
+    assert (
+        "note: 2 rows are within 0.01 deg of euler_zxz_2 0 or 180 deg (gimbal lock), where "
+        "euler_zxz_1 and euler_zxz_3 cannot be distinguished: they share the rotation equally"
+    ) in run(path, out, "--as", "euler-zxz", "--euler-unit", "deg").stderr
+    assert out.read_text().startswith("t_ns,euler_zxz_1_deg,euler_zxz_2_deg,euler_zxz_3_deg\n0,7.5")
 
 
 @given(st.lists(quaternions, min_size=1, max_size=20))
@@ -241,8 +300,8 @@ def test_gimbal_lock_is_told(tmp_path):
     out = tmp_path / "out.csv"
     result = run(path, out, "--as", "euler-zyx", "--euler-unit", "deg")
     assert (
-        "note: 3 rows are within 0.01 deg of pitch +-90 deg, where yaw and roll cannot be "
-        "distinguished: they share the rotation equally and jump from row to row; "
+        "note: 3 rows are within 0.01 deg of pitch -90 or 90 deg (gimbal lock), where yaw and roll "
+        "cannot be distinguished: they share the rotation equally and jump from row to row; "
         "together they are still the attitude"
     ) in result.stderr
     assert geodesic_angle(read(out), read(path)).max() < 1e-15 * 4

@@ -17,7 +17,7 @@ from quatprop.cli.options import (
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
-from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
+from quatprop.settings import CONVENTIONS, DIRECTIONS, EULER_SEQUENCES, READ_ATTITUDES
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from quatprop.conversion.report import ConversionReport
 
-EULER_DEGREES = {("euler-zyx", "deg"): "euler-zyx-deg"}
-"""Representation and unit of angles -> key of :data:`quatprop.conventions.REPRESENTATIONS`."""
+EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 
 
 EXAMPLES = (
@@ -68,17 +67,19 @@ EXAMPLES = (
 @click.option(
     "--as",
     "representation",
-    type=OneOf(("quaternion", "rotvec", "euler-zyx", "matrix", "body-rates", "inertial-rates")),
+    type=OneOf(("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")),
+    metavar="quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates",
     default="quaternion",
     show_default=True,
     help="What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
-    "and x'', matrices row by row, or the rates in rad/s that lead from each attitude to the next: "
-    "propagated with --method start, they give the attitudes back.",
+    "and x'' (or angles of another sequence, such as euler-xyz or euler-zxz), matrices row by row, "
+    "or the rates in rad/s that lead from each attitude to the next: propagated with --method "
+    "start, they give the attitudes back.",
 )
 @click.option(
     "--euler-unit",
     type=OneOf(("rad", "deg")),
-    help="Unit of yaw, pitch and roll.  [default: rad]",
+    help="Unit of Euler angles.  [default: rad]",
 )
 @report_option
 @quiet_option
@@ -93,8 +94,8 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     from quatprop.conversion.convert import Conversion, convert
 
     unit, representation = chosen["euler_unit"], chosen["representation"]
-    if unit is not None and representation != "euler-zyx":
-        raise click.UsageError("--euler-unit is for --as euler-zyx")
+    if unit is not None and representation not in EULER:
+        raise click.UsageError("--euler-unit is for --as euler-zyx and other sequences of angles")
     wanted = input_of(chosen["log"], chosen)
     job = Conversion(
         log=wanted.path,
@@ -103,7 +104,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
         selection=wanted.selection,
         meaning=Meaning(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
-        representation=EULER_DEGREES.get((representation, unit), representation),
+        representation=f"{representation}-deg" if unit == "deg" else representation,
         normalize=wanted.normalize,
         drop=wanted.drop,
     )

@@ -40,7 +40,7 @@ VALUES = {
     "rate_field": "A.B.C",
     "rate_cols": "X,Y,Z",
     "quat_field": "A.B.C",
-    "quat_cols": "A,B,C,D",
+    "quat_cols": "A,B,C[,D]",
     "frame": "[PARENT:]CHILD",
     "q0": "W,X,Y,Z|level|log|FILE",
     "heading": "DEG",
@@ -91,7 +91,7 @@ HELP = {
     "quat_field": "Message field of {log} that is the quaternion.  [default: known from the "
     "message type]",
     "quat_cols": "Columns of the quaternion in {log} in the order in which they are stored, by "
-    "name or number from 0.  [default: by the header]",
+    "name or number from 0; or of three angles, with --from-euler.  [default: by the header]",
     "frame": "Which transform of {log}, where it is a list of them.  [default: the only one there "
     "is]",
     "from_layout": "Order of the quaternion in {log}.  [default: by names, definitions or "
@@ -101,6 +101,8 @@ HELP = {
     "body-to-ref]",
     "from_angle_unit": "Unit of angles in {log}, a table of yaw, pitch, roll or rotation vectors.  "
     "[default: by names; required where they do not say it]",
+    "from_euler": "Sequence of the angles in {log}: xyz turns about x, the new y and the newest "
+    "z. yaw, pitch and roll are about z, y and x.  [default: zyx, or by names]",
     "normalize": "Scale quaternions to unit length.  [default: refuse those off by more than "
     "0.001]",
     "on_invalid": "Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or "

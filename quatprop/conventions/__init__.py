@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions.representations import REPRESENTATIONS, Representation, euler_zyx
+from quatprop.conventions.representations import REPRESENTATIONS, Representation
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.text import listed, quoted
@@ -48,7 +48,6 @@ __all__ = [
     "Meaning",
     "Representation",
     "Signs",
-    "euler_zyx",
 ]
 
 CONVENTIONS = ("hamilton", "jpl")

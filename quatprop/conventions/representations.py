@@ -1,7 +1,7 @@
 """Other ways to write a rotation than a quaternion, and the way back.
 
-Rotation vectors, angles about z, y and x, and matrices: each a set of columns whose names say what
-is in them, and in which unit.
+Rotation vectors, Euler angles of every sequence, and matrices: each a set of columns whose names
+say what is in them, and in which unit.
 """
 
 from __future__ import annotations
@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.kinematics.quaternion import exp, from_matrix, log, normalize, rotation_matrix
+from quatprop.kinematics.quaternion import (
+    exp,
+    from_matrix,
+    log,
+    multiply,
+    normalize,
+    rotation_matrix,
+)
+from quatprop.settings import EULER_SEQUENCES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -23,46 +31,69 @@ if TYPE_CHECKING:
 QUATERNION = "quaternion"
 """The representation that is not converted."""
 
-NEAR_VERTICAL_DEG = 0.01
-"""deg: closer to pitch +-90 degrees than this, yaw and roll are hardly distinguishable."""
+NEAR_LOCK_DEG = 0.01
+"""deg: closer to gimbal lock than this, the first and third angle are hardly distinguishable."""
 
 _ROUNDING = 1e-12
 _SKEWED = 0.5
 """A matrix whose columns are off orthonormal by more than this is no rotation at all."""
 
 
-def euler_zyx(wxyz: Float64) -> Float64:
-    """Return yaw, pitch and roll: q = q_z(yaw) q_y(pitch) q_x(roll).
+def euler_angles(sequence: str, wxyz: Float64) -> Float64:
+    """Return the angles of intrinsic rotations about three axes, one after the other.
 
-    Yaw turns about z, pitch about the new y, roll about the newest x. From half sums and half
-    differences of yaw and roll, which stay exact where the two cannot be distinguished (pitch of 90
-    degrees); there they are shared equally.
+    For the sequence ``"xyz"`` q = q_x(first) q_y(second) q_z(third): about x, then about the new
+    y, then about the newest z; scipy writes ``"XYZ"``. Extrinsic rotations, about axes that stay,
+    are the same angles in reversed order. From half sums and half differences of the first and the
+    third angle, which stay exact where the two cannot be distinguished (gimbal lock); there they
+    are shared equally.
 
     Parameters
     ----------
+    sequence
+        One of :data:`quatprop.settings.EULER_SEQUENCES`.
     wxyz
         Quaternions, shape ``(N, 4)``; their length does not matter.
 
     Returns
     -------
     ndarray
-        Shape ``(N, 3)``, rad: yaw and roll from -pi to pi, pitch from -pi/2 to pi/2.
+        Shape ``(N, 3)``, rad: the first and the third from -pi to pi. The second is from -pi/2 to
+        pi/2 where all axes differ (Tait-Bryan angles), from 0 to pi where the first is the third
+        (proper Euler angles).
 
     References
     ----------
-    Bernardes and Viollet, "Quaternion to Euler angles conversion", PLoS ONE 17(11), 2022.
+    Bernardes and Viollet, "Quaternion to Euler angles conversion: A direct, general and
+    computationally efficient method", PLoS ONE 17(11), 2022.
 
     Examples
     --------
-    >>> euler_zyx(np.array([[np.cos(0.1), 0, 0, np.sin(0.1)]])).round(15).tolist()
-    [[0.2, 0.0, 0.0]]
+    >>> wxyz = np.array([[np.cos(0.1), 0, 0, np.sin(0.1)]])
+    >>> euler_angles("zyx", wxyz).round(15).tolist(), euler_angles("zxz", wxyz).round(15).tolist()
+    ([[0.2, 0.0, 0.0]], [[0.1, 0.0, 0.1]])
     """
-    w, x, y, z = wxyz.T
-    half_sum = np.arctan2(x + z, w - y)
-    half_difference = np.arctan2(z - x, w + y)
-    pitch = 2 * np.arctan2(np.hypot(w + y, z - x), np.hypot(w - y, x + z)) - np.pi / 2
-    yaw, roll = half_sum + half_difference, half_sum - half_difference
-    return np.stack([_within_half_turn(yaw), pitch, _within_half_turn(roll)], axis=1)
+    i, j, k = ("wxyz".index(axis) for axis in sequence)
+    is_proper, other = i == k, 6 - i - j
+    sign = (i - j) * (j - other) * (other - i) / 2
+    w, first, second, third = wxyz[:, 0], wxyz[:, i], wxyz[:, j], wxyz[:, other]
+    # Sine and cosine of half the sum and of half the difference, each pair times a length. Adding
+    # zero removes the sign of -0.0, which would turn an angle of 0 into half a turn.
+    if is_proper:
+        half_sum, half_difference = (first, w), (sign * third, second)
+    else:
+        half_sum = (first + third, w + sign * second)
+        half_difference = (first - third, w - sign * second)
+    (plus, minus), (larger, smaller) = (
+        [function(sine, cosine + 0.0) for sine, cosine in (half_sum, half_difference)]
+        for function in (np.arctan2, np.hypot)
+    )
+    if is_proper or sign < 0:
+        larger, smaller = smaller, larger
+    middle = 2 * np.arctan2(larger, smaller) - (0.0 if is_proper else np.pi / 2)
+    return np.stack(
+        [_within_half_turn(plus + minus), middle, _within_half_turn(plus - minus)], axis=1
+    )
 
 
 def _within_half_turn(angle: Float64) -> Float64:
@@ -70,13 +101,15 @@ def _within_half_turn(angle: Float64) -> Float64:
     return wrapped
 
 
-def from_euler_zyx(angles: Float64) -> Float64:
-    """Return q = q_z(yaw) q_y(pitch) q_x(roll), for angles of any size.
+def from_euler(sequence: str, angles: Float64) -> Float64:
+    """Return the quaternions of angles of any size: the way back from :func:`euler_angles`.
 
     Parameters
     ----------
+    sequence
+        As for :func:`euler_angles`.
     angles
-        Yaw, pitch and roll, shape ``(N, 3)``, rad.
+        In the order of the sequence, shape ``(N, 3)``, rad.
 
     Returns
     -------
@@ -85,19 +118,14 @@ def from_euler_zyx(angles: Float64) -> Float64:
 
     Examples
     --------
-    >>> from_euler_zyx(np.array([[np.pi, 0.0, 0.0]])).round(15).tolist()
+    >>> from_euler("zyx", np.array([[np.pi, 0.0, 0.0]])).round(15).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    (cz, cy, cx), (sz, sy, sx) = np.cos(angles.T / 2), np.sin(angles.T / 2)
-    return np.stack(
-        [
-            cz * cy * cx + sz * sy * sx,
-            cz * cy * sx - sz * sy * cx,
-            cz * sy * cx + sz * cy * sx,
-            sz * cy * cx - cz * sy * sx,
-        ],
-        axis=1,
-    )
+    steps = np.zeros((3, len(angles), 4))
+    steps[:, :, 0] = np.cos(angles.T / 2)
+    for step, axis, angle in zip(steps, sequence, angles.T, strict=True):
+        step[:, "wxyz".index(axis)] = np.sin(angle / 2)
+    return multiply(multiply(steps[0], steps[1]), steps[2])
 
 
 def from_matrices(rows: Float64) -> Float64:
@@ -125,17 +153,6 @@ def from_matrices(rows: Float64) -> Float64:
     return np.where(valid[:, None], attitudes, np.nan)
 
 
-def near_vertical(angles: Float64) -> int:
-    """Return in how many rows yaw and roll cannot be distinguished: pitch is +-90 degrees.
-
-    Parameters
-    ----------
-    angles
-        Yaw, pitch and roll, shape ``(N, 3)``, rad.
-    """
-    return int(np.count_nonzero(np.abs(angles[:, 1]) > np.radians(90 - NEAR_VERTICAL_DEG)))
-
-
 @dataclass(frozen=True, slots=True)
 class Representation:
     """A way to write a rotation other than a quaternion.
@@ -150,15 +167,23 @@ class Representation:
         From the columns to quaternions, of unit length where the columns are a rotation.
     signed
         Whether q and -q are written differently.
-    singular
-        Tells in how many rows the columns are not unique; None where they are or nearly are.
+    lock_deg
+        The second of three angles, deg, where the first and the third cannot be distinguished.
     """
 
     columns: tuple[str, ...]
     values: Callable[[Float64], Float64]
     attitudes: Callable[[Float64], Float64]
     signed: bool = False
-    singular: Callable[[Float64], int] | None = None
+    lock_deg: tuple[int, ...] = ()
+
+    def locked(self, values: Float64) -> int:
+        """Return in how many rows of columns, shape ``(N, k)``, the angles are not unique."""
+        if not self.lock_deg:
+            return 0
+        second = values[:, 1] if self.columns[1].endswith("_deg") else np.degrees(values[:, 1])
+        distance = np.abs(second[:, None] - self.lock_deg).min(axis=1, initial=np.inf)
+        return int(np.count_nonzero(distance < NEAR_LOCK_DEG))
 
 
 def _rotation_vectors(wxyz: Float64) -> Float64:
@@ -169,31 +194,29 @@ def _matrices(wxyz: Float64) -> Float64:
     return rotation_matrix(normalize(wxyz)).reshape(-1, 9)
 
 
-def _euler_degrees(wxyz: Float64) -> Float64:
-    return np.degrees(euler_zyx(wxyz))
+def _euler(sequence: str, unit: str) -> Representation:
+    """Return the angles of a sequence as columns in a unit."""
+    numbered = [f"euler_{sequence}_{place}" for place in (1, 2, 3)]
+    names = ("yaw", "pitch", "roll") if sequence == "zyx" else numbered
 
+    def values(wxyz: Float64) -> Float64:
+        angles = euler_angles(sequence, wxyz)
+        return np.degrees(angles) if unit == "deg" else angles
 
-def _from_euler_degrees(angles: Float64) -> Float64:
-    return from_euler_zyx(np.radians(angles))
+    def attitudes(angles: Float64) -> Float64:
+        return from_euler(sequence, np.radians(angles) if unit == "deg" else angles)
 
-
-def _near_vertical_degrees(angles: Float64) -> int:
-    return near_vertical(np.radians(angles))
+    lock_deg = (0, 180) if sequence[0] == sequence[2] else (-90, 90)
+    columns = tuple(f"{name}_{unit}" for name in names)
+    return Representation(columns, values, attitudes, lock_deg=lock_deg)
 
 
 REPRESENTATIONS: Mapping[str, Representation] = {
     "rotvec": Representation(
         ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), _rotation_vectors, exp, signed=True
     ),
-    "euler-zyx": Representation(
-        ("yaw_rad", "pitch_rad", "roll_rad"), euler_zyx, from_euler_zyx, singular=near_vertical
-    ),
-    "euler-zyx-deg": Representation(
-        ("yaw_deg", "pitch_deg", "roll_deg"),
-        _euler_degrees,
-        _from_euler_degrees,
-        singular=_near_vertical_degrees,
-    ),
+    **{f"euler-{sequence}": _euler(sequence, "rad") for sequence in EULER_SEQUENCES},
+    **{f"euler-{sequence}-deg": _euler(sequence, "deg") for sequence in EULER_SEQUENCES},
     "matrix": Representation(
         tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
         _matrices,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.conventions import HAMILTON
-from quatprop.conventions.representations import NEAR_VERTICAL_DEG, REPRESENTATIONS
+from quatprop.conventions.representations import NEAR_LOCK_DEG, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.into import open_into
@@ -104,7 +104,7 @@ def _write_attitudes(writer: AttitudeWriter, series: AttitudeSeries) -> int:
 def _write_representation(table: TableWriter, form: Representation, series: AttitudeSeries) -> int:
     values = form.values(series.wxyz)
     table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
-    return 0 if form.singular is None else form.singular(values)
+    return form.locked(values)
 
 
 def _write_rates(table: TableWriter, series: GyroSeries) -> int:
@@ -127,17 +127,20 @@ def remarks_on(
     job
         The conversion.
     singular
-        Rows whose yaw and roll cannot be distinguished.
+        Rows whose first and third angle cannot be distinguished.
     positions_lost
         Whether the source has positions and the output none.
     """
     if positions_lost:
         yield "the positions beside the attitudes are not kept: the output has no place for them"
     if singular:
+        form = REPRESENTATIONS[job.representation]
+        first, second, third = (name.rpartition("_")[0] for name in form.columns)
         yield (
-            f"{singular} rows are within {NEAR_VERTICAL_DEG} deg of pitch +-90 deg, where yaw and "
-            "roll cannot be distinguished: they share the rotation equally and jump from row to "
-            "row; together they are still the attitude"
+            f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
+            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where {first} and {third} "
+            "cannot be distinguished: they share the rotation equally and jump from row to row; "
+            "together they are still the attitude"
         )
     output, meaning = job.output, job.meaning
     if meaning != HAMILTON and not keeps_provenance(output.path, output.to, comment=output.comment):

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import Signs, euler_zyx
+from quatprop.conventions import Signs
+from quatprop.conventions.representations import euler_angles
 from quatprop.plot.lines import Unwrap
 from quatprop.plot.reduction import Reduction
 
@@ -162,7 +163,7 @@ class AttitudeAccumulator(Accumulator):
         if self._signs is not None:
             values[:-1, good] = self._signs.applied(wxyz[good]).T
         else:
-            values[:-1, good] = np.degrees(euler_zyx(wxyz[good])).T
+            values[:-1, good] = np.degrees(euler_angles("zyx", wxyz[good])).T
             values[[0, 2]] = self._unwrap.applied(values[[0, 2]])
         self.add(t_ns, values)
 

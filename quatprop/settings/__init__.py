@@ -49,6 +49,11 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
 METHODS = ("start", "end", "mean", "coning", "cubic")
 FRAMES = ("body", "inertial")
+EULER_SEQUENCES = (
+    *("zyx", "xyz", "xzy", "yxz", "yzx", "zxy"),
+    *("zxz", "zyz", "xyx", "xzx", "yxy", "yzy"),
+)
+"""Axes of intrinsic rotations in their order: Tait-Bryan angles, then proper Euler angles."""
 SIGMA_AXES = ("body", "reference")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
@@ -85,6 +90,7 @@ class AttitudeOptions(SelectOptions, total=False):
     from_convention: str
     from_direction: str
     from_angle_unit: str
+    from_euler: str
     normalize: bool
     on_invalid: str
 
@@ -192,12 +198,13 @@ SELECT_RATES: Mapping[str, Parser] = {
 SELECT_ATTITUDES: Mapping[str, Parser] = {
     **SELECT,
     "quat_field": text,
-    "quat_cols": columns("A,B,C,D"),
+    "quat_cols": columns("A,B,C[,D]"),
     "frame": text,
     "from_layout": Choice(*LAYOUTS),
     "from_convention": Choice(*CONVENTIONS),
     "from_direction": Choice(*DIRECTIONS),
     "from_angle_unit": Choice("rad", "deg"),
+    "from_euler": Choice(*EULER_SEQUENCES),
 }
 """Which attitudes of a log, and what their numbers mean: setting -> its parser."""
 

@@ -105,13 +105,17 @@ class Choice:
 
 
 def columns(names: str) -> Callable[[object], tuple[str, ...]]:
-    """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``."""
-    count = names.count(",") + 1
+    """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``.
+
+    What stands in brackets may be left out: ``"A,B,C[,D]"``.
+    """
+    counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
 
     def parse_columns(value: object) -> tuple[str, ...]:
         parts = tuple(str(part).strip() for part in _parts(value))
-        if len(parts) != count or not all(parts):
-            raise UsageError(f"{shown(value)} does not name {count} columns {names}")
+        if len(parts) not in counts or not all(parts):
+            number = " or ".join(map(str, counts))
+            raise UsageError(f"{shown(value)} does not name {number} columns {names}")
         if len(set(parts)) != len(parts):
             raise UsageError(f"{shown(value)} names a column twice")
         return parts

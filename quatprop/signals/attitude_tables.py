@@ -117,9 +117,10 @@ def _remarks(columns: ColumnMatch) -> tuple[str, ...]:
     if columns.representation == "quaternion":
         return ()
     sign = "which of q and -q is meant is not stored: signs are those of each row by itself"
-    if columns.representation == "euler-zyx":
-        return sign, "yaw, pitch, roll are rotations about z, the new y, and the newest x"
-    return (sign,)
+    if not columns.representation.startswith("euler-"):
+        return (sign,)
+    first, second, third = tuple(columns.representation.removeprefix("euler-"))
+    return sign, f"the angles turn about {first}, the new {second}, and the newest {third}"
 
 
 def _rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:

@@ -31,7 +31,14 @@ if TYPE_CHECKING:
     from quatprop.selection import SignalSelection
     from quatprop.tables.base import TableLog
 
-TABLE_SETTINGS = ("rate_cols", "quat_cols", "time_col", "sample_rate")
+TABLE_SETTINGS = (
+    "rate_cols",
+    "quat_cols",
+    "time_col",
+    "sample_rate",
+    "from_angle_unit",
+    "from_euler",
+)
 """Settings that only tables have."""
 
 SignalT = TypeVar("SignalT", bound=Signal)

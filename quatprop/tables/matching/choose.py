@@ -48,7 +48,8 @@ class ColumnMatch:
     dialect
         The convention that was recognised, such as ``"EuRoC"``, or ``""``.
     representation
-        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"euler-zyx"`` or ``"matrix"``.
+        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, or ``"euler-zyx"`` or
+        another sequence.
     layout
         The order in which quaternion components are stored, ``"scalar-first"`` or
         ``"scalar-last"``; ``""`` where it is neither and their names say which is which.
@@ -198,6 +199,8 @@ def match_quaternion(
     matcher = ColumnMatcher(log, selection, "quat_cols", QUATERNION_PARTS)
     dialect = matcher.dialect("quaternion")
     sets = matcher.sets(dialect.quaternion)
+    if selection.from_euler is not None:
+        raise NoAttitudesError(log.path, log.columns(), "columns")
     if selection.quat_cols is not None:
         # Who names the columns knows better than the metadata, but need not repeat it.
         wxyz = _named_quaternion(matcher, dialect, selection.quat_cols, layout, recorded)
@@ -225,6 +228,13 @@ def _named_quaternion(
 ) -> tuple[int, ...]:
     """Return the columns that the user names, in the order w, x, y, z."""
     stored = matcher.named(quat_cols)
+    if len(stored) < len(QUATERNION_PARTS):
+        raise UndeclaredError(
+            matcher.path,
+            f"which sequence of angles {matcher.names(stored)} are, if they are angles (a "
+            "quaternion has four columns),",
+            Setting("from_euler", "xyz"),
+        )
     patterns = (dialect.quaternion, GENERIC.quaternion, COMPONENT)
     for wxyz in (columns for pattern in patterns for columns in matcher.sets(pattern)):
         if set(wxyz) == set(stored):

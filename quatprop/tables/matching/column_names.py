@@ -5,7 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from quatprop.tables.matching.dialects import EULER, GYROSCOPE, ROTATION_VECTOR, TIME_NAMES
+from quatprop.tables.matching.dialects import (
+    EULER,
+    EULER_NUMBERED,
+    GYROSCOPE,
+    ROTATION_VECTOR,
+    TIME_NAMES,
+)
 
 RATE_UNITS = {
     "rad/s": (
@@ -45,7 +51,13 @@ _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
 # "sec" and "nanosec" are left out: at the end of a name they are the two halves of a timestamp.
 _SUFFIXES = sorted({*UNITS} - {"sec", "secs", "nsec", "nsecs", "nanosec", "nanosecs"})
 _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})")
-_MAY_HAVE_SUFFIX = (GYROSCOPE, rf"(?:.*[._])?(?:{TIME_NAMES})", ROTATION_VECTOR, EULER)
+_MAY_HAVE_SUFFIX = (
+    GYROSCOPE,
+    rf"(?:.*[._])?(?:{TIME_NAMES})",
+    ROTATION_VECTOR,
+    EULER,
+    EULER_NUMBERED.format("[xyz]{3}"),
+)
 
 
 @dataclass(frozen=True, slots=True)

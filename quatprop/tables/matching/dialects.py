@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from quatprop.settings import EULER_SEQUENCES
+
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
@@ -78,6 +80,7 @@ ROTATION_VECTOR = (
     rf"{_NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
 )
 EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
+EULER_NUMBERED = _NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
 _MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
 
 DIALECTS = (
@@ -207,6 +210,10 @@ GENERIC = Dialect(
 ROTATIONS = (
     ("rotvec", ROTATION_VECTOR, ("x", "y", "z")),
     ("euler-zyx", EULER, ("yaw", "pitch", "roll")),
+    *(
+        (f"euler-{sequence}", EULER_NUMBERED.format(sequence), ("1", "2", "3"))
+        for sequence in EULER_SEQUENCES
+    ),
     *(
         (
             "matrix",

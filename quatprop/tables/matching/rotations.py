@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 from quatprop.errors import UndeclaredError, UsageError
 from quatprop.tables.matching.choose import ColumnMatch
 from quatprop.tables.matching.column_names import ANGLE_UNITS
-from quatprop.tables.matching.dialects import GENERIC, ROTATIONS
+from quatprop.tables.matching.dialects import EULER, EULER_NUMBERED, GENERIC, ROTATIONS
 from quatprop.tables.matching.matcher import ColumnMatcher
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from quatprop.selection import AttitudeSelection
     from quatprop.tables.base import TableLog
 
@@ -39,9 +41,18 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
         The user contradicts the names.
     """
     matches = []
-    for representation, pattern, parts in ROTATIONS:
+    chosen, named = selection.from_euler, selection.quat_cols
+    for representation, pattern, parts in _rotations(chosen):
         matcher = ColumnMatcher(log, selection, "quat_cols", parts)
         matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
+    if chosen is not None and named is not None:
+        if len(named) != len(chosen):
+            raise UsageError(
+                *(Setting("from_euler"), " is about three angles, and ", Setting("quat_cols")),
+                f" names {len(named)} columns",
+            )
+        matcher = ColumnMatcher(log, selection, "quat_cols", chosen)
+        matches = [(f"euler-{chosen}", matcher, matcher.named(named))]
     if not matches:
         return None
     if len(matches) > 1:
@@ -56,6 +67,16 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
     timed = matcher.timed(columns, GENERIC)
     name, clock = matcher.describe(sorted(columns), timed)
     return ColumnMatch(timed, name, clock, unit, representation=representation)
+
+
+def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]:
+    """Return the rows of :data:`ROTATIONS`, or those of angles in a sequence that is known."""
+    if sequence is None:
+        return ROTATIONS
+    numbered = (f"euler-{sequence}", EULER_NUMBERED.format(sequence), "123")
+    names = [{"x": "roll", "y": "pitch", "z": "yaw"}[axis] for axis in sequence]
+    is_proper = sequence[0] == sequence[2]
+    return [numbered] if is_proper else [(f"euler-{sequence}", EULER, names), numbered]
 
 
 def _angle_unit(
