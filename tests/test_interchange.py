@@ -67,6 +67,39 @@ def test_a_trajectory_of_kitti_needs_a_rate_and_twelve_columns(tmp_path):
     assert "it has 4 columns, and a KITTI trajectory has 12: r11 r12 r13 tx" in result.stderr
 
 
+def test_a_trajectory_is_written_as_kitti_has_them(tmp_path):
+    """Evo reads it without an option, with the positions; so does quatprop, given a rate."""
+    source, path = tmp_path / "poses.tum", tmp_path / "poses.kitti"
+    file_interface.write_tum_trajectory_file(source, PoseTrajectory3D(XYZ, WXYZ, T_S))
+    done = run("convert", source, path)
+    assert "note: the timestamps are not kept: kitti has no place for them" in done.stderr
+    found = file_interface.read_kitti_poses_file(path)
+    np.testing.assert_allclose(found.positions_xyz, XYZ, atol=1e-15)
+    expected = Rotation.from_quat(WXYZ, scalar_first=True).as_matrix()
+    np.testing.assert_allclose(np.array(found.poses_se3)[:, :3, :3], expected, atol=1e-9)
+    evo = subprocess.run([Path(sys.executable).parent / "evo_traj", "kitti", path, "--full_check"],
+                         capture_output=True, text=True, check=False)  # fmt: skip
+    assert evo.returncode == 0, evo.stderr
+    assert "SE(3) conform\tyes" in evo.stdout
+    again = tmp_path / "again.kitti"
+    run("convert", path, again, "--sample-rate", "10")
+    np.testing.assert_allclose(np.loadtxt(again), np.loadtxt(path), atol=1e-15)
+
+
+def test_attitudes_become_rows_of_kitti_at_the_origin(tmp_path):
+    """A quarter turn about z takes x to y; the rows of the matrix follow one another."""
+    run("simulate", tmp_path / "spin.csv", "--frequency", "0.25", "--duration", "2s", "--rate", "1")
+    run("propagate", tmp_path / "spin.csv", "-o", tmp_path / "spin.kitti")
+    rows = np.loadtxt(tmp_path / "spin.kitti").round(12) + 0.0
+    assert rows.tolist() == [
+        [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0],
+        [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0],
+    ]
+    arguments = ["convert", str(tmp_path / "spin.truth.csv"), "-", "--to", "kitti"]
+    result = CliRunner().invoke(cli, [*arguments, "--header-comment"])
+    assert "kitti has no comments; leave --header-comment out" in result.stderr
+
+
 def test_a_trajectory_of_evo_is_read_as_it_is(tmp_path):
     """Which has no header."""
     path = tmp_path / "poses.tum"

@@ -14,7 +14,7 @@ import pytest
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, layout_of, open_table, open_writer
-from quatprop.writers.tables.tum import seconds
+from quatprop.writers.tables.trajectories import seconds
 
 TOLD = {"convention": {"layout": "scalar-first"}, "n": "ø", "q0_wxyz": [1.0, 0.0, 0.0, 0.0]}
 TABLES = [kind for kind, known in WRITERS.items() if known.columns]

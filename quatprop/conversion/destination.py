@@ -131,6 +131,8 @@ def remarks_on(
     positions_lost
         Whether the source has positions and the output none.
     """
+    if kind_of(job.output.path, job.output.to) == "kitti":
+        yield "the timestamps are not kept: kitti has no place for them"
     if positions_lost:
         yield "the positions beside the attitudes are not kept: the output has no place for them"
     if singular:

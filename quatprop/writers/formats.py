@@ -97,8 +97,9 @@ WRITERS: Mapping[str, Format] = {
     ),
     "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
     "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
-    "tum": _text((".tum",), "tables.tum:TumTable", layout="scalar-last", comments=True),
-    "euroc": _text((), "tables.euroc:EurocTable", layout="scalar-first", comments=True),
+    "tum": _text((".tum",), "tables.trajectories:TumTable", layout="scalar-last", comments=True),
+    "euroc": _text((), "tables.trajectories:EurocTable", layout="scalar-first", comments=True),
+    "kitti": _text((".kitti",), "tables.trajectories:KittiTable", layout="scalar-first"),
     "mcap": _messages(
         (".mcap",), "mcap.writer:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
     ),
