@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _PARQUET_TAIL = 8
 _FEATHER_TAIL, _FEATHER_MAGIC, _END_OF_STREAM = 10, b"ARROW1", 8
 _BLOCK = struct.Struct("<qi4xq")
-_WINDOW = 1 << 24
+_WINDOW, _LOST_BYTES = 1 << 24, 1 << 16
 
 
 class _ArrowLog(TypedTable):
@@ -138,7 +138,9 @@ class ParquetLog(_ArrowLog):
         # Places are counted from the beginning of the last file, so they are too small by the size
         # of what precedes it. Page indexes and Bloom filters lie in between, too.
         footer = self._file.size() - metadata.serialized_size - _PARQUET_TAIL
-        at = self._magic_in(b"PAR1PAR1", footer - pages_end)
+        end = footer - pages_end
+        # It begins further on where it has lost some of its bytes.
+        at = self._magic_in(b"PAR1PAR1", end + _LOST_BYTES if end > 0 else 0)
         return None if at is None else at + len(b"PAR1")
 
     def _metadata(self) -> Mapping[bytes, bytes]:
