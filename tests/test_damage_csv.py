@@ -181,6 +181,14 @@ def test_quotes_in_comments_and_within_cells_are_no_damage():
     assert read(text, QUOTED)[1:] == (2, [], [])
 
 
+def test_a_stray_quote_costs_its_row_alone():
+    """Only a cell whose next lines are no rows can have line breaks."""
+    text = rows_of(*["0.123456"] * 3, '0.12"3456', *["0.123456"] * 120)
+    _, count, losses, _ = read(text)
+    reason = "'0.12\"3456' in column 'wz' is not a number"
+    assert (count, losses) == (123, [Loss("line 5", reason, 1)])
+
+
 @pytest.mark.parametrize("rows", [200, 20_000])
 def test_a_compressed_text_that_is_cut_off_ends_with_its_last_whole_line(rows):
     """All that zlib decompresses of it is read; there is no doubt that more follows."""

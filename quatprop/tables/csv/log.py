@@ -10,6 +10,7 @@ from quatprop.provenance import COMMENT, METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
+from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
 from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks, record_end
 from quatprop.text import quoted
@@ -147,6 +148,8 @@ class CsvLog(TableLog):
         begin = record_end(data, len(data))  # cells may have line breaks
         if data.count(b'"', begin) % 2 and data.count(b'"') % 2 == 0:
             begin = 0  # the only record
+        if any(map(RowParser(self._layout, columns).is_row, data[begin:].split(b"\n")[1:])):
+            begin = data.rfind(b"\n") + 1  # a stray quote, and no cell with line breaks
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
         used = {*columns.time, *columns.numbers}

@@ -102,11 +102,11 @@ class RowParser(ColumnParser):
         breaks = breaks[np.searchsorted(quotes, breaks) % 2 == 1]
         content = bytes(data) if len(breaks) else b""
         for begin in breaks + 1:
-            if self._is_row(content[begin : content.find(b"\n", begin)]):
+            if self.is_row(content[begin : content.find(b"\n", begin)]):
                 raise OpenQuoteError
         return len(breaks) > 0
 
-    def _is_row(self, line: bytes) -> bool:
+    def is_row(self, line: bytes) -> bool:
         """Return whether a line looks like a row by itself, whatever its quotes say."""
         cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
         if len(cells) < len(self.layout.names):
@@ -154,7 +154,7 @@ class RowParser(ColumnParser):
 
     def _has_open_quote(self, lines: list[str]) -> bool:
         """Return whether a record ends in an open quote, or has rows in its quotes."""
-        if any(self._is_row(text.encode()) for text in lines[1:]):
+        if any(self.is_row(text.encode()) for text in lines[1:]):
             return True
         try:
             deque(self._reader(lines, strict=True), maxlen=0)
