@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from quatprop.concurrency.threads import thread_count
+from quatprop.concurrency.threads import thread_count, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
@@ -166,7 +167,7 @@ class Digest:
 
 def digest_of(path: Path | str) -> Digest:
     """Return the digest of a file or a folder; pipes and ``"-"`` cannot be read again."""
-    with DigestThread(path) as thread:
+    with use_threads(1), DigestThread(path) as thread:
         return thread.result()
 
 
@@ -230,11 +231,14 @@ class DigestThread:
 
     def _of_file(self, file: Path) -> Digest:
         sha256 = hashlib.sha256()
-        size = 0
-        block = memoryview(bytearray(_BLOCK_BYTES))
         with file.open("rb", buffering=0) as stream:
+            size = stream.seek(0, os.SEEK_END)
             if not self._hashed:
-                return Digest(stream.seek(0, 2))
+                return Digest(size)
+            stream.seek(0)
+            # Memory costs time: a small file gets little.
+            block = memoryview(bytearray(max(1, min(size, _BLOCK_BYTES))))
+            size = 0
             while not self._stopped.is_set() and (count := stream.readinto(block)):
                 sha256.update(block[:count])
                 size += count

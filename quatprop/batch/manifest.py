@@ -157,7 +157,7 @@ def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
 
 def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
     """Return an entry as a line of JSON."""
-    text = json.dumps(as_json(entry), ensure_ascii=False) + "\n"
+    text = json.dumps(entry, ensure_ascii=False, default=as_json) + "\n"
     return text.encode(errors="surrogateescape")
 
 

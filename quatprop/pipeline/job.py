@@ -132,7 +132,8 @@ def run(
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)
-            report_file.finish(report.as_json())
+            if output.report is not None:
+                report_file.finish(report.as_json())
             before_publish(report)
             writer.publish()
             report_file.publish()

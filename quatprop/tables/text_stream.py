@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 BLOCK_BYTES = 1 << 22
 """Bytes of a block; a longer record makes a longer one."""
 
+_SMALL_LOG = 1 << 16
 _LONGEST_RECORD = 1 << 26
 _LOSSES_A_BLOCK = 8
 
@@ -127,8 +128,11 @@ def record_blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[TextBlo
     size
         Bytes of a block.
     """
-    buffer = bytearray(size)
-    offset = filled = 0
+    # Memory costs time: a small log gets little.
+    buffer = bytearray(min(size, _SMALL_LOG))
+    offset, filled = 0, text.fill(buffer)
+    if filled == len(buffer):
+        buffer.extend(bytes(size - filled))
     while True:
         filled += text.fill(memoryview(buffer)[filled:])
         ended = filled < len(buffer)

@@ -34,7 +34,7 @@ def provenance_json(provenance: Mapping[str, object]) -> str:
     >>> provenance_json({"source": "a.bag", "samples": 1})
     '{"samples": 1, "source": "a.bag"}'
     """
-    return json.dumps(as_json(provenance), sort_keys=True)
+    return json.dumps(provenance, sort_keys=True, default=as_json)
 
 
 def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, slice]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 
 from quatprop.tables.matching.dialects import (
     EULER,
@@ -80,6 +81,7 @@ class ColumnName:
     unit: str = ""
 
 
+@lru_cache(maxsize=1024)
 def parse_name(text: str) -> ColumnName:
     """Take a column name apart.
 
