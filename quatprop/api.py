@@ -348,7 +348,12 @@ def compare(
 
 
 def write(
-    series: AttitudeSeries, path: StrPath, *, to: str | None = None, layout: str | None = None
+    series: AttitudeSeries,
+    path: StrPath,
+    *,
+    to: str | None = None,
+    layout: str | None = None,
+    beside: str | None = None,
 ) -> None:
     """Write an attitude series to a file.
 
@@ -364,6 +369,9 @@ def write(
     layout
         ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
         scalar-first where it leaves the choice.
+    beside
+        What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
+        a representation of :func:`convert`.
 
     Raises
     ------
@@ -392,7 +400,7 @@ def write(
         provenance = replace(report, convention=convention).as_json()
     else:
         provenance = convention_of(order)
-    with open_writer(place, to, layout=order, sigma=sigma) as writer:
+    with open_writer(place, to, layout=order, sigma=sigma, beside=beside) as writer:
         writer.write(series)
         writer.commit(provenance)
 
@@ -403,6 +411,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     *,
     to: str | None = None,
     layout: str | None = None,
+    beside: str | None = None,
     convention: str = "hamilton",
     direction: str = "body-to-ref",
     sign: str = "keep",
@@ -415,7 +424,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     ----------
     source, **options
         What to read, as for :func:`read_attitudes`.
-    output, to, layout
+    output, to, layout, beside
         Where and how to write, as for :func:`write`.
     convention
         ``"hamilton"`` or ``"jpl"``.
@@ -455,7 +464,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     report = convert_file(
         Conversion(
             log=wanted.path,
-            output=OutputSettings(path=_path("output", output), to=to, layout=layout),
+            output=OutputSettings(_path("output", output), to=to, layout=layout, beside=beside),
             kind=wanted.kind,
             selection=wanted.selection,
             meaning=Meaning(convention, direction),

@@ -235,7 +235,7 @@ def test_formats_that_only_hold_attitudes_say_so(tmp_path):
         (["--layout", "wxyz"], "--layout is about quaternions and matrix has none; leave it out"),
         (["--convention", "jpl"], "--convention is about quaternions and matrix has none"),
         (["--sign", "positive"], "--sign is about quaternions and matrix has none; leave it out"),
-        (["--euler-unit", "deg"], "--euler-unit is for --as euler-zyx"),
+        (["--euler-unit", "deg"], "--euler-unit goes with euler-zyx and other"),
         (["--message", "TFMessage"], "--message is about quaternions and matrix has none"),
     ],
 )

@@ -1,5 +1,7 @@
 """Rotation vectors, angles and matrices as tables of attitudes, and back into quaternions."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -7,16 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop import RemarkWarning, read_attitudes
+from quatprop import RemarkWarning, read_attitudes, write
 from quatprop.cli import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
+from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.settings import EULER_SEQUENCES
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import stamps_in
+from quatprop.tables.base import TimedColumns
 from quatprop.writers import WRITERS, open_table
+
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
 
 HALF = np.sqrt(0.5)
 TABLES = [kind for kind, known in WRITERS.items() if known.columns]
@@ -305,3 +311,67 @@ def test_gimbal_lock_is_told(tmp_path):
     ) in result.stderr
     assert geodesic_angle(read(out), read(path)).max() < 1e-15 * 4
     assert "cannot be distinguished" not in run(path, out, "--as", "matrix").stderr
+
+
+@pytest.mark.parametrize("kind", TABLES)
+def test_angles_stand_beside_the_quaternion(tmp_path, kind):
+    """In propagate, convert and the library; what is read back is the quaternion."""
+    log, out = SAMPLES / "tumbling.bag", tmp_path / f"a.{kind}"
+    options = ["--with", "euler-xyz", "--euler-unit", "deg"]
+    names = ["euler_xyz_1_deg", "euler_xyz_2_deg", "euler_xyz_3_deg"]
+    for command, target in (("propagate", ["-o", out]), ("convert", [tmp_path / f"b.{kind}"])):
+        source = log if command == "propagate" else out
+        arguments = [command, source, *target, *options]
+        result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
+        assert result.exit_code == 0, result.output
+        with open_log(target[-1]) as table:
+            assert table.columns() == ["t_ns", "qw", "qx", "qy", "qz", *names]
+        wxyz = read(target[-1])
+        angles = columns_in(target[-1], names)
+        expected = Rotation.from_euler("XYZ", angles, degrees=True).as_quat(scalar_first=True)
+        assert geodesic_angle(wxyz, expected).max() < 1e-14
+    write(read_attitudes(out), tmp_path / f"c.{kind}", beside="euler-xyz-deg")
+    np.testing.assert_array_equal(columns_in(tmp_path / f"c.{kind}", names), angles)
+
+
+def columns_in(path, names):
+    """Return columns of a table, shape (N, k)."""
+    with open_log(path) as log:
+        places = tuple(log.columns().index(name) for name in names)
+        rows = log.metered_rows(TimedColumns(places, (0,), "ns", None))
+        return np.concatenate([numbers for _, numbers in rows])
+
+
+def test_angles_and_standard_deviations_are_written_together(tmp_path):
+    """Angles first; the standard deviations are read back."""
+    out = tmp_path / "a.csv"
+    arguments = ["propagate", SAMPLES / "tumbling.bag", "-o", out, "--with", "euler-zyx", "--sigma",
+                 "--noise-density", "0.2deg/sqrt(h)"]  # fmt: skip
+    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
+    assert result.exit_code == 0, result.output
+    header = out.read_text().splitlines()[0]
+    assert header == "t_ns,qw,qx,qy,qz,yaw_rad,pitch_rad,roll_rad,sigma_x,sigma_y,sigma_z"
+    assert read_attitudes(out).covariance is not None
+
+
+@pytest.mark.parametrize(
+    ("output", "options", "sentence"),
+    [
+        ("a.tum", [], "--with: tum has its own columns; choose 'csv', 'tsv', 'jsonl'"),
+        ("a.mcap", [], "--with: mcap has its own columns; choose 'csv'"),
+        ("a.csv", ["--as", "rotvec"], "--with is about quaternions and rotvec has none"),
+        ("a.csv", ["--direction", "ref-to-body"], "--with goes with Hamilton quaternions body to"),
+    ],
+)
+def test_angles_that_have_no_place_are_refused(tmp_path, output, options, sentence):
+    """One sentence, and nothing is written."""
+    source = written(tmp_path, "qw,qx,qy,qz", [(1.0, 0.0, 0.0, 0.0)])
+    out = tmp_path / output
+    assert sentence in run(source, out, "--with", "euler-zyx", *options, code=2).stderr
+    assert not out.exists()
+    with pytest.raises(UsageError, match="beside: there is no 'euler'; did you mean 'euler-zyx'"):
+        write(read_attitudes(source), out, to="csv", beside="euler")
+    assert (
+        "--euler-unit goes with euler-zyx and other sequences"
+        in run(source, out, "--with", "rotvec", "--euler-unit", "deg", code=2).stderr
+    )

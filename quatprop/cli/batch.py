@@ -52,9 +52,10 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 @click.option(
     "--to",
     type=OneOf(tuple(WRITERS)),
+    metavar="FORMAT",
     default="parquet",
     show_default=True,
-    help="Format of the outputs.",
+    help=f"{', '.join(WRITERS)}.",
 )
 @click.option(
     "--list",
@@ -108,9 +109,9 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    Folders, prefixes of object stores and quoted patterns (with **) are searched for logs.
-    DIR/manifest.jsonl lists each log once it has ended. One that cannot be used does not stop
-    the others (exit code 2; 3: data was lost).
+    Folders, prefixes of object stores and quoted patterns (with **) are searched for logs, and
+    DIR/manifest.jsonl lists them. A log that cannot be used does not stop the others (exit code
+    2; 3: data was lost).
     """
     from quatprop.batch.run import outdated, plan
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme

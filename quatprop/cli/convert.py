@@ -14,18 +14,22 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
-from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
+from quatprop.cli.output_options import (
+    EULER,
+    OUTPUT_OPTIONS,
+    into_option,
+    output_settings,
+    with_unit,
+)
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
-from quatprop.settings import CONVENTIONS, DIRECTIONS, EULER_SEQUENCES, READ_ATTITUDES
+from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
 from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.conversion.report import ConversionReport
-
-EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 
 
 EXAMPLES = (
@@ -76,11 +80,6 @@ EXAMPLES = (
     "or the rates in rad/s that lead from each attitude to the next: propagated with --method "
     "start, they give the attitudes back.",
 )
-@click.option(
-    "--euler-unit",
-    type=OneOf(("rad", "deg")),
-    help="Unit of Euler angles.  [default: rad]",
-)
 @report_option
 @quiet_option
 def command(*, quiet: bool, **chosen: Any) -> None:
@@ -93,9 +92,6 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import Conversion, convert
 
-    unit, representation = chosen["euler_unit"], chosen["representation"]
-    if unit is not None and representation not in EULER:
-        raise click.UsageError("--euler-unit is for --as euler-zyx and other sequences of angles")
     wanted = input_of(chosen["log"], chosen)
     job = Conversion(
         log=wanted.path,
@@ -104,7 +100,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
         selection=wanted.selection,
         meaning=Meaning(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
-        representation=f"{representation}-deg" if unit == "deg" else representation,
+        representation=with_unit(chosen["representation"], chosen["euler_unit"]),
         normalize=wanted.normalize,
         drop=wanted.drop,
     )

@@ -32,22 +32,19 @@ GROUPS = {
         ),
     ),
     "Time range": ("start end", ""),
-    "Rates": ("bias mount imu", "calibration"),
+    "Rates": ("bias mount", "calibration"),
     "Initial attitude": ("q0", "heading reference_z q0_layout"),
     "Integration": ("method", "rates"),
     "Timestamps": ("on_gap on_backwards", "on_nonfinite max_gap"),
-    "Uncertainty": ("", "noise_density bias_sigma random_walk scale_sigma sigma_axes"),
+    "Uncertainty": ("", "imu noise_density bias_sigma random_walk scale_sigma sigma_axes"),
     "Limits": (
         "tol",
         "rms_tol final_tol p95_tol window_tol window_rms_tol drift_tol min_coverage max_sigma",
     ),
     "Alignment": ("align time_offset window", "match max_dt min_matched"),
     "Output": (
-        (
-            "output folder to layout convention direction sign representation euler_unit "
-            "rate sigma plot"
-        ),
-        "into every at comment message out_topic frames report",
+        ("output folder to layout beside convention direction sign representation rate sigma plot"),
+        "euler_unit into every at comment message out_topic frames report",
     ),
     "Execution": ("processes skip_existing", "threads config list_file root shard dask retries"),
     "Display": ("quiet as_json help help_all", "verbose"),
@@ -87,7 +84,7 @@ def brief(names: str, text: str) -> tuple[str, str]:
     """
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    default = re.sub("[;,] (but|required|else|without) .*]", "]", default)
+    default = re.sub("[;,] [^]]*", "", default)
     return names, said if default.startswith("default: none") else said + bracket + default
 
 

@@ -136,8 +136,9 @@ HELP = {
     "on_nonfinite": "Rates that are NaN or infinite: refuse, drop, or hold the previous rate.  "
     "[default: error]",
     "max_gap": "Intervals longer than this count as gaps.  [default: 10 median intervals]",
-    "on_gap": "Gaps: hold propagates across like over any interval, by --method, and warns; zero "
-    "takes the rate across as zero; split begins again at --q0; error refuses.  [default: hold]",
+    "on_gap": "What to do about gaps: hold propagates across like over any interval, by --method, "
+    "and warns; zero takes the rate across as zero; split begins again at --q0; error refuses.  "
+    "[default: hold]",
     "every": "Write every N-th attitude only.  [default: all]",
     "rate": "Rate of the attitudes: exact at its times under the method.  [default: at "
     "the samples]",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.types import PATH, OneOf
-from quatprop.settings import LAYOUTS
+from quatprop.settings import EULER_SEQUENCES, LAYOUTS
 from quatprop.writers import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 
@@ -17,10 +17,14 @@ if TYPE_CHECKING:
     from quatprop.pipeline.settings import OutputSettings
 
 
+EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
+"""Representations by Euler angles."""
+
 output_kind_option = click.option(
     "--to",
     type=OneOf(tuple(WRITERS)),
-    help="Format of the output.  [default: by the suffix; without one a ROS 2 bag folder]",
+    metavar="FORMAT",
+    help=f"{', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 layout_option = click.option(
     "--layout",
@@ -60,7 +64,22 @@ MESSAGE_OPTIONS = (
         help="Names of the two frames in the messages.  [default: reference,body]",
     ),
 )
-OUTPUT_OPTIONS = (output_kind_option, layout_option, comment_option, *MESSAGE_OPTIONS)
+with_option = click.option(
+    "--with",
+    "beside",
+    type=OneOf(("rotvec", *EULER, "matrix")),
+    metavar="euler-zyx|...",
+    help="Also write angles, a rotation vector or a matrix; in further columns of a table: "
+    "euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; rotvec; matrix.  "
+    "[default: none]",
+)
+euler_unit_option = click.option(
+    "--euler-unit", type=OneOf(("rad", "deg")), help="Unit of Euler angles.  [default: rad]"
+)
+OUTPUT_OPTIONS = (
+    *(output_kind_option, layout_option, with_option, euler_unit_option, comment_option),
+    *MESSAGE_OPTIONS,
+)
 """How an attitude series is written."""
 
 
@@ -81,15 +100,24 @@ def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSet
     if (output is None) == (into is None):
         both = "" if output is None else ", not both"
         raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
+    if chosen["euler_unit"] and not {chosen["beside"], chosen.get("representation")} & {*EULER}:
+        raise click.UsageError("--euler-unit goes with euler-zyx and other sequences of angles")
     return OutputSettings(
         path=into or output,
         into=into is not None,
         to=chosen["to"],
         layout=layout and layout_named(layout).name,
         message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),
+        beside=chosen["beside"] and with_unit(chosen["beside"], chosen["euler_unit"]),
         comment=chosen["comment"],
         report=chosen["report"],
     )
+
+
+def with_unit(representation: str, euler_unit: str | None) -> str:
+    """Return the key of a representation whose angles, if it has any, have a unit."""
+    in_degrees = representation in EULER and euler_unit == "deg"
+    return f"{representation}-deg" if in_degrees else representation
 
 
 def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
     from quatprop.text import Setting
 
-OPTION_NAMES = {"kind": "from", "representation": "as"}
+OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 """Settings whose option has another name."""
 
 ONCE = {*COMPARE, "normalize", "on_invalid"}

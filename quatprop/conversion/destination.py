@@ -72,6 +72,11 @@ def _refuse_other_conventions(output: OutputSettings, kind: str) -> None:
         )
     if output.message is not None:
         raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
+    if output.beside is not None:
+        raise UsageError(
+            *(Setting("beside"), " goes with Hamilton quaternions body to reference; leave "),
+            *(Setting("convention"), " and ", Setting("direction"), " out"),
+        )
 
 
 def _open_attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) -> AttitudeWriter:
@@ -84,6 +89,7 @@ def _open_attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) ->
             layout=layout,
             message=output.message,
             comment=output.comment,
+            beside=output.beside,
         )
 
     def stamps(
@@ -92,7 +98,13 @@ def _open_attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) ->
         return choose_attitudes(again, job.selection).stamps()
 
     return open_into(
-        log, output.path, stamps, layout=layout, message=output.message, comment=output.comment
+        log,
+        output.path,
+        stamps,
+        layout=layout,
+        message=output.message,
+        comment=output.comment,
+        beside=output.beside,
     )
 
 

@@ -177,6 +177,8 @@ def conversion_report(  # noqa: PLR0913  # the parts of a conversion
     if job.representation == QUATERNION:
         order = layout_of(kind_of(output.path, output.to), output.layout)
         layout, columns = order.name, order.columns
+        if output.beside is not None:
+            columns += REPRESENTATIONS[output.beside].columns
     else:
         columns = (
             RATE_COLUMNS

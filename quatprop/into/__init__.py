@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 from quatprop.errors import OutputError, UsageError
 from quatprop.into.log_times import LogTimes
 from quatprop.text import Setting, listed, plain, quoted
-from quatprop.writers import WRITERS, kind_of, layout_of, refuse_sigma
+from quatprop.writers import WRITERS, kind_of, layout_of, refuse_columns
 from quatprop.writers.base import AttitudeMessages
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout
@@ -107,6 +107,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     comment: bool = False,
     message: Message | None = None,
     sigma: str | None = None,
+    beside: str | None = None,
 ) -> AttitudeWriter:
     """Open a writer of a copy of a log to which attitudes are added.
 
@@ -119,7 +120,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     stamps
         Given the log, yields the stamps of the messages that the attitudes come from, and when
         they were logged: an attitude is logged when its message was.
-    layout, comment, message, sigma
+    layout, comment, message, sigma, beside
         As for :func:`quatprop.writers.open_writer`.
 
     Returns
@@ -139,7 +140,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     layout_of(kind, layout)
     if comment:
         raise UsageError(f"{kind} has no comments; leave ", Setting("header_comment"), " out")
-    refuse_sigma(kind, message, sigma)
+    refuse_columns(kind, message, sigma, beside)
     message = message or Message()
     channels = cast("MessageLog", log).channels()
     if message.topic_name in {channel.topic for channel in channels}:

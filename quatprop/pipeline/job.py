@@ -149,6 +149,7 @@ def _open_output(
         "message": output.message,
         "comment": output.comment,
         "sigma": settings.errors.columns_axes,
+        "beside": output.beside,
     }
     if not output.into:
         return open_writer(output.path, output.to, **options)

@@ -130,6 +130,9 @@ class OutputSettings:
         the format prescribes, or scalar-first where it leaves the choice.
     message
         What to write the attitudes as, where they are written as messages.
+    beside
+        What else to write of each attitude: a key of
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing.
     comment
         Write the report in a comment at the beginning of the output.
     report
@@ -141,6 +144,7 @@ class OutputSettings:
     to: str | None = None
     layout: str | None = None
     message: Message | None = None
+    beside: str | None = None
     comment: bool = False
     report: str | None = None
 

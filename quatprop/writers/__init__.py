@@ -15,7 +15,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.text import Setting, listed, quoted
+from quatprop.text import Setting, did_you_mean, listed, quoted
 from quatprop.writers.formats import (
     GENERAL_KINDS,
     WRITERS,
@@ -44,7 +44,7 @@ __all__ = [
     "open_messages",
     "open_table",
     "open_writer",
-    "refuse_sigma",
+    "refuse_columns",
 ]
 
 
@@ -56,6 +56,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     comment: bool = False,
     message: Message | None = None,
     sigma: str | None = None,
+    beside: str | None = None,
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
@@ -76,6 +77,9 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     sigma
         ``"body"`` or ``"reference"``: add columns of standard deviations about these axes. Messages
         with a covariance hold what the attitudes have, about reference axes, as ROS defines it.
+    beside
+        A key of :data:`quatprop.conventions.representations.REPRESENTATIONS`: add its columns to
+        those of the quaternion.
 
     Returns
     -------
@@ -89,8 +93,9 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
         writing there is not permitted, or the kind cannot go to stdout.
     UsageError
         The layout is unknown or not that of the format, or the format has no comments, no messages
-        or no place for standard deviations.
+        or no place for further columns.
     """
+    from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.series import SIGMA_COLUMNS
     from quatprop.writers.base import AttitudeMessages, AttitudeTable
 
@@ -99,10 +104,16 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     if message is not None and not chosen.encodings:
         raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
     order = layout_of(kind, layout)
-    refuse_sigma(kind, message, sigma)
+    refuse_columns(kind, message, sigma, beside)
     if not chosen.encodings:
-        names = order.columns if sigma is None else (*order.columns, *SIGMA_COLUMNS)
-        return AttitudeTable(_open_columns(target, kind, names, comment=comment), order, sigma)
+        form = None if beside is None else REPRESENTATIONS[beside]
+        names = (
+            *order.columns,
+            *(form.columns if form is not None else ()),
+            *(SIGMA_COLUMNS if sigma is not None else ()),
+        )
+        table = _open_columns(target, kind, names, comment=comment)
+        return AttitudeTable(table, order, sigma, form)
     from quatprop.writers.messages.encoders import attitude_encoder
     from quatprop.writers.messages.kinds import Message
 
@@ -112,14 +123,16 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     return AttitudeMessages(open_messages(target, kind, encoder.topic), encoder, target)
 
 
-def refuse_sigma(kind: str, message: Message | None, sigma: str | None) -> None:
-    """Refuse standard deviations where a format or a message has no place for them.
+def refuse_columns(
+    kind: str, message: Message | None, sigma: str | None, beside: str | None
+) -> None:
+    """Refuse standard deviations and angles where a format or a message has no place for them.
 
     Parameters
     ----------
     kind
         A key of :data:`WRITERS`.
-    message, sigma
+    message, sigma, beside
         As for :func:`open_writer`.
 
     Raises
@@ -127,9 +140,16 @@ def refuse_sigma(kind: str, message: Message | None, sigma: str | None) -> None:
     UsageError
         They cannot be written.
     """
+    from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.writers.messages.kinds import MESSAGES, Message
 
     chosen = WRITERS[kind]
+    tables = listed(name for name, form in WRITERS.items() if form.columns)
+    if beside is not None and beside not in REPRESENTATIONS:
+        hint = did_you_mean(beside, REPRESENTATIONS, f"choose one of {listed(REPRESENTATIONS)}")
+        raise UsageError(Setting("beside"), f": there is no {quoted(beside)}{hint}")
+    if beside is not None and not chosen.columns:
+        raise UsageError(Setting("beside"), f": {kind} has its own columns; choose {tables}")
     message = message or Message()
     if sigma is None or chosen.columns or (chosen.encodings and message.definition.has_covariance):
         return
@@ -137,7 +157,6 @@ def refuse_sigma(kind: str, message: Message | None, sigma: str | None) -> None:
         able = listed(name for name, one in MESSAGES.items() if one.has_covariance)
         reason = f"{message.type} has no covariance; choose {able} with "
         raise UsageError(Setting("sigma"), f": {reason}", Setting("message"))
-    tables = listed(name for name, form in WRITERS.items() if form.columns)
     raise UsageError(Setting("sigma"), f": {kind} holds poses only; choose {tables}")
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conventions.layout import Layout
+    from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries
     from quatprop.writers.atomic import OutputFile, OutputPath
     from quatprop.writers.messages.encoders import AttitudeEncoder
@@ -203,22 +204,30 @@ class AttitudeWriter(SeriesWriter):
 
 
 class AttitudeTable(AttitudeWriter):
-    """Attitudes as a table: the stamps and four components in the order of a layout.
+    """Attitudes as a table: stamps, four components in the order of a layout, and more columns.
 
     Parameters
     ----------
     table
-        A table with the columns of `layout`.
+        A table with the columns of `layout`, of `form` and of standard deviations.
     layout
         Order of the components.
     sigma
         The axes of the columns of standard deviations at the end; None where there are none.
+    form
+        What else to write of each attitude, such as its angles; None for nothing.
     """
 
-    def __init__(self, table: TableWriter, layout: Layout, sigma: str | None = None) -> None:
+    def __init__(
+        self,
+        table: TableWriter,
+        layout: Layout,
+        sigma: str | None = None,
+        form: Representation | None = None,
+    ) -> None:
         super().__init__(table)
         self._table = table
-        self._order, self._sigma = layout.order, sigma
+        self._order, self._sigma, self._form = layout.order, sigma, form
         self.holds_positions = table.holds_positions
 
     def write(self, series: AttitudeSeries) -> None:
@@ -226,6 +235,8 @@ class AttitudeTable(AttitudeWriter):
         columns = [series.wxyz[:, component] for component in self._order]
         if self.holds_positions and series.position is not None:
             columns += list(series.position.T)
+        if self._form is not None:
+            columns += map(np.ascontiguousarray, self._form.values(series.wxyz).T)
         if self._sigma is not None and series.covariance is not None:
             covariance = series.covariance
             if self._sigma == "reference":
