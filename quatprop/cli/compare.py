@@ -54,17 +54,17 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     from quatprop import __version__
     from quatprop.cli.progress import progress
     from quatprop.cli.spelling import spelled
-    from quatprop.comparison.compare import compare
+    from quatprop.comparison.files import compare_files
     from quatprop.comparison.summary import comparison_rows
     from quatprop.provenance import as_json as to_json
     from quatprop.rendering import lines_of
-    from quatprop.signals.attitude_input import load_attitudes
 
     refuse_stdin_twice(a, b)
-    sides = [input_of(a, chosen, side="a"), input_of(b, chosen, side="b")]
+    side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
     with progress(quiet=quiet), _error_picture(plot, a, b) as picture:
-        first, second = (load_attitudes(side) for side in sides)
-        comparison = compare(first.series, second.series, settings_of(chosen))
+        settings = settings_of(chosen)
+        keep = picture is not None
+        first, second, comparison = compare_files(side_a, side_b, settings, keep=keep)
         if picture is not None:
             picture.draw(first, second, comparison)
     if as_json:

@@ -14,6 +14,9 @@ from quatprop.text import Setting, Text, listed, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import Self
+
     from numpy.typing import NDArray
 
     from quatprop.series import AttitudeSeries
@@ -69,6 +72,35 @@ class Pairs:
         return len(self.t_ns)
 
 
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """How the attitudes were matched in time.
+
+    Parameters
+    ----------
+    match, at, max_dt_ns, candidates
+        As for :class:`Pairs`.
+    matched
+        How many pairs there are.
+    first_ns, last_ns
+        Times of the first and the last pair, ns; 0 where there is none.
+    """
+
+    match: str
+    at: str
+    max_dt_ns: int
+    matched: int
+    candidates: int
+    first_ns: int = 0
+    last_ns: int = 0
+
+    @classmethod
+    def of(cls, pairs: Pairs) -> Self:
+        """Return how pairs were matched."""
+        ends = (int(pairs.t_ns[0]), int(pairs.t_ns[-1])) if len(pairs) else (0, 0)
+        return cls(pairs.match, pairs.at, pairs.max_dt_ns, len(pairs), pairs.candidates, *ends)
+
+
 def associate(
     a: AttitudeSeries,
     b: AttitudeSeries,
@@ -105,12 +137,12 @@ def associate(
     if match is None:
         exact = _exact(a, b)
         if exact.candidates and 2 * len(exact) >= exact.candidates:
-            return _require_enough(exact, a, b, min_matched)
+            return _enough(exact, a, b, min_matched)
         match = "interpolate" if max_dt_ns is None else "nearest"
     if match not in MATCHES:
         raise UsageError(f"no match {quoted(match)}; choose one of {listed(MATCHES)}")
     if match == "exact":
-        return _require_enough(_exact(a, b), a, b, min_matched)
+        return _enough(_exact(a, b), a, b, min_matched)
     at: Side = "B" if interval_ns(b) > interval_ns(a) else "A"
     sparse, dense = (b, a) if at == "B" else (a, b)
     if max_dt_ns is None:
@@ -128,7 +160,7 @@ def associate(
         max_dt_ns=max_dt_ns,
         candidates=_candidates(a, b),
     )
-    return _require_enough(pairs, a, b, min_matched)
+    return _enough(pairs, a, b, min_matched)
 
 
 def interval_ns(series: AttitudeSeries) -> int:
@@ -172,8 +204,16 @@ def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
     if np.array_equal(a.t_ns, b.t_ns):
         index = np.arange(len(a))  # the usual case: nothing needs to be sorted or copied
         return Pairs(a.t_ns, a.wxyz, b.wxyz, index, "A", "exact", 0, len(a))
-    t_ns, in_a, in_b = np.intersect1d(a.t_ns, b.t_ns, assume_unique=True, return_indices=True)
-    return Pairs(t_ns, a.wxyz[in_a], b.wxyz[in_b], in_a, "A", "exact", 0, _candidates(a, b))
+    in_a, in_b = equal_stamps(a.t_ns, b.t_ns)
+    pairs = a.t_ns[in_a], a.wxyz[in_a], b.wxyz[in_b], in_a
+    return Pairs(*pairs, "A", "exact", 0, _candidates(a, b))
+
+
+def equal_stamps(a: Int64, b: Int64) -> tuple[Int64, Int64]:
+    """Return where the stamps are that two series of rising stamps have in common, in each."""
+    place = np.minimum(np.searchsorted(b, a), len(b) - 1)
+    (in_a,) = np.nonzero(b[place] == a)
+    return in_a, place[in_a]
 
 
 def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
@@ -211,22 +251,38 @@ def _default_max_dt_ns(dense: AttitudeSeries, match: str) -> int:
     return GAP_INTERVALS * interval if match == "interpolate" else (interval + 1) // 2
 
 
-def _require_enough(
-    pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float
-) -> Pairs:
-    needed = max(MIN_PAIRS, int(np.ceil(min_matched * pairs.candidates)))
-    if len(pairs) >= needed:
-        return pairs
-    spans = Text(
-        f"A is from {a.t_ns[0]} to {a.t_ns[-1]} ns and B from {b.t_ns[0]} to {b.t_ns[-1]} ns; see ",
-        Setting("time_offset"),
-    )
-    if not pairs.candidates:
+def _enough(pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float) -> Pairs:
+    matching = Matching.of(pairs)
+    spans = [(int(series.t_ns[0]), int(series.t_ns[-1])) for series in (a, b)]
+    require_enough(matching, spans, min_matched)
+    return pairs
+
+
+def require_enough(
+    matching: Matching, spans_ns: Sequence[tuple[int, int]], min_matched: float
+) -> None:
+    """Refuse what has too few pairs.
+
+    Parameters
+    ----------
+    matching
+        What was matched.
+    spans_ns
+        The first and the last stamp of A, and of B, ns.
+    min_matched
+        As for :func:`associate`.
+    """
+    needed = max(MIN_PAIRS, int(np.ceil(min_matched * matching.candidates)))
+    if matching.matched >= needed:
+        return
+    a, b = (f"{first} to {last} ns" for first, last in spans_ns)
+    spans = Text(f"A is from {a} and B from {b}; see ", Setting("time_offset"))
+    if not matching.candidates:
         raise ComparisonError("A and B have no time in common: ", spans)
-    within = f" within {duration_text(pairs.max_dt_ns)}" if pairs.max_dt_ns else ""
+    within = f" within {duration_text(matching.max_dt_ns)}" if matching.max_dt_ns else ""
     raise ComparisonError(
-        f"only {len(pairs)} of {pairs.candidates} samples in the common time have a partner "
-        f"({pairs.match}{within}) and at least {needed} must; ",
+        f"only {matching.matched} of {matching.candidates} samples in the common time have a "
+        f"partner ({matching.match}{within}) and at least {needed} must; ",
         Text(spans, ", ", Setting("match"), ", ", Setting("max_dt"), " and "),
         Setting("min_matched"),
     )

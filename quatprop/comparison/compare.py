@@ -9,28 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.comparison.alignment import align
-from quatprop.comparison.association import associate, shifted
+from quatprop.comparison.association import Matching, associate, shifted
 from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.criteria import coverage, judge
+from quatprop.comparison.criteria import Coverage, judge
 from quatprop.comparison.diagnosis import likely_cause
-from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
+from quatprop.comparison.meter import CoveredTime, ErrorMeter
+from quatprop.comparison.result import AppliedOffset, Comparison
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.sigmas import sigma_statistics
-from quatprop.comparison.statistics import (
-    drift_deg_h,
-    error_statistics,
-    geodesic_errors,
-    window_statistics,
-)
+from quatprop.comparison.statistics import window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import normalize
 from quatprop.series import AttitudeSeries, blocks
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from numpy.typing import NDArray
 
-    from quatprop.comparison.association import Pairs
+    from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.sigmas import SigmaStatistics
+    from quatprop.comparison.statistics import WindowStatistics
 
+    Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
 UNIT_LENGTH = 1e-3
@@ -83,41 +84,88 @@ def compare(
     )
     pairs = match(a, b)
     alignment = align(settings.align, pairs.a, pairs.b)
-    errors, opposite = geodesic_errors(pairs, alignment)
-    sample = partial(_sample, pairs, errors)
-    if pairs.match == "exact" and opposite and errors.max() <= SMALL:
-        remarks.append(
-            f"B has the opposite sign in {opposite} of {len(pairs)} samples: q and -q are the "
-            "same attitude, so this is no error"
-        )
+    meter = ErrorMeter(pairs.at, alignment, settings.limit_rad)
+    meter.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
     window = None
     if settings.window:
         window = window_statistics(pairs.t_ns, pairs.a, alignment.apply(pairs.b), settings.window)
-    statistics, drift = error_statistics(errors), drift_deg_h(pairs.t_ns, errors)
-    covered = coverage(pairs, b)
-    sigmas = sigma_statistics(a, b, pairs, alignment)
-    criteria = tuple(judge(settings, statistics, window, drift, covered, sigmas))
-    passed = all(criterion.passed for criterion in criteria)
-    limit = np.inf if settings.tol is None else settings.tol
-    above = statistics.max > limit
-    explain = not (criteria and passed)
-    return Comparison(
+    reference = CoveredTime()
+    for rows in blocks(len(b)):
+        reference.add(b.t_ns[rows])
+    counted = pairs.match == "exact" or pairs.at == "B"
+    return conclude(
+        settings,
+        meter,
+        Matching.of(pairs),
+        offset,
+        Coverage.of(meter.covered, reference, 100 * len(pairs) / len(b) if counted else None),
+        lambda rising: likely_cause(a, b, match, settings.align, rising),
         t_ns=pairs.t_ns,
-        errors=errors,
-        association=_matching(pairs),
+        window=window,
+        sigmas=sigma_statistics(a, b, pairs, alignment),
+        remarks=remarks,
+    )
+
+
+def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is judged by
+    settings: ComparisonSettings,
+    meter: ErrorMeter,
+    matching: Matching,
+    offset: AppliedOffset,
+    covered: Coverage,
+    explain: Callable[[Float64], Cause | None],
+    *,
+    t_ns: Int64 | None = None,
+    window: WindowStatistics | None = None,
+    sigmas: SigmaStatistics | None = None,
+    remarks: Iterable[str] = (),
+) -> Comparison:
+    """Return the result of a comparison, once all errors are measured.
+
+    Parameters
+    ----------
+    settings
+        How to compare.
+    meter
+        The errors.
+    matching, offset, covered, window, sigmas, remarks
+        As for :class:`quatprop.comparison.result.Comparison`.
+    explain
+        Returns the likely cause, given the errors in rising order.
+    t_ns
+        Times of the pairs; None where the result need not have them, nor the errors.
+    """
+    errors = meter.errors()
+    final, largest = float(errors[-1]), meter.worst.error_rad
+    if t_ns is None:
+        errors.sort()
+    rising = np.sort(errors) if t_ns is not None else errors
+    statistics = meter.statistics(rising, final)
+    criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, covered, sigmas))
+    passed = all(criterion.passed for criterion in criteria)
+    if matching.match == "exact" and meter.opposite and largest <= SMALL:
+        signs = (
+            f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
+            "the same attitude, so this is no error"
+        )
+        remarks = (*remarks, signs)
+    return Comparison(
+        t_ns=np.empty(0, np.int64) if t_ns is None else t_ns,
+        errors=np.empty(0) if t_ns is None else errors,
+        association=matching,
         time_offset=offset,
-        alignment=alignment,
+        alignment=meter.alignment,
         error_rad=statistics,
-        drift_deg_h=drift,
-        worst=sample(int(np.argmax(errors))),
+        drift_deg_h=meter.drift_deg_h,
+        worst=meter.worst,
         window=window,
         sigmas=sigmas,
         coverage=covered,
         tolerance_rad=settings.tol,
         criteria=criteria,
         passed=passed,
-        first_exceeding=sample(int(np.argmax(errors > limit))) if above else None,
-        likely_cause=likely_cause(a, b, match, settings.align, errors) if explain else None,
+        first_exceeding=meter.first_exceeding,
+        likely_cause=None if criteria and passed else explain(rising),
         remarks=tuple(remarks),
     )
 
@@ -127,6 +175,15 @@ def _offset(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) 
         found = find_offset(a, b)
         return AppliedOffset(found.ns, found)
     return AppliedOffset(settings.time_offset, None)
+
+
+def unit(wxyz: Float64) -> Float64:
+    """Return quaternions at unit length; the same array where all of them are."""
+    off = np.abs(np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz)) - 1) > ROUNDING
+    if off.any():
+        wxyz = wxyz.copy()
+        wxyz[off] = normalize(wxyz[off])
+    return wxyz
 
 
 def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSeries:
@@ -148,11 +205,7 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSe
         )
     if deviation > UNIT_LENGTH:
         remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
-    t_ns, wxyz = series.t_ns, series.wxyz
-    if deviation > ROUNDING:
-        wxyz = np.empty_like(series.wxyz)
-        for rows in blocks(len(wxyz)):
-            wxyz[rows] = normalize(series.wxyz[rows])
+    t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
         return replace(series, wxyz=wxyz)
@@ -163,21 +216,3 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSe
         "repeated ones were left out"
     )
     return replace(series, wxyz=wxyz)[first]
-
-
-def _matching(pairs: Pairs) -> Matching:
-    return Matching(
-        match=pairs.match,
-        at=pairs.at,
-        max_dt_ns=pairs.max_dt_ns,
-        matched=len(pairs),
-        candidates=pairs.candidates,
-        first_ns=int(pairs.t_ns[0]),
-        last_ns=int(pairs.t_ns[-1]),
-    )
-
-
-def _sample(pairs: Pairs, errors: Float64, pair: int) -> ComparedSample:
-    return ComparedSample(
-        int(pairs.t_ns[pair]), pairs.at, int(pairs.index[pair]), float(errors[pair])
-    )

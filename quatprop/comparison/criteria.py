@@ -5,24 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from quatprop.errors import ComparisonError
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import Self
 
-    from numpy.typing import NDArray
-
-    from quatprop.comparison.association import Pairs
+    from quatprop.comparison.meter import CoveredTime
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
-    from quatprop.series import AttitudeSeries
-
-GAP_INTERVALS = 10
-"""Between pairs further apart than this many median intervals, nothing was compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,24 +59,16 @@ class Coverage:
     time: float
     samples: float | None
 
+    @classmethod
+    def of(cls, pairs: CoveredTime, reference: CoveredTime, samples: float | None) -> Self:
+        """Return how much of a reference pairs cover, and so many percent of its samples."""
+        time = min(100 * pairs.ns / reference.ns, 100.0) if reference.ns else 100.0
+        return cls(time, samples)
+
     @property
     def least(self) -> float:
         """The smaller of the two."""
         return self.time if self.samples is None else min(self.time, self.samples)
-
-
-def coverage(pairs: Pairs, reference: AttitudeSeries) -> Coverage:
-    """Return how much of a reference the pairs cover."""
-    compared_ns, span_ns = _covered_ns(pairs.t_ns), _covered_ns(reference.t_ns)
-    time = min(100 * compared_ns / span_ns, 100.0) if span_ns else 100.0
-    counted = pairs.match == "exact" or pairs.at == "B"
-    return Coverage(time, 100 * len(pairs) / len(reference) if counted else None)
-
-
-def _covered_ns(t_ns: NDArray[np.int64]) -> int:
-    """Return the time between neighbouring stamps, without gaps, ns."""
-    intervals = np.diff(t_ns)
-    return int(intervals[intervals <= GAP_INTERVALS * np.median(intervals)].sum())
 
 
 def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit

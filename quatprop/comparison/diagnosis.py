@@ -130,7 +130,7 @@ def likely_cause(
     alignment
         How they were aligned: one of :data:`quatprop.comparison.settings.ALIGNMENTS`.
     error
-        The errors after that, rad, shape ``(N,)``.
+        The errors after that, rad, shape ``(N,)``, in rising order.
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None

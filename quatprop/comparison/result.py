@@ -14,58 +14,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.comparison.alignment import Alignment
+    from quatprop.comparison.association import Matching
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.criteria import Coverage, Criterion
     from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
     from quatprop.text import Text
 
 _ARRAYS = ("t_ns", "errors")
 """Fields of a comparison that its report leaves out."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedSample:
-    """One pair of attitudes and its error.
-
-    Parameters
-    ----------
-    t_ns
-        Its time in A's clock, ns.
-    at, index
-        Which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time.
-    error_rad
-        Its error, rad.
-    """
-
-    t_ns: int
-    at: str
-    index: int
-    error_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class Matching:
-    """How the attitudes were matched in time.
-
-    Parameters
-    ----------
-    match, at, max_dt_ns, candidates
-        As for :class:`quatprop.comparison.association.Pairs`.
-    matched
-        How many pairs there are.
-    first_ns, last_ns
-        Times of the first and the last pair, ns.
-    """
-
-    match: str
-    at: str
-    max_dt_ns: int
-    matched: int
-    candidates: int
-    first_ns: int
-    last_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +52,8 @@ class Comparison:
     t_ns
         Times of the pairs that were compared, shape ``(N,)``, int64 ns, in A's clock.
     errors
-        Their geodesic errors, shape ``(N,)``, rad.
+        Their geodesic errors, shape ``(N,)``, rad. Both are empty where files were compared while
+        they were read, which keeps nothing of a pair.
     association
         How the attitudes were matched in time.
     time_offset

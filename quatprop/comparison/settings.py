@@ -87,6 +87,11 @@ class ComparisonSettings:
                     Setting(name), " needs windows; give their length with ", Setting("window")
                 )
 
+    @property
+    def limit_rad(self) -> float:
+        """The largest error that passes, rad."""
+        return math.inf if self.tol is None else self.tol
+
 
 def angle_rad(value: object) -> float:
     """Return an angle in rad: a number in rad, or text such as ``"1e-9rad"`` or ``"0.1deg"``.

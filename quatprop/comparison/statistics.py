@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,9 +16,6 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from quatprop.comparison.alignment import Alignment
-    from quatprop.comparison.association import Pairs
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -69,56 +67,10 @@ class WindowStatistics:
     worst_ns: int
 
 
-def geodesic_errors(pairs: Pairs, alignment: Alignment) -> tuple[Float64, int]:
-    """Return the errors of pairs, and how many of them have quaternions of opposite signs.
-
-    Parameters
-    ----------
-    pairs
-        Attitudes of A and B at the same times.
-    alignment
-        How B is rotated.
-
-    Returns
-    -------
-    error : ndarray
-        Geodesic angles, rad, shape ``(N,)``.
-    opposite : int
-        Pairs of which the dot product is negative.
-    """
-    error, opposite = np.empty(len(pairs)), 0
-    for rows in blocks(len(pairs)):
-        a, b = pairs.a[rows], alignment.apply(pairs.b[rows])
-        error[rows] = geodesic_angle(a, b)
-        opposite += int(np.count_nonzero(np.einsum("ij,ij->i", a, b) < 0))
-    return error, opposite
-
-
-def error_statistics(error: Float64) -> ErrorStatistics:
-    """Return the statistics of errors, rad, shape ``(N,)`` with at least one."""
-    return ErrorStatistics(
-        max=float(error.max()),
-        rms=rms(error),
-        mean=float(error.mean()),
-        median=float(np.median(error)),
-        p95=float(np.percentile(error, 95)),
-        final=float(error[-1]),
-    )
-
-
 def rms(error: Float64) -> float:
     """Return the root of the mean square."""
-    return float(np.sqrt((error**2).mean()))
-
-
-def drift_deg_h(t_ns: Int64, error: Float64) -> float | None:
-    """Return the least squares slope of errors (rad) in time, deg/h; None if stamps are equal."""
-    hours = (t_ns - t_ns[0]) / (NS_PER_S * S_PER_H)
-    hours -= hours.mean()
-    power = float((hours**2).sum())
-    if power == 0.0:
-        return None
-    return float(np.degrees((hours * (error - error.mean())).sum() / power))
+    squares = sum(float((error[rows] ** 2).sum()) for rows in blocks(len(error)))
+    return math.sqrt(squares / len(error))
 
 
 def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> WindowStatistics:

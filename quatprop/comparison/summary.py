@@ -15,19 +15,21 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.comparison.alignment import Alignment, MountingFit
+    from quatprop.comparison.association import Matching
     from quatprop.comparison.criteria import Criterion
     from quatprop.comparison.diagnosis import Cause
-    from quatprop.comparison.result import AppliedOffset, ComparedSample, Comparison, Matching
+    from quatprop.comparison.meter import ComparedSample
+    from quatprop.comparison.result import AppliedOffset, Comparison
     from quatprop.comparison.statistics import WindowStatistics
     from quatprop.rendering import Row, Spell
-    from quatprop.signals.attitude_input import LoadedAttitudes
+    from quatprop.signals.attitude_input import ReadAttitudes
 
 STATISTICS = {"rms": "RMS", "p95": "95 %"}
 """Statistics whose label is not their name."""
 
 
 def comparison_rows(
-    a: LoadedAttitudes, b: LoadedAttitudes, comparison: Comparison, spell: Spell
+    a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell: Spell
 ) -> Iterator[Row]:
     """Yield what was compared, how, and the result.
 
@@ -115,10 +117,11 @@ def with_names(sentence: str, a: str, b: str) -> str:
     return re.sub(r"\b([AB])\b('s)?", named, sentence)
 
 
-def _series(operand: LoadedAttitudes) -> str:
-    t_ns, source = operand.series.t_ns, operand.signal
+def _series(operand: ReadAttitudes) -> str:
+    source = operand.signal
     where = f"{plain(operand.input.path)} ({operand.kind})"
-    samples = f"{len(t_ns)} samples over {duration_text(int(t_ns.max() - t_ns.min()))}"
+    span = duration_text(operand.last_ns - operand.first_ns)
+    samples = f"{operand.samples} samples over {span}"
     layout = source.layout or source.representation
     meaning = f"{source.meaning.convention} {source.meaning.direction}, {layout}"
     return f"{where}: {source_text(source.name, source.type_name)}, {samples}; {meaning}"
@@ -217,7 +220,7 @@ def _from_to(before: float, after: float) -> str:
     return f"the RMS error goes from {degrees_text(before, 4)} to {degrees_text(after, 4)}"
 
 
-def _remarks(name: str, operand: LoadedAttitudes, spell: Spell) -> Iterator[Row]:
+def _remarks(name: str, operand: ReadAttitudes, spell: Spell) -> Iterator[Row]:
     for remark in operand.signal.remarks:
         yield "remark", f"{name}: {spell(remark)}"
     if operand.counts.invalid:

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.comparison.result import ComparedSample, Comparison
+    from quatprop.comparison.meter import ComparedSample
+    from quatprop.comparison.result import Comparison
     from quatprop.plot.picture import Picture
     from quatprop.rendering import Spell
-    from quatprop.signals.attitude_input import LoadedAttitudes
+    from quatprop.signals.attitude_input import ReadAttitudes
 
 DIGITS = 4
 """Of the angles in a picture."""
@@ -54,14 +55,14 @@ class ComparedFile(NamedTuple):
     """
 
     name: str
-    operand: LoadedAttitudes
+    operand: ReadAttitudes
     comparison: Comparison
 
 
 class ErrorPicture(PictureFile):
     """The error between two series on its way to a file; see :class:`PictureFile`."""
 
-    def draw(self, a: LoadedAttitudes, b: LoadedAttitudes, comparison: Comparison) -> None:
+    def draw(self, a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> None:
         """Draw the comparison of A with B, and put the picture in its place."""
         name, reference = file_names([a.input.path, b.input.path])
         if name == reference:
@@ -71,7 +72,7 @@ class ErrorPicture(PictureFile):
 
 
 def error_page(
-    files: Sequence[ComparedFile], reference_name: str, reference: LoadedAttitudes, spell: Spell
+    files: Sequence[ComparedFile], reference_name: str, reference: ReadAttitudes, spell: Spell
 ) -> Page:
     """Return the page on the errors of series against one reference.
 
@@ -186,7 +187,7 @@ def _verdict(file: ComparedFile) -> str:
 
 
 def _warnings(
-    files: Sequence[ComparedFile], reference: LoadedAttitudes, spell: Spell
+    files: Sequence[ComparedFile], reference: ReadAttitudes, spell: Spell
 ) -> Iterator[str]:
     for name, operand, comparison in files:
         named = partial(with_names, a=name, b="the reference")
@@ -207,7 +208,7 @@ def _warnings(
     yield from _operand_warnings(reference, spell)
 
 
-def _operand_warnings(operand: LoadedAttitudes, spell: Spell) -> Iterator[str]:
+def _operand_warnings(operand: ReadAttitudes, spell: Spell) -> Iterator[str]:
     path = operand.input.path
     yield from (f"{path}: {spell(remark)}" for remark in operand.signal.remarks)
     if operand.counts.invalid:

@@ -20,7 +20,7 @@ from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 if TYPE_CHECKING:
     from quatprop.plot.view import FileView
     from quatprop.rendering import Spell
-    from quatprop.signals.attitude_input import LoadedAttitudes
+    from quatprop.signals.attitude_input import ReadAttitudes
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +129,7 @@ def _page(views: list[FileView], spell: Spell) -> Page:
     )
 
 
-def _error_page(
-    job: Plot, wanted: AttitudeInput, spell: Spell
-) -> tuple[Page, list[LoadedAttitudes]]:
+def _error_page(job: Plot, wanted: AttitudeInput, spell: Spell) -> tuple[Page, list[ReadAttitudes]]:
     """Return the page on the errors of files against a reference, and all series."""
     reference = load_attitudes(wanted)
     names = file_names([*job.files, wanted.path])

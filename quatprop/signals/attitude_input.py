@@ -1,7 +1,8 @@
-"""Attitude series read into memory as a whole, to be compared or kept as a reference."""
+"""Attitude series of files: read into memory as a whole, or batch by batch as often as needed."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -18,12 +19,14 @@ from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
+    from typing import Self
 
-    from quatprop.containers.base import Loss
+    from quatprop.containers.base import Loss, MessageLog
     from quatprop.provenance import JsonObject
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
+    from quatprop.tables.base import TableLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +61,8 @@ class AttitudeInput:
 
 
 @dataclass(frozen=True, slots=True)
-class LoadedAttitudes:
-    """An attitude series in memory, and where it is from.
+class ReadAttitudes:
+    """What is known of an attitude series once it was read.
 
     Parameters
     ----------
@@ -69,8 +72,10 @@ class LoadedAttitudes:
         The kind of the log.
     signal
         The attitudes that were chosen.
-    series
-        Their values.
+    samples
+        How many attitudes it has.
+    first_ns, last_ns
+        The earliest and the latest stamp, ns.
     counts
         Valid and invalid rows.
     losses
@@ -80,7 +85,9 @@ class LoadedAttitudes:
     input: AttitudeInput
     kind: str
     signal: AttitudeSignal
-    series: AttitudeSeries
+    samples: int
+    first_ns: int
+    last_ns: int
     counts: QuaternionCounts
     losses: tuple[Loss, ...]
 
@@ -91,7 +98,6 @@ class LoadedAttitudes:
 
     def report(self) -> JsonObject:
         """Return where it is from and what it spans, JSON-ready."""
-        t_ns = self.series.t_ns
         return {
             "path": self.input.path,
             "kind": self.kind,
@@ -101,13 +107,26 @@ class LoadedAttitudes:
             "layout": self.signal.layout,
             "meaning": asdict(self.signal.meaning),
             "clock": self.signal.clock,
-            "samples": len(t_ns),
-            "first_ns": int(t_ns.min()),
-            "last_ns": int(t_ns.max()),
+            "samples": self.samples,
+            "first_ns": self.first_ns,
+            "last_ns": self.last_ns,
             "rows": asdict(self.counts),
             "losses": [asdict(loss) for loss in self.losses],
             "remarks": list(self.signal.remarks),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedAttitudes(ReadAttitudes):
+    """An attitude series in memory, and where it is from; see :class:`ReadAttitudes`.
+
+    Parameters
+    ----------
+    series
+        Its values.
+    """
+
+    series: AttitudeSeries
 
 
 def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
@@ -148,15 +167,22 @@ def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
     NotRotationsError
         Quaternions are invalid, and are not to be dropped.
     """
-    try:
-        return _load(wanted)
-    except QuatpropError as error:
-        error.side = wanted.side
-        raise
+    with open_attitudes(wanted) as file:
+        return file.load(file.batches())
 
 
-def _load(wanted: AttitudeInput) -> LoadedAttitudes:
-    with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
+def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
+    """Open an attitude series, to be read batch by batch.
+
+    Raises
+    ------
+    LogError
+        As for :func:`load_attitudes`.
+    """
+    with _errors_of(wanted.side), ExitStack() as stack:
+        log = stack.enter_context(
+            open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
+        )
         signal = choose_attitudes(log, wanted.selection)
         if signal.placeholder:
             raise LogError(
@@ -165,18 +191,99 @@ def _load(wanted: AttitudeInput) -> LoadedAttitudes:
                 "placeholder, not an attitude; choose another ",
                 Setting("topic"),
             )
-        check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
+        return AttitudeFile(wanted, log, signal, stack.pop_all())
+
+
+class AttitudeFile:
+    """An attitude series of an open log, which is closed when its ``with`` block ends.
+
+    Parameters
+    ----------
+    wanted
+        What was asked for.
+    log
+        The log.
+    signal
+        The attitudes that were chosen.
+    opened
+        Closes the log.
+    """
+
+    def __init__(
+        self,
+        wanted: AttitudeInput,
+        log: MessageLog | TableLog,
+        signal: AttitudeSignal,
+        opened: ExitStack,
+    ) -> None:
+        self._opened = opened
+        self.signal = signal
+        self.read_once = str(log.path) == "-"
+        self._wanted = wanted
+        self._log = log
+        self._check = QuaternionCheck(wanted.path)
+        self._zeros = self._first_ns = self._last_ns = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._opened.close()
+
+    def batches(self) -> Iterator[AttitudeSeries]:
+        """Read the valid attitudes, batch by batch, at least one; again with each call.
+
+        Raises
+        ------
+        LogError
+            As for :func:`load_attitudes`.
+        """
+        wanted, signal = self._wanted, self.signal
+        self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         poses = signal.poses if wanted.positions else None
         read = signal.covariances or poses or signal.rows
-        parts = list(check.apply(read()))
-        if not parts:
-            raise NoSamplesError(wanted.path, signal.name)
-        series = AttitudeSeries.joined(parts)
-        signal = replace(signal, remarks=(*signal.remarks, *log.remarks))
-        zeros = int(np.count_nonzero(series.t_ns == 0))
+        self._zeros = 0
+        ends: list[int] = []
+        with _errors_of(wanted.side):
+            for batch in self._check.apply(read()):
+                self._zeros += int(np.count_nonzero(batch.t_ns == 0))
+                ends += int(batch.t_ns.min()), int(batch.t_ns.max())
+                yield batch
+            if not ends:
+                raise NoSamplesError(wanted.path, signal.name)
+        self._first_ns, self._last_ns = min(ends), max(ends)
+
+    def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
+        """Return the series in memory, from its batches."""
+        series = AttitudeSeries.joined(list(batches))
+        facts = {name: getattr(self.facts(), name) for name in ReadAttitudes.__slots__}
+        return LoadedAttitudes(**facts, series=series)
+
+    def facts(self) -> ReadAttitudes:
+        """Return what is known of the series, once all of it was read."""
+        counts, signal = self._check.counts, self.signal
+        signal = replace(signal, remarks=(*signal.remarks, *self._log.remarks))
         # A series may begin at 0.
-        if signal.clock == "header" and zeros > 1:
-            remark = f"{zeros} of {len(series)} header stamps are zero"
+        if signal.clock == "header" and self._zeros > 1:
+            remark = f"{self._zeros} of {counts.used} header stamps are zero"
             signal = replace(signal, remarks=(*signal.remarks, remark))
-        wanted = replace(wanted, path=without_secret(wanted.path))
-        return LoadedAttitudes(wanted, log.kind, signal, series, check.counts, tuple(log.losses))
+        return ReadAttitudes(
+            input=replace(self._wanted, path=without_secret(self._wanted.path)),
+            kind=self._log.kind,
+            signal=signal,
+            samples=counts.used,
+            first_ns=self._first_ns,
+            last_ns=self._last_ns,
+            counts=counts,
+            losses=tuple(self._log.losses),
+        )
+
+
+@contextmanager
+def _errors_of(side: str) -> Iterator[None]:
+    """Note in errors which side of a comparison they are about."""
+    try:
+        yield
+    except QuatpropError as error:
+        error.side = error.side or side
+        raise

@@ -1,0 +1,224 @@
+"""Errors of pairs of attitudes, measured as the pairs pass: size, growth, and the worst pair."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.statistics import NS_PER_S, S_PER_H, ErrorStatistics
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.timeline.stamps import MEDIAN_WINDOW
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.comparison.alignment import Alignment
+
+    Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
+
+PIECE = 16_384
+"""Pairs that are measured together: their arrays stay in the cache."""
+
+GAP_INTERVALS = 10
+"""Between stamps further apart than this many median intervals, nothing was compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedSample:
+    """One pair of attitudes and its error.
+
+    Parameters
+    ----------
+    t_ns
+        Its time in A's clock, ns.
+    at, index
+        Which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time.
+    error_rad
+        Its error, rad.
+    """
+
+    t_ns: int
+    at: str
+    index: int
+    error_rad: float
+
+
+class CoveredTime:
+    """The time between neighbouring stamps, without gaps; they pass block after block.
+
+    Attributes
+    ----------
+    first_ns, last_ns
+        The first and the last stamp so far, ns.
+    """
+
+    def __init__(self) -> None:
+        self.first_ns = self.last_ns = 0
+        self._intervals: list[Int64] = []
+        self._limit: float | None = None
+        self._ns = 0
+
+    def add(self, t_ns: Int64) -> None:
+        """Add the next stamps, shape ``(N,)``, at least one, ns, in rising order."""
+        if not self._intervals:
+            self.first_ns = self.last_ns = int(t_ns[0])
+        self._intervals.append(np.diff(t_ns, prepend=np.int64(self.last_ns)))
+        self.last_ns = int(t_ns[-1])
+        if self._limit is not None or sum(map(len, self._intervals)) > MEDIAN_WINDOW:
+            self._count()
+
+    def _count(self) -> None:
+        intervals = np.concatenate(self._intervals)
+        if self._limit is None:
+            # The first one is from the first stamp to itself.
+            usual = intervals[1 : MEDIAN_WINDOW + 1]
+            self._limit = GAP_INTERVALS * float(np.median(usual)) if len(usual) else 0.0
+        self._ns += int(intervals[intervals <= self._limit].sum())
+        self._intervals = [intervals[:0]]
+
+    @property
+    def ns(self) -> int:
+        """The time covered so far, ns."""
+        if self._intervals:
+            self._count()
+        return self._ns
+
+
+class ErrorMeter:
+    """Measures the errors of pairs of attitudes, which pass block after block.
+
+    What it finds does not depend on where blocks end.
+
+    Parameters
+    ----------
+    at
+        The series at whose stamps the pairs are: ``"A"`` or ``"B"``.
+    alignment
+        How B is rotated.
+    limit
+        The largest error that passes, rad.
+
+    Attributes
+    ----------
+    opposite
+        Pairs whose quaternions have a negative dot product.
+    worst, first_exceeding
+        The pair with the largest error, and the first with an error above the limit.
+    covered
+        The stamps of the pairs.
+    """
+
+    def __init__(self, at: str, alignment: Alignment, limit: float) -> None:
+        self.alignment = alignment
+        self.opposite = 0
+        self.worst = ComparedSample(0, at, 0, -1.0)
+        self.first_exceeding: ComparedSample | None = None
+        self.covered = CoveredTime()
+        self._limit = limit
+        self._errors = array("d")
+        self._block_ns = np.empty(PIECE, np.int64)
+        self._block_errors = np.empty(PIECE)
+        self._filled = self._count = 0
+        self._total = self._squares = 0.0
+        # Means of time, h, and error; sums of squares and products of the differences from them.
+        self._means, self._moments = np.zeros(2), np.zeros(2)
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    def add(self, t_ns: Int64, index: Int64, a: Float64, b: Float64) -> None:
+        """Measure the next pairs.
+
+        Parameters
+        ----------
+        t_ns, index, a, b
+            As for :class:`quatprop.comparison.association.Pairs`.
+        """
+        start = 0
+        while start < len(t_ns):
+            rows = slice(start, min(start + PIECE - self._filled, len(t_ns)))
+            self._add(t_ns[rows], index[rows], a[rows], b[rows])
+            start = rows.stop
+
+    def _add(self, t_ns: Int64, index: Int64, a: Float64, b: Float64) -> None:
+        if self.alignment.name != "none":
+            b = self.alignment.apply(b)
+        errors = geodesic_angle(a, b)
+        self.opposite += int(np.count_nonzero(np.einsum("ij,ij->i", a, b) < 0))
+
+        def sample(pair: int) -> ComparedSample:
+            at = self.worst.at
+            return ComparedSample(int(t_ns[pair]), at, int(index[pair]), float(errors[pair]))
+
+        worst = sample(int(np.argmax(errors)))
+        if worst.error_rad > self._limit and self.first_exceeding is None:
+            self.first_exceeding = sample(int(np.argmax(errors > self._limit)))
+        if worst.error_rad > self.worst.error_rad:
+            self.worst = worst
+        self.covered.add(t_ns)
+        self._errors.frombytes(errors.tobytes())
+        block = slice(self._filled, self._filled + len(errors))
+        self._block_ns[block], self._block_errors[block] = t_ns, errors
+        self._filled = block.stop
+        if self._filled == PIECE:
+            self._sum_up()
+
+    def _sum_up(self) -> None:
+        """Add a block to the sums.
+
+        References
+        ----------
+        Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample
+        variances", Stanford STAN-CS-79-773, 1979.
+        """
+        count, errors = self._filled, self._block_errors[: self._filled]
+        self._total += float(errors.sum())
+        self._squares += float((errors**2).sum())
+        hours = (self._block_ns[:count] - self.covered.first_ns) / (NS_PER_S * S_PER_H)
+        means = np.array([hours.mean(), errors.mean()])
+        hours -= means[0]
+        moments = np.array([(hours**2).sum(), (hours * (errors - means[1])).sum()])
+        apart = means - self._means
+        total = self._count + count
+        self._moments += moments + apart[0] * apart * (self._count * count / total)
+        self._means += apart * (count / total)
+        self._count, self._filled = total, 0
+
+    def errors(self) -> Float64:
+        """Return the errors, rad, shape ``(N,)``; call it when all pairs have passed."""
+        if self._filled:
+            self._sum_up()
+        return np.frombuffer(self._errors)
+
+    def statistics(self, rising: Float64, final: float) -> ErrorStatistics:
+        """Return the statistics of the errors.
+
+        Parameters
+        ----------
+        rising
+            The errors in rising order.
+        final
+            The last one.
+        """
+        last = len(rising) - 1
+        below = int(0.95 * last)
+        around = rising[below : below + 2]
+        return ErrorStatistics(
+            max=self.worst.error_rad,
+            rms=math.sqrt(self._squares / len(rising)),
+            mean=self._total / len(rising),
+            median=float(np.median(rising[last // 2 : len(rising) // 2 + 1])),
+            p95=float(np.interp(0.95 * last, below + np.arange(len(around)), around)),
+            final=final,
+        )
+
+    @property
+    def drift_deg_h(self) -> float | None:
+        """Least squares slope of the errors in time, deg/h; None if all stamps are equal."""
+        power, shared = self._moments.tolist()
+        return None if power == 0.0 else math.degrees(shared / power)

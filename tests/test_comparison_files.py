@@ -1,0 +1,158 @@
+"""Series of files, compared while they are read: the result is that of series in memory."""
+
+import tracemalloc
+from itertools import count
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.spatial.transform import Rotation
+
+from quatprop.comparison import files
+from quatprop.comparison.compare import compare
+from quatprop.comparison.settings import comparison_settings
+from quatprop.errors import ComparisonError, NotRotationsError
+from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
+
+BATCH = 16
+"""Rows of a batch in these tests."""
+
+
+@pytest.fixture(autouse=True)
+def in_small_batches(monkeypatch):
+    """Stream however short the series are, in many batches."""
+    monkeypatch.setattr(files, "SHORT", 0)
+    monkeypatch.setattr("quatprop.tables.arrow.BATCH_ROWS", BATCH)
+
+
+@pytest.fixture
+def streams(monkeypatch):
+    """Fail where the series are compared in memory."""
+
+    def refuse(*_anything):
+        raise AssertionError("compared in memory")
+
+    monkeypatch.setattr(files, "compare", refuse)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return what writes a series to a file of its own."""
+    folder, numbers = tmp_path_factory.mktemp("series"), count()
+
+    def write(t_ns, seed=0, length=1.0):
+        steps = np.random.default_rng(seed).normal(scale=0.05, size=(len(t_ns), 3))
+        wxyz = length * Rotation.from_rotvec(np.cumsum(steps, axis=0)).as_quat(scalar_first=True)
+        path = folder / f"{next(numbers)}.parquet"
+        names = ("t_ns", "qw", "qx", "qy", "qz")
+        pq.write_table(pa.table(dict(zip(names, (np.int64(t_ns), *wxyz.T), strict=True))), path)
+        return AttitudeInput(str(path))
+
+    return write
+
+
+def outcome(work):
+    """Return the report of a comparison, or the sentence that refuses it."""
+    try:
+        return work().report()
+    except ComparisonError as error:
+        return str(error)
+
+
+def both(a, b, **options):
+    """Return what comes of files, and of the same series in memory."""
+    wanted = comparison_settings(**options)
+    return tuple(
+        outcome(work)
+        for work in (
+            lambda: files.compare_files(a, b, wanted, keep=False)[2],
+            lambda: compare(load_attitudes(a).series, load_attitudes(b).series, wanted),
+        )
+    )
+
+
+STAMPS = np.arange(0, 5_000_000_000, 10_000_000)
+
+CASES = {
+    "equal stamps": (STAMPS, STAMPS, {}),
+    "another seed's motion, aligned": (STAMPS, STAMPS, {"align": "first"}),
+    "every other stamp": (STAMPS, STAMPS[::2], {}),
+    "a later beginning": (STAMPS, STAMPS[101:], {"min_coverage": 90}),
+    "an earlier end, and gaps": (np.delete(STAMPS, slice(60, 90)), STAMPS[:333], {}),
+    "another clock": (STAMPS, STAMPS - 7_000_000, {"time_offset": "7ms", "tol": "0.1rad"}),
+    "a known rule": (STAMPS, STAMPS[::3], {"match": "exact"}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.usefixtures("streams")
+def test_what_is_streamed_is_as_in_memory(case, written):
+    """Every figure is the same to the bit: errors, drift, worst sample, coverage, cause."""
+    t_a, t_b, options = CASES[case]
+    streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
+    assert streamed["association"]["match"] == "exact"
+    assert streamed == in_memory
+
+
+@pytest.mark.parametrize(
+    ("t_a", "t_b", "options"),
+    [
+        (STAMPS, STAMPS + 3_000_000, {}),
+        (STAMPS[::-1], STAMPS, {}),
+        (STAMPS, np.insert(STAMPS, 40, STAMPS[40]), {}),
+        (STAMPS, STAMPS, {"window": "1s"}),
+        (STAMPS, STAMPS, {"align": "mean"}),
+        (STAMPS, STAMPS, {"match": "nearest"}),
+        (STAMPS, STAMPS + 10**12, {"match": "exact"}),
+        (STAMPS, STAMPS[::50] + (np.arange(10) > 0), {"match": "exact"}),
+        (STAMPS[:1], STAMPS, {}),
+    ],
+)
+def test_what_cannot_be_streamed_is_done_in_memory(t_a, t_b, options, written):
+    """Interpolation, windows, stamps out of order and refusals are the same, too."""
+    streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
+    assert streamed == in_memory
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_any_stamps_are_matched_alike(written, seed):
+    """Batches end anywhere, and series begin, pause and end where they like."""
+    random = np.random.default_rng(seed)
+    a, b = (
+        written(random.integers(20) + np.cumsum(random.integers(1, 4, random.integers(3, 70))), k)
+        for k in range(2)
+    )
+    streamed, in_memory = both(a, b, match="exact", min_matched=0, tol="1e-3rad")
+    assert streamed == in_memory
+
+
+def test_what_a_file_loses_is_counted_once(written):
+    """A file that is read a second time, to interpolate, has its rows once."""
+    a, b = written(STAMPS), written(STAMPS + 3_000_000)
+    first, second, comparison = files.compare_files(a, b, comparison_settings(), keep=False)
+    assert comparison.association.match == "interpolate"
+    assert first.counts.read == second.counts.read == first.samples == len(STAMPS)
+    assert (first.first_ns, first.last_ns) == (STAMPS[0], STAMPS[-1])
+
+
+def test_invalid_quaternions_stop_a_comparison_of_files(written):
+    """They are refused with the side that has them."""
+    with pytest.raises(NotRotationsError, match="500 of 500 rows are invalid"):
+        files.compare_files(
+            written(STAMPS), written(STAMPS, length=1.1), comparison_settings(), keep=False
+        )
+
+
+@pytest.mark.usefixtures("streams")
+def test_a_comparison_of_files_keeps_only_errors(written, monkeypatch):
+    """Memory holds 8 bytes of a pair, and of the beginning what causes are looked for in."""
+    monkeypatch.setattr("quatprop.tables.arrow.BATCH_ROWS", 1 << 14)
+    monkeypatch.setattr(files, "MAX_SAMPLES", 1000)
+    t_ns = np.arange(800_000)
+    a, b = written(t_ns), written(t_ns, seed=1)
+    tracemalloc.start()
+    files.compare_files(a, b, comparison_settings(tol="4rad"), keep=False)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 3 * 8 * len(t_ns)
