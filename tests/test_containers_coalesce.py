@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.buffers import BUFFER, Buffers
+from quatprop.containers.buffers import BUFFER, Buffers, in_groups
 from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
 from quatprop.containers.coalesce import coalesce_blocks
 
@@ -96,9 +96,9 @@ def test_small_blocks_keep_nothing_but_their_messages():
 
 
 def test_a_few_messages_of_a_chunk_are_worth_picking():
-    """Each goes to where the next record of any channel begins, or to the end."""
-    every = np.array([0, 100_000, 100_500, 900_000])
-    spans = ranges_worth_reading(np.array([100_000, 900_000]), every, 900_300)
+    """Parts that are far from each other are ranges of their own."""
+    starts, ends = np.array([100_000, 900_000]), np.array([100_500, 900_300])
+    spans = ranges_worth_reading(starts, ends, 900_300)
     assert (spans.begins.tolist(), spans.ends.tolist()) == ([100_000, 900_000], [100_500, 900_300])
     assert spans.size == 800
 
@@ -106,46 +106,18 @@ def test_a_few_messages_of_a_chunk_are_worth_picking():
 @pytest.mark.parametrize("size", [2000, 1999])
 def test_a_quarter_of_a_chunk_is_the_most_that_is_picked(size):
     """Of more, reading all of it is as quick."""
-    spans = ranges_worth_reading(np.array([0]), np.array([0, 500]), size)
+    spans = ranges_worth_reading(np.array([0]), np.array([500]), size)
     assert (spans is None) == (size < 2000)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "every"),
-    [
-        ([], [0, 10]),
-        ([-30_000, 10], [-30_000, 10, 20]),
-        ([10, 5_000_000], [10, 20, 5_000_000]),
-        ([10], [10, 5_000_000]),
-        ([1_000_000], [10, 1_000_000]),
-    ],
+    ("starts", "ends"),
+    [([], []), ([-30_000, 10], [10, 20]), ([10], [5_000_000]), ([1_000_010], [1_000_000])],
 )
-def test_an_index_that_points_elsewhere_picks_nothing(wanted, every):
+def test_an_index_that_points_elsewhere_picks_nothing(starts, ends):
     """Before the records, behind them, or where a message would end behind them."""
-    places = np.array(wanted, np.int64), np.array(every, np.int64)
+    places = np.array(starts, np.int64), np.array(ends, np.int64)
     assert ranges_worth_reading(*places, 1_000_000) is None
-
-
-def in_buffer(memory, messages, first):
-    """Return a block of numbers in memory that was handed out, as a chunk is unpacked."""
-    data = memory.take(8 * messages)
-    numbers = np.arange(first, first + messages)
-    data[:] = numbers.view(np.uint8)
-    starts = 8 * np.arange(messages)
-    return MessageBlock(
-        np.frombuffer(data.data, np.uint8), starts, starts + 8, numbers, numbers, first
-    )
-
-
-def test_neighbouring_chunks_are_decoded_together_without_a_copy():
-    """Blocks that lie in one buffer become one block of that buffer."""
-    memory, sizes = Buffers(), (3000, 2500, 4000)
-    chunks = [in_buffer(memory, size, 10_000 * number) for number, size in enumerate(sizes)]
-    (block,) = coalesce_blocks(iter(chunks))
-    assert np.shares_memory(block.data, chunks[0].data)
-    assert np.shares_memory(block.data, chunks[2].data)
-    assert messages(block) == [*chain(*map(messages, chunks))]
-    assert block.not_before_ns == 20_000
 
 
 def test_memory_is_used_again_when_nobody_refers_to_it():
@@ -154,8 +126,27 @@ def test_memory_is_used_again_when_nobody_refers_to_it():
     kept, dropped = memory.take(BUFFER), memory.take(BUFFER)
     place = dropped.__array_interface__["data"][0]
     kept[:] = 7
+    part = dropped[5:]
     del dropped
+    between = memory.take(BUFFER)
+    assert not np.shares_memory(between, part)
+    del part
     first, second = memory.take(BUFFER), memory.take(BUFFER)
     assert first.__array_interface__["data"][0] == place
-    second[:] = first[:] = 1
+    second[:] = first[:] = between[:] = 1
     assert (kept == 7).all()
+
+
+@given(st.lists(st.none() | st.integers(1, 60), max_size=30))
+def test_chunks_that_follow_each_other_share_a_buffer(sizes):
+    """Each has its own part of it, in order; one without a size has none."""
+    groups = list(in_groups(list(enumerate(sizes))))
+    parts = [part for group in groups for part in group.parts()]
+    assert [item for item, _ in parts] == list(range(len(sizes)))
+    assert [into if into is None else len(into) for _, into in parts] == sizes
+    for group in groups:
+        if group.buffer is not None:
+            for number, (_, into) in enumerate(group.parts()):
+                into[:] = number
+            expected = np.repeat(np.arange(len(group.items)), [sizes[item] for item in group.items])
+            assert (group.buffer == expected).all()

@@ -173,3 +173,35 @@ def test_definitions_that_are_repeated_are_no_new_ones(tmp_path):
     for indexed in (True, False):
         path = saved(tmp_path, chunk(*FIRST, FIRST[0], again, messages(1, 4), indexed=indexed))
         assert read(McapLog(path)) == truth(path) == {("/a", "a/msg/A"): [0, 1, 2, 3, 4]}
+
+
+def picture(size=200_000):
+    """Return a large message of channel 2."""
+    return record(5, struct.pack("<HIQQ", 2, 0, 3, 3) + bytes(size))
+
+
+OTHER = (schema(3, "a/msg/C"), channel(2, "/other", 3))
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (*FIRST, picture(), channel(1, "/b"), picture(), messages(1, 4)),
+        (*FIRST, channel(1, "/b"), picture(), picture(), messages(1, 4)),
+        (*FIRST, picture(), messages(1, 4), picture(), channel(1, "/b")),
+    ],
+)
+def test_an_id_that_is_defined_anew_beside_pictures_is_refused(tmp_path, parts):
+    """Also where pictures are passed over, and wherever among them the definition is."""
+    log = McapLog(saved(tmp_path, chunk(*OTHER, *parts, indexed=True)))
+    with pytest.raises(UnsupportedLogError, match="redefines channel 1"):
+        list(log.blocks(log.channels()[0]))
+
+
+def test_pictures_are_passed_over_behind_definitions(tmp_path):
+    """Definitions that a chunk begins with, as they were before, let messages be selected."""
+    later = chunk(*OTHER, *FIRST[:2], picture(), messages(1, 4), picture(), indexed=True)
+    path = saved(tmp_path, chunk(*OTHER, *FIRST, indexed=True), later)
+    log = McapLog(path)
+    assert read(log)["/a", "a/msg/A"] == truth(path)["/a", "a/msg/A"] == [0, 1, 2, 3, 4]
+    assert log.unchecked_chunks == 1

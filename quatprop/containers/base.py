@@ -109,9 +109,13 @@ class MessageBlock:
         Where each message begins and ends, shape ``(N,)``, int64.
     log_ns, publish_ns
         When each was recorded and published, shape ``(N,)``, int64 ns. Containers without
-        publish times repeat the log times.
+        publish times repeat the log times. Publish times are negative after the year 2262; they
+        may be a view of `data`.
     not_before_ns
         No later block of this iteration holds a message with an earlier log time.
+    stride
+        Bytes from each message to the next where all have one length and the same distance; 0
+        where that is not known.
     """
 
     data: NDArray[np.uint8]
@@ -120,6 +124,7 @@ class MessageBlock:
     log_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
     not_before_ns: int = NO_BOUND
+    stride: int = 0
 
     def __len__(self) -> int:
         return len(self.starts)

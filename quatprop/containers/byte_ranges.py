@@ -75,27 +75,22 @@ def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
     return ByteRanges(begins, stops, np.repeat(moved, last - first))
 
 
-def ranges_worth_reading(selected: Int64, indexed: Int64, size: int) -> ByteRanges | None:
-    """Return the byte ranges of a chunk that hold selected records.
+def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | None:
+    """Return the byte ranges of a chunk that hold some of its bytes.
 
     Parameters
     ----------
-    selected
-        Where the selected records begin, shape ``(N,)``, int64, ascending.
-    indexed
-        Where all records begin that the index lists, shape ``(M,)``, int64, ascending.
+    starts, ends
+        Where each wanted part begins and ends, shape ``(N,)``, int64, ascending.
     size
-        Bytes of all records.
+        Bytes of the chunk.
 
     Returns
     -------
     ByteRanges or None
-        None where the whole chunk is as quick to read, or the index points outside it.
+        None where the whole chunk is as quick to read, or a part lies outside it.
     """
-    if not len(selected):
+    if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
         return None
-    ends = np.append(indexed, size)[np.searchsorted(indexed, selected, "right")]
-    if selected[0] < 0 or selected[-1] >= size or ends[-1] > size:
-        return None
-    ranges = ranges_of(selected, ends, GAP)
+    ranges = ranges_of(starts, ends, GAP)
     return ranges if ranges.size * SHARE <= size else None

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.buffers import place_in_buffer
 from quatprop.containers.byte_ranges import ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
 
 ENOUGH_MESSAGES = 4096
 """Messages of a block that is large enough."""
@@ -44,7 +42,7 @@ def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
     """
     waiting: list[MessageBlock] = []
     messages = size = 0
-    for block in _joined(blocks):
+    for block in blocks:
         is_large = len(block) >= ENOUGH_MESSAGES // 2
         if not is_large:
             waiting.append(compacted(block))
@@ -58,41 +56,6 @@ def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
     yield from _combined(waiting)
 
 
-def _joined(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
-    """Combine blocks that follow each other in one buffer, without a copy."""
-    together: list[MessageBlock] = []
-    places: list[int] = []
-    buffer: NDArray[np.uint8] | None = None
-    for block in blocks:
-        base, place = place_in_buffer(block.data)
-        if together and base is not buffer:
-            yield _in_buffer(buffer, together, places)
-            together, places = [], []
-        buffer = base
-        together.append(block)
-        places.append(place)
-        del block, base  # a buffer that nobody refers to is used again
-    if together:
-        yield _in_buffer(buffer, together, places)
-
-
-def _in_buffer(
-    buffer: NDArray[np.uint8] | None, blocks: list[MessageBlock], places: list[int]
-) -> MessageBlock:
-    """Return blocks that begin at some places of a buffer as one."""
-    if len(blocks) == 1 or buffer is None:
-        return blocks[0]
-    moved = list(zip(blocks, places, strict=True))
-    return MessageBlock(
-        buffer,
-        np.concatenate([block.starts + by for block, by in moved]),
-        np.concatenate([block.ends + by for block, by in moved]),
-        np.concatenate([block.log_ns for block in blocks]),
-        np.concatenate([block.publish_ns for block in blocks]),
-        blocks[-1].not_before_ns,
-    )
-
-
 def compacted(block: MessageBlock) -> MessageBlock:
     """Return a copy of a block without the bytes between its messages."""
     if not len(block):
@@ -103,7 +66,7 @@ def compacted(block: MessageBlock) -> MessageBlock:
         block.starts - ranges.moved,
         block.ends - ranges.moved,
         block.log_ns,
-        block.publish_ns,
+        block.publish_ns.copy(),
         block.not_before_ns,
     )
 
@@ -114,5 +77,12 @@ def _combined(blocks: list[MessageBlock]) -> Iterator[MessageBlock]:
         yield from blocks
         return
     sizes = np.array([len(block.data) for block in blocks])
-    places = (np.cumsum(sizes) - sizes).tolist()
-    yield _in_buffer(np.concatenate([block.data for block in blocks]), blocks, places)
+    moved = list(zip(blocks, (np.cumsum(sizes) - sizes).tolist(), strict=True))
+    yield MessageBlock(
+        np.concatenate([block.data for block in blocks]),
+        np.concatenate([block.starts + by for block, by in moved]),
+        np.concatenate([block.ends + by for block, by in moved]),
+        np.concatenate([block.log_ns for block in blocks]),
+        np.concatenate([block.publish_ns for block in blocks]),
+        blocks[-1].not_before_ns,
+    )

@@ -58,5 +58,6 @@ def decompressed(block: MessageBlock) -> tuple[MessageBlock, int]:
         ends=ends,
         log_ns=block.log_ns[intact],
         publish_ns=block.publish_ns[intact],
+        stride=0,
     )
     return whole, len(block) - len(intact)

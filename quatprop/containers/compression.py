@@ -65,12 +65,13 @@ def decompress(
     size
         The decompressed size in bytes as the log declares it; None if it declares none.
     into
-        Memory of `size` bytes that may be used for the result.
+        Memory of `size` bytes for the result.
 
     Returns
     -------
     bytes or memoryview
-        Exactly `size` bytes; `data` itself where it is not compressed.
+        Exactly `size` bytes; `data` itself where it is not compressed, and `into` where it is
+        given.
 
     Raises
     ------
@@ -94,13 +95,16 @@ def decompress(
     if size > MAX_SIZE:
         raise CompressionError(f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}")
     try:
-        if into is not None and len(into) == size and _fill(data, compression, into):
+        if into is not None and _fill(data, compression, into):
             return into.data
         result = decompressor(data, size)
     except _decompression_errors(compression) as error:
         raise CompressionError(f"its {compression} data is damaged") from error
     if len(result) != size:
         raise CompressionError(f"it declares {size} bytes decompressed and holds {len(result)}")
+    if into is not None:
+        into.data[:] = result
+        return into.data
     return result
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Self
 
+    import numpy as np
+    from numpy.typing import NDArray
     from pyarrow import NativeFile
 
 
@@ -76,6 +78,24 @@ class FileSource:
                 break
             data += more
         return data
+
+    def read_into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
+        """Fill memory with the bytes from `start` and return it; it ends where the file does.
+
+        Raises
+        ------
+        OSError
+            The medium is damaged there.
+        """
+        view = into.data
+        done = 0
+        if hasattr(os, "preadv") and not self.is_remote:
+            done = os.preadv(self._file, [view], start)
+        if done < len(view):
+            rest = self.read(start + done, len(view) - done)
+            view[done : done + len(rest)] = rest
+            done += len(rest)
+        return view[:done]
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another.

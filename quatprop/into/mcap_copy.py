@@ -176,7 +176,7 @@ class McapCopy:
     def _write_index(self, region: Region, file: McapFile) -> dict[int, int]:
         """Write the message index that a chunk lacks; return where that of each channel is."""
         try:
-            data, *_ = load(self._source, region, self._budget)
+            data = load(self._source, region, self._budget).data
         except RegionError:
             return {}  # copied as it is; the reader of its messages reports it
         messages = messages_at(data, walk_records(data).offsets)

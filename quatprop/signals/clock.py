@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from quatprop.containers.base import LATEST
 from quatprop.errors import MessageError, TimelineError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.stamps import time_field_at
@@ -61,7 +62,9 @@ class Clock(NamedTuple):
         """
         if self.stamp is not None:
             return self.stamp.ns(fields, path)
-        return block.log_ns if self.name == "log" else block.publish_ns
+        if self.name == "log":
+            return block.log_ns
+        return np.where(block.publish_ns < 0, LATEST, block.publish_ns)
 
 
 def choose_clock(

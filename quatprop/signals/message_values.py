@@ -232,4 +232,5 @@ def _without(block: MessageBlock, positions: tuple[int, ...]) -> MessageBlock:
         ends=block.ends[keep],
         log_ns=block.log_ns[keep],
         publish_ns=block.publish_ns[keep],
+        stride=0,
     )

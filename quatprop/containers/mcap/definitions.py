@@ -13,7 +13,7 @@ from quatprop.containers.base import Channel
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
-from quatprop.containers.mcap.regions import CHANNEL, PEEK, SCHEMA, RegionError, chunk_head, load
+from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, RegionError, head_of, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
@@ -98,7 +98,7 @@ def of_schema(schema: records.Schema) -> tuple[str, str, bytes]:
 
 def leading_definitions(source: FileSource, region: Region) -> list[tuple[int, Buffer]]:
     """Return opcode and content of the definitions at the beginning of a chunk."""
-    chunk = chunk_head(source.read(region.start, PEEK), region.length)
+    chunk = head_of(source, region)
     if chunk is None:
         return []
     size = min(chunk.end - chunk.begin, _LEADING)

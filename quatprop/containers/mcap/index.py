@@ -32,6 +32,7 @@ from quatprop.containers.mcap.regions import (
     TORN,
     Region,
     chunk_head,
+    head_of,
 )
 from quatprop.containers.mcap.resync import CHUNKS, RECORDS, next_record
 from quatprop.containers.mcap.summary import MAGIC, Summary, read_footer, read_summary
@@ -98,7 +99,7 @@ def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Region]:
     if not summary.chunks:
         return {}
     last = summary.chunks[max(summary.chunks)]
-    return summary.chunks if chunk_head(source.read(last.start, PEEK), last.length) else {}
+    return summary.chunks if head_of(source, last) else {}
 
 
 class _Scan:

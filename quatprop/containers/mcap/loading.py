@@ -1,49 +1,64 @@
-"""Load the regions of an MCAP file, ahead of their use where they are compressed."""
+"""Load the regions of an MCAP file, several together and ahead of their use."""
 
 from __future__ import annotations
 
 from contextlib import closing
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from quatprop.concurrency.threads import Deferred, prefetch
-from quatprop.containers.buffers import Buffers
+from quatprop.containers.buffers import in_groups
 from quatprop.containers.compression import LARGE
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.mcap.regions import (
-    PEEK,
-    Loaded,
-    RegionError,
-    chunk_head,
-    is_uncompressed,
-    load,
+from quatprop.containers.mcap.regions import Loaded, RegionError, head_of, load
+from quatprop.containers.mcap.selected import (
+    Selected,
+    expected_ranges,
+    may_be_selected,
+    selected_messages,
 )
-from quatprop.containers.mcap.selected import expected_ranges, selected_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+    from collections.abc import Generator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.containers.buffers import Group
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.messages import LocatedMessages
-    from quatprop.containers.mcap.regions import Region
+    from quatprop.containers.mcap.redefinitions import DefinitionCheck
+    from quatprop.containers.mcap.regions import ChunkHead, Region
 
-    Content: TypeAlias = Loaded | tuple[Buffer, LocatedMessages] | RegionError
+    Content: TypeAlias = Loaded | Selected | RegionError
 
 
-TOGETHER = 1 << 21
-"""Bytes of regions that are loaded together, in one thread."""
+class LoadedGroup(NamedTuple):
+    """Regions that were loaded together.
 
-FIRST = 1 << 16
-"""Bytes of the first of them, for who reads only the beginning; then twice as many each time."""
+    Parameters
+    ----------
+    group
+        The regions, and the buffer that holds their records if they have one.
+    contents
+        The whole of each region; its selected messages alone, where that is quicker; or why it
+        cannot be read.
+    """
+
+    group: Group[Region]
+    contents: list[Content]
+
+    @property
+    def data(self) -> Buffer:
+        """The records of all regions, one after another."""
+        if self.group.buffer is not None:
+            return self.group.buffer.data
+        (content,) = self.contents
+        return b"" if isinstance(content, RegionError) else content.data
 
 
 def load_regions(
-    source: FileSource, regions: Sequence[Region], ids: Sequence[int]
-) -> Generator[Content, None, None]:
+    source: FileSource, regions: Sequence[Region], ids: Sequence[int], definitions: DefinitionCheck
+) -> Generator[LoadedGroup, None, None]:
     """Load regions, one after another.
 
     Parameters
@@ -54,89 +69,62 @@ def load_regions(
         Where in it.
     ids
         The channels that are wanted.
+    definitions
+        Says whether messages may be selected beside the definitions that a chunk begins with.
 
     Yields
     ------
-    Loaded or tuple or RegionError
-        The whole region; its selected messages alone, as
-        :func:`quatprop.containers.mcap.selected.selected_messages` gives them, where that is
-        quicker; or why it cannot be read. Chunks that are decompressed follow each other in one
-        buffer while they fit.
+    LoadedGroup
+        Regions that follow each other.
     """
-    load_one = partial(_load, source, DecompressionBudget(source.size), ids)
-    uncompressed = bool(regions) and is_uncompressed(source, regions[0])
-    source.expect(*expected_ranges(regions, ids, uncompressed=uncompressed))
-    if uncompressed or not regions:
-        yield from (load_one(region, None) for region in regions)
-        return
-    groups = _groups(source, load_one, regions)
-    loaded: Generator[list[Content], None, None] = prefetch(_load_group, groups)
-    with closing(loaded):
-        for contents in loaded:
-            yield from contents
+    loader = _Loader(source, ids, definitions)
+    first = loader.head(regions[0]) if regions else None
+    is_uncompressed = first is not None and first.is_uncompressed
+    source.expect(*expected_ranges(regions, ids, uncompressed=is_uncompressed))
+    groups = in_groups((region, loader.size(region)) for region in regions)
+    with closing(prefetch(loader.load, groups)) as loaded:
+        yield from loaded
 
 
-class _Group(NamedTuple):
-    """What loads some regions that follow each other, in one thread.
+class _Loader:
+    def __init__(
+        self, source: FileSource, ids: Sequence[int], definitions: DefinitionCheck
+    ) -> None:
+        self.source, self.ids, self.definitions = source, ids, definitions
+        self.budget = DecompressionBudget(source.size)
 
-    Parameters
-    ----------
-    calls
-        Each loads one region.
-    is_large
-        Whether it is one large region, which is loaded only when it is its turn.
-    """
+    def head(self, region: Region) -> ChunkHead | None:
+        try:
+            return head_of(self.source, region)
+        except OSError:
+            return None  # noted when the chunk is loaded
 
-    calls: list[Callable[[], Content]]
-    is_large: bool = False
+    def size(self, region: Region) -> int | None:
+        """Return the bytes of the records of a chunk that is loaded into a buffer with others."""
+        head = self.head(region)
+        if head is None or head.size > LARGE:
+            return None
+        if head.is_uncompressed and may_be_selected(region, region.own(self.ids)):
+            return None
+        return head.size or None
 
+    def load(self, group: Group[Region]) -> LoadedGroup | Deferred[LoadedGroup]:
+        def loaded() -> LoadedGroup:
+            return LoadedGroup(group, [self._load(*part) for part in group.parts()])
 
-def _load_group(group: _Group) -> list[Content] | Deferred[list[Content]]:
-    def contents() -> list[Content]:
-        return [call() for call in group.calls]
+        head = self.head(group.items[0]) if group.buffer is None else None
+        return Deferred(loaded) if head and head.size > LARGE else loaded()
 
-    return Deferred(contents) if group.is_large else contents()
-
-
-def _groups(
-    source: FileSource,
-    load_one: Callable[[Region, NDArray[np.uint8] | None], Content],
-    regions: Sequence[Region],
-) -> Iterator[_Group]:
-    """Yield regions in groups: handing over each by itself would cost as much as unpacking it.
-
-    Memory is given to them in their order, whichever of them is loaded first.
-    """
-    buffers = Buffers()
-    calls: list[Callable[[], Content]] = []
-    size, enough = 0, min(FIRST, TOGETHER)
-    for region in regions:
-        start = source.read(region.start, PEEK) if region.is_chunk else b""
-        head = chunk_head(start, region.length)
-        if head is not None and head.size > LARGE:
-            yield _Group(calls)
-            yield _Group([partial(load_one, region, None)], is_large=True)
-            calls, size = [], 0
-            continue
-        into = buffers.take(head.size) if head and head.compression == "zstd" else None
-        calls.append(partial(load_one, region, into))
-        size += region.length if head is None else head.size
-        if size >= enough:
-            yield _Group(calls)
-            calls, size, enough = [], 0, min(2 * enough, TOGETHER)
-    yield _Group(calls)
-
-
-def _load(
-    source: FileSource,
-    budget: DecompressionBudget,
-    ids: Sequence[int],
-    region: Region,
-    into: NDArray[np.uint8] | None,
-) -> Content:
-    """Return the selected messages of a region or, where that is as quick, all of it."""
-    try:
-        selected = selected_messages(source, region, region.own(ids))
-        return selected or load(source, region, budget, into=into)
-    except RegionError as error:
-        return error
+    def _load(self, region: Region, into: NDArray[np.uint8] | None) -> Content:
+        """Return the selected messages of a region or, where that is as quick, all of it."""
+        own = region.own(self.ids)
+        try:
+            if into is None and (selected := selected_messages(self.source, region, own)):
+                self.definitions.check_leading(selected.data, region, own)
+                return selected
+        except (RegionError, OSError):
+            pass  # it is read whole, and then compared with its checksum
+        try:
+            return load(self.source, region, self.budget, into=into)
+        except RegionError as error:
+            return error

@@ -13,10 +13,17 @@ from quatprop.containers.file_source import source_of
 from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import UNDEFINED, build_index
 from quatprop.containers.mcap.loading import load_regions
-from quatprop.containers.mcap.messages import indexed_offsets, messages_at, messages_past_damage
+from quatprop.containers.mcap.messages import (
+    LocatedMessages,
+    indexed_offsets,
+    messages_at,
+    messages_past_damage,
+    only_messages,
+)
 from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.redefinitions import DefinitionCheck
-from quatprop.containers.mcap.regions import Loaded, RegionError, chunk_head
+from quatprop.containers.mcap.regions import Loaded, RegionError, index_of
+from quatprop.containers.mcap.selected import Selected
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
@@ -27,7 +34,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.loading import LoadedGroup
     from quatprop.containers.mcap.regions import Region
 
 
@@ -152,30 +159,75 @@ class McapLog(MessageLog):
         self, channel: Channel, ids: list[int], regions: list[Region]
     ) -> Generator[MessageBlock, None, int]:
         """Yield the messages in some regions, and return how many there were or are lost."""
-        next_starts = [*(region.first_ns for region in regions), LATEST][1:]
-        count = 0
-        with closing(load_regions(self.source, regions, ids)) as loaded:
-            for region, not_before_ns, content in zip(regions, next_starts, loaded, strict=True):
-                messages: LocatedMessages | None = None
-                if isinstance(content, RegionError):
-                    count += self._note_lost(content, region, channel.topic, ids)
-                elif isinstance(content, Loaded):
-                    data = content.data
-                    try:
-                        messages, lost = self._messages(content, region, channel.topic, ids)
-                    except RegionError as error:
-                        self._refuse_redefined(content, region, error)
-                        lost = self._note_lost(error, region, channel.topic, ids)
-                    count += lost
-                else:
-                    data, messages = content
-                    self._unchecked.add(region.start)
-                    self.unchecked_chunks = len(self._unchecked)
-                if messages:
-                    count += len(messages)
+        bounds = [*(region.first_ns for region in regions), LATEST]
+        done = count = 0
+        with closing(load_regions(self.source, regions, ids, self._definitions)) as groups:
+            for group in groups:
+                done += len(group.contents)
+                data, messages, lost = self._located(group, channel.topic, ids)
+                count += len(messages) + lost
+                if len(messages):
                     self._remark_on_clamped(messages)
-                    yield _block(data, messages, not_before_ns)
+                    yield _block(data, messages, bounds[done])
         return count
+
+    def _located(
+        self, loaded: LoadedGroup, topic: str, ids: Sequence[int]
+    ) -> tuple[Buffer, LocatedMessages, int]:
+        """Locate the messages of a group; also return how many more are known to be lost."""
+        group = loaded.group
+        everything = self._only_messages(loaded, ids)
+        if everything is not None:
+            return loaded.data, everything, 0
+        parts, lost = [], 0
+        each = zip(loaded.contents, group.items, group.begins, strict=True)
+        for content, region, begin in each:
+            messages, missing = self._of_region(content, region, topic, ids)
+            lost += missing
+            if messages:
+                parts.append(messages.moved(begin))
+        return loaded.data, LocatedMessages.joined(parts), lost
+
+    def _only_messages(self, loaded: LoadedGroup, ids: Sequence[int]) -> LocatedMessages | None:
+        """Return the messages of regions that hold nothing else, which is quick; else None."""
+        data, group = loaded.data, loaded.group
+        if any(not isinstance(each, Loaded) or each.damage for each in loaded.contents):
+            return None
+        first = group.items[0]
+        try:
+            begin = self._definitions.check_leading(data, first, first.own(ids))
+        except RegionError:
+            return None
+        messages = only_messages(data, begin)
+        if messages is None:
+            return None
+        for region, end in zip(group.items, [*group.begins[1:], len(data)], strict=True):
+            count, rest = divmod(end - begin, messages.stride)
+            (id_,) = messages.counts()
+            if rest or id_ not in region.own(ids) or region.count(id_) not in {count, None}:
+                return None
+            begin = end
+        return messages
+
+    def _of_region(
+        self,
+        content: Loaded | Selected | RegionError,
+        region: Region,
+        topic: str,
+        ids: Sequence[int],
+    ) -> tuple[LocatedMessages | None, int]:
+        """Locate the messages of one region; also return how many more are known to be lost."""
+        if isinstance(content, RegionError):
+            return None, self._note_lost(content, region, topic, ids)
+        if isinstance(content, Selected):
+            self._unchecked.add(region.start)
+            self.unchecked_chunks = len(self._unchecked)
+            return content.messages, 0
+        try:
+            return self._messages(content, region, topic, ids)
+        except RegionError as error:
+            self._refuse_redefined(content, region, error)
+            return None, self._note_lost(error, region, topic, ids)
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
@@ -221,19 +273,20 @@ class McapLog(MessageLog):
 
         Also returns how many more the index lists.
         """
-        data, raw, damage = loaded
+        data, damage, _ = loaded
         ids = region.own(ids)
-        offsets = indexed_offsets(raw, region.start, region, ids)
+        index = index_of(self.source, region)
+        offsets = indexed_offsets(index, region, ids)
         if offsets is not None:
             messages = messages_at(data, offsets)
             if messages is not None and messages.are_all_of(ids):
-                self._definitions.check_beside(loaded, region, ids, messages)
+                self._definitions.check_beside(data, index, region, ids, messages)
                 return messages, 0
         walked = walk_records(data)
         self._definitions.check(data, walked.definitions, region, ids)
         if walked.malformed:
             self.losses.note(region.place, "too short to be messages", walked.malformed)
-        indexed = indexed_offsets(raw, region.start, region, list(region.holds or ()))
+        indexed = indexed_offsets(index, region, list(region.holds or ()))
         if walked.end < len(data) and indexed is not None:
             messages = messages_past_damage(data, walked.offsets, indexed)
         else:
@@ -261,8 +314,7 @@ class McapLog(MessageLog):
 
     def _refuse_redefined(self, loaded: Loaded, region: Region, error: RegionError) -> None:
         """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
-        chunk = chunk_head(loaded.raw, region.length)
-        if chunk and chunk.crc:
+        if loaded.has_checksum:
             raise UnsupportedLogError(
                 self.path,
                 f"{region.place}: {error.reason}; MCAP forbids that; copy the messages with an "
@@ -290,4 +342,5 @@ def _block(data: Buffer, messages: LocatedMessages, not_before_ns: int) -> Messa
         messages.log_ns,
         messages.publish_ns,
         not_before_ns,
+        messages.stride,
     )

@@ -6,7 +6,7 @@ disagrees with the records, the records are walked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _HEAD = MESSAGE_HEAD.itemsize
 _FIXED = _HEAD - RECORD.size
+_CHANNEL_BITS = (1 << 24) - 1
+"""Of the second 8 bytes of a message record: the end of its length, and its channel."""
 
 
 @dataclass(slots=True)
@@ -36,10 +38,13 @@ class LocatedMessages:
     starts, ends
         Begin and end of each message, shape ``(N,)``, int64.
     log_ns, publish_ns
-        Log and publish time, shape ``(N,)``, int64 ns; unsigned times after the year 2262 are
-        clamped to :data:`~quatprop.containers.base.LATEST`.
+        Log and publish time, shape ``(N,)``, int64 ns. Unsigned times after the year 2262 are
+        negative in `publish_ns`, which may be a view of the buffer, and clamped to
+        :data:`~quatprop.containers.base.LATEST` in `log_ns`.
     channels
         Channel ids, shape ``(N,)``, or the one id that all messages have.
+    stride
+        Bytes from each message to the next where all have one length and the same distance, else 0.
     """
 
     starts: NDArray[np.int64]
@@ -47,6 +52,7 @@ class LocatedMessages:
     log_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
     channels: NDArray[np.uint16] | int
+    stride: int = 0
 
     def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
@@ -60,6 +66,26 @@ class LocatedMessages:
             self.log_ns[wanted],
             self.publish_ns[wanted],
             self.channels if isinstance(self.channels, int) else self.channels[wanted],
+        )
+
+    def moved(self, by: int) -> LocatedMessages:
+        """Return the messages in a buffer that has so many more bytes before them."""
+        if not by:
+            return self
+        return replace(self, starts=self.starts + by, ends=self.ends + by)
+
+    @classmethod
+    def joined(cls, parts: Sequence[LocatedMessages]) -> LocatedMessages:
+        """Return messages of one buffer, which may be of several channels, as one."""
+        if len(parts) == 1:
+            return parts[0]
+        none = np.empty(0, np.int64)
+        return cls(
+            np.concatenate([none, *(part.starts for part in parts)]),
+            np.concatenate([none, *(part.ends for part in parts)]),
+            np.concatenate([none, *(part.log_ns for part in parts)]),
+            np.concatenate([none, *(part.publish_ns for part in parts)]),
+            channels=0,
         )
 
     def __len__(self) -> int:
@@ -101,7 +127,11 @@ def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | N
         return LocatedMessages(offsets, offsets, offsets, offsets, 0)
     if offsets[0] < 0 or max(offsets[0], offsets[-1]) > len(data) - _HEAD:
         return None
-    messages = _evenly_spaced(data, offsets)
+    count, first = len(offsets), int(offsets[0])
+    stride = RECORD.size + RECORD.unpack_from(data, first)[1]
+    messages = None
+    if int(offsets[-1]) == first + (count - 1) * stride and first + count * stride <= len(data):
+        messages = _evenly_spaced(data, first, count)
     return _anywhere(data, offsets) if messages is None else messages
 
 
@@ -129,30 +159,51 @@ def messages_past_damage(
     return messages_at(data, walked)
 
 
-def _evenly_spaced(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
-    """Return messages of one length and channel with no other records between them.
+def only_messages(data: Buffer, begin: int) -> LocatedMessages | None:
+    """Return the messages of records that are all of one length and channel.
 
-    This is the usual chunk, and quick to check: the first and last offset are taken from the
-    index, and the records themselves confirm the others.
+    This is the usual chunk, and quick to check: neither its index nor a walk is needed.
+
+    Parameters
+    ----------
+    data
+        The decompressed records of one region, or of several that follow each other.
+    begin
+        Where the first message record begins.
+
+    Returns
+    -------
+    LocatedMessages or None
+        None where other records follow, or messages that differ in length or channel.
     """
-    count, first = len(offsets), int(offsets[0])
-    _, length = RECORD.unpack_from(data, first)
+    if len(data) - begin < _HEAD:
+        return None
+    _, length = RECORD.unpack_from(data, begin)
+    count, rest = divmod(len(data) - begin, RECORD.size + length)
+    return None if rest else _evenly_spaced(data, begin, count)
+
+
+def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | None:
+    """Return so many messages of one length and channel with no other records between them."""
+    opcode, length = RECORD.unpack_from(data, first)
     stride = RECORD.size + length
-    if int(offsets[-1]) != first + (count - 1) * stride or first + count * stride > len(data):
+    if opcode != MESSAGE or length < _FIXED:
         return None
-    head = np.ndarray((count,), MESSAGE_HEAD, data, offset=first, strides=(stride,))
-    front, back = head["front"], head["back"]
-    if not ((front == front[0]).all() and (back == back[0]).all()):
+    # The first 16 bytes have opcode, length and channel; copying them once is quicker than two
+    # comparisons over the whole chunk.
+    front = np.ndarray((count,), "V16", data, first, (stride,)).copy().view("<u8").reshape(-1, 2)
+    back = front[:, 1] & _CHANNEL_BITS
+    if np.count_nonzero(front[:, 0] != front[0, 0]) or np.count_nonzero(back != back[0]):
         return None
-    if head["opcode"][0] != MESSAGE or length < _FIXED:
-        return None
+    head = np.ndarray((count,), MESSAGE_HEAD, data, first, (stride,))
     starts = np.arange(first + _HEAD, first + _HEAD + count * stride, stride)
     return LocatedMessages(
         starts,
         starts + (length - _FIXED),
         _clamped(head["log"]),
-        _clamped(head["publish"]),
+        head["publish"],
         int(head["channel"][0]),
+        stride,
     )
 
 
@@ -172,7 +223,7 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | Non
     if ends[-1] > len(data) or (ends[:-1] > offsets[1:]).any():
         return None
     return LocatedMessages(
-        offsets + _HEAD, ends, _clamped(head["log"]), _clamped(head["publish"]), head["channel"]
+        offsets + _HEAD, ends, _clamped(head["log"]), head["publish"], head["channel"]
     )
 
 
@@ -184,17 +235,13 @@ def _clamped(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     return stamps
 
 
-def indexed_offsets(
-    raw: Buffer, origin: int, region: Region, ids: Sequence[int]
-) -> NDArray[np.int64] | None:
+def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64] | None:
     """Return the offsets that the message indexes of some channels list.
 
     Parameters
     ----------
-    raw
-        Bytes of the file that hold the message indexes of the region.
-    origin
-        Where they begin in the file.
+    index
+        The message indexes of the region, which follow it in the file.
     region
         Says where each index is.
     ids
@@ -210,7 +257,9 @@ def indexed_offsets(
     parts = []
     for channel in ids:
         if channel in region.holds:
-            part = _index_entries(raw, region.holds[channel] - origin, channel)
+            part = _index_entries(
+                index, region.holds[channel] - region.start - region.length, channel
+            )
             if part is None:
                 return None
             parts.append(part)
@@ -219,13 +268,13 @@ def indexed_offsets(
     return np.sort(np.concatenate([*parts, np.empty(0, np.int64)]))
 
 
-def _index_entries(raw: Buffer, at: int, channel: int) -> NDArray[np.int64] | None:
-    if at < 0 or at + INDEX_HEAD.size > len(raw):
+def _index_entries(index: Buffer, at: int, channel: int) -> NDArray[np.int64] | None:
+    if at < 0 or at + INDEX_HEAD.size > len(index):
         return None
-    opcode, length, of_channel, size = INDEX_HEAD.unpack_from(raw, at)
+    opcode, length, of_channel, size = INDEX_HEAD.unpack_from(index, at)
     begin = at + INDEX_HEAD.size
     if (opcode, of_channel) != (MESSAGE_INDEX, channel) or size + 6 > length or size % INDEX_ENTRY:
         return None
-    if begin + size > len(raw):
+    if begin + size > len(index):
         return None
-    return np.frombuffer(raw, "<i8", size // 8, begin)[1::2]
+    return np.frombuffer(index, "<i8", size // 8, begin)[1::2]

@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.containers.mcap.definitions import IDS, of_channel, of_schema
 from quatprop.containers.mcap.messages import indexed_offsets
-from quatprop.containers.mcap.regions import RECORD, RegionError
+from quatprop.containers.mcap.regions import MESSAGE, RECORD, RegionError
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.mcap.messages import LocatedMessages
-    from quatprop.containers.mcap.regions import Loaded, Region
+    from quatprop.containers.mcap.regions import Region
 
 
 class DefinitionCheck:
@@ -37,15 +37,34 @@ class DefinitionCheck:
         self.index = index
         self._found: dict[tuple[int, int, bytes], tuple[list[int], str, str]] = {}
 
+    def check_leading(self, data: Buffer, region: Region, ids: Sequence[int]) -> int:
+        """Compare the definitions before the first message of a region; return where they end.
+
+        Raises
+        ------
+        RegionError
+            As for :meth:`check_beside`.
+        """
+        if not len(data) or data[0] == MESSAGE:
+            return 0
+        walked = walk_records(data, stop_at={MESSAGE})
+        self.check(data, walked.definitions, region, ids)
+        return walked.end
+
     def check_beside(
-        self, loaded: Loaded, region: Region, ids: Sequence[int], messages: LocatedMessages
+        self,
+        data: Buffer,
+        index: Buffer,
+        region: Region,
+        ids: Sequence[int],
+        messages: LocatedMessages,
     ) -> None:
         """Compare what a chunk whose message index is right holds beside messages.
 
         Parameters
         ----------
-        loaded, region, ids
-            The chunk, and the ids in it of the channels that are read.
+        data, index, region, ids
+            The chunk, its message index, and the ids in it of the channels that are read.
         messages
             Their messages.
 
@@ -54,9 +73,8 @@ class DefinitionCheck:
         RegionError
             A channel that is read, or its schema, is redefined there.
         """
-        begin = _begin_of_messages(loaded, region, ids, messages)
-        data = memoryview(loaded.data)[:begin]
-        self.check(data, walk_records(data).definitions, region, ids)
+        beside = memoryview(data)[: _begin_of_messages(data, index, region, ids, messages)]
+        self.check(beside, walk_records(beside).definitions, region, ids)
 
     def check(
         self,
@@ -93,13 +111,12 @@ class DefinitionCheck:
 
 
 def _begin_of_messages(
-    loaded: Loaded, region: Region, ids: Sequence[int], messages: LocatedMessages
+    data: Buffer, index: Buffer, region: Region, ids: Sequence[int], messages: LocatedMessages
 ) -> int | None:
     """Return where messages begin in a chunk of which they fill the rest; None where they do not.
 
     To add up their lengths is far quicker than to follow the records.
     """
-    data, raw, _ = loaded
     if not len(messages):
         return None
     begin = int(messages.starts[0]) - MESSAGE_HEAD.itemsize
@@ -107,7 +124,7 @@ def _begin_of_messages(
     # A stride of 1 byte lets records begin anywhere.
     lengths = np.ndarray((len(data) - 8,), "<u8", data, offset=1, strides=(1,))
     for id_ in set(region.holds or ()).difference(ids):
-        offsets = indexed_offsets(raw, region.start, region, [id_])
+        offsets = indexed_offsets(index, region, [id_])
         if offsets is None or len(offsets) == 0:
             return None
         begin = min(begin, int(offsets[0]))

@@ -32,9 +32,6 @@ RECORD = struct.Struct("<BQ")
 """Opcode and length of the content: how every record begins."""
 CHUNK_HEAD = struct.Struct("<QQQII")
 """Start time, end time, unpacked size, CRC, length of the compression's name."""
-UNCOMPRESSED_HEAD = RECORD.size + CHUNK_HEAD.size + 8
-"""Bytes of a chunk record before its records, where it is not compressed."""
-
 PEEK = 128
 """Bytes that hold the head of any record that is looked into."""
 
@@ -126,20 +123,6 @@ class RegionError(Exception):
         self.reason = reason
 
 
-def is_uncompressed(source: FileSource, region: Region) -> bool:
-    """Tell whether a region is an uncompressed chunk, and begins where the index says."""
-    if not region.is_chunk:
-        return False
-    head = source.read(region.start, UNCOMPRESSED_HEAD)
-    if len(head) < UNCOMPRESSED_HEAD or RECORD.unpack_from(head) != (
-        CHUNK,
-        region.length - RECORD.size,
-    ):
-        return False
-    _, _, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
-    return bool(name_length == 0 and size == region.length - UNCOMPRESSED_HEAD)
-
-
 class Loaded(NamedTuple):
     """A region that was read.
 
@@ -147,15 +130,15 @@ class Loaded(NamedTuple):
     ----------
     data
         The decompressed records.
-    raw
-        The region and its message index as they are in the file.
     damage
         Why `data` ends early, or ``""``.
+    has_checksum
+        Whether a checksum shows that it is as it was written.
     """
 
     data: Buffer
-    raw: Buffer
     damage: str = ""
+    has_checksum: bool = False
 
 
 TORN = "the file ends inside it"
@@ -170,7 +153,7 @@ def load(
     check: bool = True,
     into: NDArray[np.uint8] | None = None,
 ) -> Loaded:
-    """Read a region with its message index, and decompress it.
+    """Read a region and decompress it.
 
     Parameters
     ----------
@@ -183,7 +166,7 @@ def load(
     check
         Whether to refuse a chunk whose checksum is wrong.
     into
-        Memory for the decompressed records, where it has their size.
+        Memory for the decompressed records; it has their size.
 
     Raises
     ------
@@ -191,33 +174,48 @@ def load(
         The region is damaged.
     """
     try:
-        raw = source.read(region.start, region.length + region.index_length)
+        return _load(source, region, budget, into, check=check)
     except OSError as error:
         raise RegionError(f"it cannot be read: {error.strerror}") from error
-    is_torn = len(raw) < region.length
-    damage = TORN if is_torn else ""
-    if not region.is_chunk:
-        return Loaded(raw, raw, damage)
-    chunk = chunk_head(raw, region.length)
-    if chunk is None:
-        raise RegionError("no chunk of the indexed length begins there")
-    data_on_disk = memoryview(raw)[chunk.begin : chunk.end]
-    try:
-        budget.check()
-        if is_torn:
-            return Loaded(
-                decompress_prefix(data_on_disk, chunk.compression, chunk.size), raw, damage
-            )
-        data = decompress(data_on_disk, chunk.compression, chunk.size or None, into)
     except CompressionError as error:
         raise RegionError(error.reason) from error
+
+
+def _load(
+    source: FileSource,
+    region: Region,
+    budget: DecompressionBudget,
+    into: NDArray[np.uint8] | None,
+    *,
+    check: bool,
+) -> Loaded:
+    if not region.is_chunk:
+        loose = source.read(region.start, region.length)
+        return Loaded(loose, TORN if len(loose) < region.length else "")
+    chunk = head_of(source, region)
+    if chunk is None:
+        raise RegionError("no chunk of the indexed length begins there")
+    budget.check()
+    begin, size = region.start + chunk.begin, chunk.end - chunk.begin
+    if not chunk.compression and into is not None and chunk.size == size <= source.size - begin:
+        data: Buffer = source.read_into(begin, into)
+        if len(data) < size:
+            return Loaded(data, TORN)
+    else:
+        content = source.read(begin, size)
+        if len(content) < size or region.start + region.length > source.size:
+            prefix = decompress_prefix(content, chunk.compression, chunk.size)[: chunk.size]
+            if into is not None:
+                into.data[: len(prefix)] = prefix
+            return Loaded(prefix, TORN)
+        data = decompress(content, chunk.compression, chunk.size or None, into)
     budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise RegionError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
             "it is read all the same"
         )
-    return Loaded(data, raw)
+    return Loaded(data, has_checksum=chunk.crc != 0)
 
 
 class ChunkHead(NamedTuple):
@@ -243,6 +241,26 @@ class ChunkHead(NamedTuple):
     compression: str
     begin: int
     end: int
+
+    @property
+    def is_uncompressed(self) -> bool:
+        """Whether the records are in the file as they are."""
+        return not self.compression and self.size == self.end - self.begin
+
+
+def head_of(source: FileSource, region: Region) -> ChunkHead | None:
+    """Return the head of a region; None where no chunk of its length begins."""
+    if not region.is_chunk:
+        return None
+    return chunk_head(source.read(region.start, PEEK), region.length)
+
+
+def index_of(source: FileSource, region: Region) -> bytes:
+    """Return the message indexes that follow a region; empty where they cannot be read."""
+    try:
+        return source.read(region.start + region.length, region.index_length)
+    except OSError:
+        return b""
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
@@ -270,5 +288,5 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     (size_in_file,) = struct.unpack_from("<Q", record, begin - 8)
     if begin + size_in_file > length:
         return None
-    compression = bytes(record[fixed : fixed + name_length]).decode(errors="replace")
+    compression = bytes(record[fixed : begin - 8]).decode(errors="replace")
     return ChunkHead(first, size, crc, compression, begin, begin + size_in_file)

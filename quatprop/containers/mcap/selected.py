@@ -5,11 +5,13 @@ A camera beside an IMU fills most of a chunk, and the index says where every mes
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.mcap.messages import indexed_offsets, messages_at
-from quatprop.containers.mcap.regions import PEEK, UNCOMPRESSED_HEAD, is_uncompressed
+from quatprop.containers.mcap.regions import PEEK, RECORD, head_of, index_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,10 +22,27 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.regions import Region
 
 
-def selected_messages(
-    source: FileSource, region: Region, ids: Sequence[int]
-) -> tuple[Buffer, LocatedMessages] | None:
+class Selected(NamedTuple):
+    """Messages that were read without the rest of their chunk.
+
+    Parameters
+    ----------
+    data
+        The beginning of the chunk up to its first message, its selected messages, and the heads of
+        the others.
+    messages
+        Where the selected messages are.
+    """
+
+    data: Buffer
+    messages: LocatedMessages
+
+
+def selected_messages(source: FileSource, region: Region, ids: Sequence[int]) -> Selected | None:
     """Return the messages of selected channels, read one byte range after another.
+
+    The heads of the other messages are read too: their lengths show that no definition is hidden
+    between them.
 
     Parameters
     ----------
@@ -36,32 +55,39 @@ def selected_messages(
 
     Returns
     -------
-    tuple or None
-        A buffer, and where messages are in it. None where the chunk is better read whole: it is
-        compressed, small or mostly selected, or its index and its records do not agree. The
-        checksum is that of the whole chunk, so the messages are not checked against it.
+    Selected or None
+        None where the chunk is better read whole: it is compressed, small or mostly selected, or
+        its index and its records do not agree. The checksum is that of the whole chunk, so the
+        messages are not checked against it.
     """
-    size = region.length - UNCOMPRESSED_HEAD
-    if not _may_be_selected(region, ids) or not is_uncompressed(source, region):
+    chunk = head_of(source, region) if may_be_selected(region, ids) else None
+    if chunk is None or not chunk.is_uncompressed:
         return None
-    index_at = region.start + region.length
-    index = source.read(index_at, region.index_length)
-    selected = indexed_offsets(index, index_at, region, ids)
-    indexed = indexed_offsets(index, index_at, region, list(region.holds or ()))
-    if selected is None or indexed is None:
+    index = index_of(source, region)
+    selected = indexed_offsets(index, region, ids)
+    indexed = indexed_offsets(index, region, list(region.holds or ()))
+    if selected is None or indexed is None or not len(selected):
         return None
-    ranges = ranges_worth_reading(selected, indexed, size)
+    begins = np.concatenate([[0], indexed])
+    nexts = np.append(indexed, chunk.size)
+    is_whole = np.isin(begins, selected)
+    is_whole[0] = True
+    ends = np.where(is_whole, nexts, np.minimum(begins + RECORD.size, nexts))
+    ranges = ranges_worth_reading(begins, ends, chunk.size)
     if ranges is None:
         return None
-    records_at = region.start + UNCOMPRESSED_HEAD
-    begins, ends = records_at + ranges.begins, records_at + ranges.ends
-    data = source.read_ranges(begins.tolist(), ends.tolist())
-    if len(data) < ranges.size:
+    records_at = region.start + chunk.begin
+    places = records_at + ranges.begins, records_at + ranges.ends
+    data = source.read_ranges(*(place.tolist() for place in places))
+    if len(data) < ranges.size or (nexts[1:] - begins[1:] < RECORD.size).any():
         return None
-    messages = messages_at(data, selected - ranges.moved)
-    if messages is None or not messages.are_all_of(ids):
+    moved = (begins - ranges.moved)[1:]
+    # A stride of 1 byte lets records begin anywhere.
+    lengths = np.ndarray((len(data) - RECORD.size + 1,), "<u8", data, offset=1, strides=(1,))
+    if (lengths[moved] != nexts[1:] - begins[1:] - RECORD.size).any():
         return None
-    return data, messages
+    messages = messages_at(data, moved[is_whole[1:]])
+    return Selected(data, messages) if messages and messages.are_all_of(ids) else None
 
 
 def expected_ranges(
@@ -86,7 +112,7 @@ def expected_ranges(
     """
     begins, ends = [], []
     for region in regions:
-        if uncompressed and _may_be_selected(region, region.own(ids)):
+        if uncompressed and may_be_selected(region, region.own(ids)):
             begins += [region.start, region.start + region.length]
             ends += [region.start + PEEK, region.end]
         else:
@@ -95,7 +121,7 @@ def expected_ranges(
     return begins, ends
 
 
-def _may_be_selected(region: Region, ids: Sequence[int]) -> bool:
+def may_be_selected(region: Region, ids: Sequence[int]) -> bool:
     """Return whether a region is large, and holds other channels."""
-    is_large = region.length - UNCOMPRESSED_HEAD >= LARGE
-    return is_large and not set(region.holds or ()) <= set(ids)
+    is_large = region.is_chunk and region.length >= LARGE
+    return is_large and region.holds is not None and not set(region.holds) <= set(ids)

@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 
 MESSAGE_HEAD = np.dtype(
     {
-        "names": ["opcode", "length", "channel", "log", "publish", "front", "back"],
-        "formats": ["u1", "<u8", "<u2", "<i8", "<i8", "<u8", "<u8"],
-        # front and back lie over opcode, length and channel: messages that agree in both agree
-        # in all three, which is one comparison less.
-        "offsets": [0, 1, 9, 15, 23, 0, 3],
+        "names": ["opcode", "length", "channel", "log", "publish"],
+        "formats": ["u1", "<u8", "<u2", "<i8", "<i8"],
+        "offsets": [0, 1, 9, 15, 23],
     }
 )
 _FIXED = MESSAGE_HEAD.itemsize - RECORD.size

@@ -60,7 +60,8 @@ def selected_messages(
     indexed = _offsets(entries)
     selected = {conn: rows for conn, rows in entries.items() if conn in connections}
     begins = _offsets(selected)
-    ranges = ranges_worth_reading(begins, indexed, size)
+    nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
+    ranges = ranges_worth_reading(begins, nexts, size)
     if ranges is None:
         return None
     places = record.data + ranges.begins, record.data + ranges.ends
