@@ -170,6 +170,12 @@ class Instant:
     ns: int
     origin: Literal["clock", "first", "last"]
 
+    def __str__(self) -> str:
+        """Return it as :func:`instant` reads it."""
+        if self.origin == "clock":
+            return str(self.ns)
+        return f"{'+' if self.origin == 'first' else '-'}{abs(self.ns)}ns"
+
 
 def instant(text: str) -> Instant:
     """Return an instant from RFC 3339, integer ns, or a signed duration.

@@ -528,7 +528,8 @@ ONE_LOG = {"output", "to", "into", "report", "plot", "quiet", "verbose"}
 """Options of propagate that are about one log: batch has its own of some of them, or none."""
 
 EVERY_LOG = {
-    "--layout": "xyzw", "--header-comment": None, "--message": "TFMessage", "--out-topic": "/q",
+    "--layout": "xyzw", "--with": "rotvec", "--euler-unit": "deg", "--header-comment": None,
+    "--message": "TFMessage", "--out-topic": "/q",
     "--frames": "map,base", "--method": "coning", "--rates": "inertial", "--q0": "0,1,0,0",
     "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
     "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
@@ -547,6 +548,7 @@ WITH = {
     "--heading": ("--q0", "level"),
     "--reference-z": ("--q0", "level"),
     "--q0-layout": ("--q0", "1,0,0,0"),
+    "--euler-unit": ("--with", "euler-zyx"),
     "--sigma": ("--noise-density", "0.2deg/sqrt(h)"),
     "--sigma-axes": ("--sigma", "--noise-density", "0.2deg/sqrt(h)"),
 }

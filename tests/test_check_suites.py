@@ -69,8 +69,8 @@ tol = "0.1deg"
 
 
 OUTPUT_ONLY = {
-    "output", "to", "layout", "header-comment", "message", "out-topic", "frames", "into",
-    "report", "quiet", "verbose", "plot", "json", "config",
+    "output", "to", "layout", "header-comment", "with", "euler-unit", "message", "out-topic",
+    "frames", "into", "report", "quiet", "verbose", "plot", "json", "config",
 }  # fmt: skip
 """Options of propagate and compare that are about what they write: no keys of a case."""
 

@@ -1,10 +1,14 @@
 """Options in a file."""
 
+from datetime import UTC, datetime, timedelta
+from fractions import Fraction
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from quatprop import propagate, read_attitudes, write
 from quatprop.cli import cli
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -88,3 +92,78 @@ def test_a_file_that_a_key_names_is_beside_the_configuration(tmp_path, key):
     done = run("propagate", SAMPLES / "tumbling.bag", "-o", tmp_path / "a.csv", "--config",
                tmp_path / "run.toml")  # fmt: skip
     assert done.exit_code == 0, done.output
+
+
+IMU = "gyroscope_noise_density: 1e-4\ngyroscope_random_walk: 1e-6\n"
+RUNS = {
+    "defaults": ("spin.csv", "a.parquet", ""),
+    "config": ("tumbling.bag", "a.feather", "--config run.toml"),
+    "times": ("tumbling.bag", "a.npz", "--start +1s --end -2500ms --rate 30000/1001 --layout xyzw"),
+    "rest": ("rest.parquet", "a.parquet", "--bias static:500ms --every 3 --threads 1"),
+    "bias": ("coning.mcap", "a.mcap", "--bias=0.1,-1e-3,0 --mount y,-x,z --max-gap 0.5s -t /imu"),
+    "angles": ("tumbling.bag", "a.csv", "--with euler-zxz --euler-unit deg --header-comment"),
+    "messages": ("tumbling.bag", "a.bag", "--message Imu --out-topic /x --frames map,imu"),
+    "suffix": ("tumbling.bag", "a.txt", "--to tum --header-comment --method mean"),
+    "errors": (
+        "tumbling.bag",
+        "a.parquet",
+        "--imu imu.yaml --bias-sigma 20deg/h --sigma --scale-sigma 0.1%",
+    ),
+    "at": ("tumbling.bag", "a.parquet", "--at first.csv --q0 first.csv"),
+    "dashes": ("tumbling.bag", "a.parquet", "--q0 0.6,0,0.8,0 --on-gap zero --from bag"),
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_an_output_is_made_again_from_its_own_metadata(tmp_path, monkeypatch, name):
+    """To the byte, whatever the options were and wherever they were given."""
+    monkeypatch.chdir(tmp_path)
+    for file, text in (("imu.yaml", IMU), ("run.toml", CONFIG)):
+        Path(file).write_text(text)
+    Path("first.csv").write_text(
+        "t_ns,qw,qx,qy,qz\n1700000000000000000,0,1,0,0\n1700000005000000000,0,1,0,0\n"
+    )
+    log, out, options = RUNS[name]
+    made = run("propagate", SAMPLES / log, "-o", out, *options.split())
+    assert made.exit_code == 0, made.output
+    shown = run("info", out, "--as-config")
+    assert shown.exit_code == 0, shown.output
+    assert shown.stdout.startswith(f"# quatprop propagate {SAMPLES / log} -o OUT --config")
+    Path("again.toml").write_text(shown.stdout)
+    Path("again").mkdir()
+    again = run("propagate", SAMPLES / log, "-o", f"again/{out}", "--config", "again.toml")
+    assert again.exit_code == 0, again.output
+    assert Path("again", out).read_bytes() == Path(out).read_bytes()
+
+
+def test_settings_of_the_library_are_text_in_metadata(tmp_path):
+    """Numbers get their unit, times are absolute, arrays are lists of numbers."""
+    log = SAMPLES / "tumbling.bag"
+    start = datetime.fromtimestamp(1_700_000_001, UTC)
+    series = propagate(log, start=start, bias=np.array([0.1, 0, 0]), rate=Fraction(30000, 1001),
+                       max_gap=timedelta(seconds=1), noise_density=1e-3, sigma=True, every=None,
+                       q0=[0.0, 1, 0, 0])  # fmt: skip
+    write(series, tmp_path / "a.parquet")
+    shown = run("info", tmp_path / "a.parquet", "--as-config").stdout
+    assert shown.splitlines()[2:] == [
+        'bias = "0.1,0.0,0.0"', 'max-gap = "1000000000ns"',
+        'noise-density = "0.001rad/s/sqrt(Hz)"', 'q0 = "0.0,1.0,0.0,0.0"', 'rate = "30000/1001"',
+        "sigma = true", 'start = "1700000001000000000"',
+    ]  # fmt: skip
+    (tmp_path / "a.toml").write_text(shown)
+    again = run("propagate", log, "-o", tmp_path / "b.parquet", "--config", tmp_path / "a.toml")
+    assert again.exit_code == 0, again.output
+    np.testing.assert_array_equal(read_attitudes(tmp_path / "b.parquet").wxyz, series.wxyz)
+
+
+def test_a_file_that_says_nothing_of_its_making_is_refused(tmp_path):
+    """The sentence says which outputs do."""
+    run("propagate", SAMPLES / "spin.csv", "-o", tmp_path / "a.csv")
+    result = run("info", tmp_path / "a.csv", "--as-config")
+    assert result.exit_code == 2
+    assert "it does not say with which options it was made; outputs of" in result.stderr
+    run("propagate", SAMPLES / "spin.csv", "-o", tmp_path / "a.parquet", "--method", "mean")
+    run("convert", tmp_path / "a.parquet", tmp_path / "b.npz")
+    shown = run("info", tmp_path / "b.npz", "--as-config").stdout.splitlines()
+    assert shown[2] == "# converted afterwards, which this does not repeat"
+    assert shown[3:] == ['layout = "scalar-first"', 'method = "mean"']

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from shlex import quote
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.spelling import option
 from quatprop.cli.types import PATH
 from quatprop.settings.parsers import file_beside
-from quatprop.text import did_you_mean, quoted
+from quatprop.text import Setting, did_you_mean, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,6 +54,38 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
         text = str(file_beside(parameter, text, Path(name).parent) or text)
         defaults[parameter] = value if isinstance(value, bool) else text
     return defaults
+
+
+def config_of(path: str, provenance: Mapping[str, Any]) -> str:
+    """Return the configuration that makes an output again.
+
+    Parameters
+    ----------
+    path
+        The output.
+    provenance
+        How it was made, as its metadata say.
+
+    Raises
+    ------
+    click.UsageError
+        They do not say it.
+    """
+    settings, source = provenance.get("settings"), provenance.get("source")
+    if not isinstance(settings, dict) or not isinstance(source, dict):
+        raise click.UsageError(
+            f"{path}: it does not say with which options it was made; outputs of propagate do that "
+            "in parquet, feather, npz, mcap and bags, and with --header-comment in text"
+        )
+    lines = [
+        f"# quatprop propagate {quote(plain(source['path']))} -o OUT --config THIS_FILE",
+        f"# by quatprop {plain(provenance['quatprop'])}; SHA-256 of the log: {source['sha256']}",
+    ]
+    if provenance.get("conversions"):
+        lines.append("# converted afterwards, which this does not repeat")
+    for name, value in settings.items():
+        lines.append(f"{option(Setting(name))[2:]} = {json.dumps(value)}")
+    return "\n".join(lines)
 
 
 config_option = click.option(

@@ -47,7 +47,7 @@ GROUPS = {
         "euler_unit into every at comment message out_topic frames report",
     ),
     "Execution": ("processes skip_existing", "threads config list_file root shard dask retries"),
-    "Display": ("quiet as_json help help_all", "verbose"),
+    "Display": ("quiet as_json as_config help help_all", "verbose"),
 }
 """Title of a group -> the parameters that help always shows, and those it shows on request."""
 

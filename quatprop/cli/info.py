@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, SignalSurvey
+    from quatprop.selection import RateSelection
 
 COLUMNS = {
     "source": "source",
@@ -43,14 +44,22 @@ NUMBERS_FROM = 2
 EXAMPLES = (
     "quatprop info sample_logs/tumbling.bag",
     "quatprop info --json sample_logs/spin.csv sample_logs/coning.mcap",
+    "quatprop propagate sample_logs/spin.csv -o attitude.parquet --method mean",
+    "quatprop info attitude.parquet --as-config",
 )
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of a table.")
+@click.option(
+    "--as-config",
+    is_flag=True,
+    help="Print the options that LOG, an output of propagate, was made with; as a file for "
+    "propagate --config, which makes it again.",
+)
 @with_options(setting_options(READ_RATES))
-def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
+def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> None:
     """Show every source of body rates and of attitudes in each LOG.
 
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
@@ -65,6 +74,9 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
 
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
+    if as_config:
+        click.echo("\n\n".join(_config(path, kind, wanted) for path in logs))
+        return
     surveys: list[LogSurvey] = []
     for path in logs:
         try:
@@ -80,6 +92,18 @@ def command(logs: tuple[str, ...], as_json: bool, **chosen: Any) -> None:
         raise click.exceptions.Exit(2)
     if any(log.losses for log in surveys):
         raise click.exceptions.Exit(3)
+
+
+def _config(path: str, kind: str | None, selection: RateSelection) -> str:
+    """Return the configuration that makes the attitudes of a file again."""
+    from quatprop.cli.config import config_of
+    from quatprop.formats import open_log
+    from quatprop.selection import AttitudeSelection
+    from quatprop.signals.attitudes import choose_attitudes
+
+    with open_log(path, kind, msg_path=selection.msg_path) as log:
+        provenance = choose_attitudes(log, AttitudeSelection.like(selection)).provenance
+    return config_of(path, provenance)
 
 
 def _lines(log: LogSurvey) -> Iterator[str]:

@@ -17,7 +17,7 @@ from quatprop.cli.options import (
     with_options,
 )
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
-from quatprop.cli.types import PATH
+from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 
 if TYPE_CHECKING:
@@ -97,8 +97,9 @@ def job_of(chosen: Mapping[str, Any]) -> Job:
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings
 
+    texts = click.get_current_context().meta.get(TEXTS, {})
     return Job(
         log=chosen["log"],
         output=output_settings(chosen),
-        settings=propagation_settings({name: chosen[name] for name in PROPAGATE}),
+        settings=propagation_settings({name: texts.get(name, chosen[name]) for name in PROPAGATE}),
     )

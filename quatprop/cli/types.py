@@ -26,6 +26,10 @@ PATH = click.Path(readable=False)
 """A file, a folder, or an address; what is wrong with it is found when it is opened."""
 
 
+TEXTS = "quatprop.texts"
+"""Key in ``Context.meta``: the values of options as they were written, by parameter."""
+
+
 class Parsed(ParamType):
     """An option whose value a parser reads.
 
@@ -45,6 +49,8 @@ class Parsed(ParamType):
         """Return what the parser makes of it, or fail with its sentence."""
         from quatprop.errors import UsageError
 
+        if ctx is not None and param is not None and isinstance(value, str):
+            ctx.meta.setdefault(TEXTS, {})[param.name] = value
         try:
             return self.parser(value)
         except UsageError as error:

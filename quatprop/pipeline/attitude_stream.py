@@ -247,6 +247,7 @@ class AttitudeStream:
             unchecked_chunks=0 if log is None else log.unchecked_chunks,
             remarks=(*findings, *(() if log is None else log.remarks)),
             conditioning=self._conditioned,
+            settings=settings.given,
             uncertainty=self._uncertainty(),
             result=ResultReport(
                 samples=counts.used,

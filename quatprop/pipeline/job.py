@@ -129,6 +129,7 @@ def run(
             for series in attitudes:
                 writer.write(series)
             report = stream.report(layout=output.layout, digest=stored or digest.result())
+            report = replace(report, settings={**report.settings, **output.given})
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)

@@ -158,6 +158,8 @@ class RunReport:
     source, convention, policy, counts, conditioning, uncertainty, result
         The parts; of the uncertainty None where nothing is known of the gyroscope's errors, or the
         report is kept nowhere.
+    settings
+        What was asked for, by the names of settings, as text.
     losses
         What of the log could not be read.
     remarks
@@ -178,6 +180,7 @@ class RunReport:
     conditioning: ConditioningReport
     uncertainty: UncertaintyReport | None
     result: ResultReport
+    settings: Mapping[str, str | bool]
     unchecked_chunks: int = 0
     seconds: float | None = None
 
@@ -198,6 +201,7 @@ class RunReport:
             "quatprop": __version__,
             "source": {**source, **digest},
             "convention": {**as_json(self.convention), "side": self.convention.side},
+            "settings": dict(self.settings),
             "policy": as_json(self.policy),
             "counts": as_json(self.counts),
             "losses": as_json(self.losses),

@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import Conditioning
+from quatprop.containers.stores import without_secret
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
-from quatprop.settings import SELECT_RATES, parse_all
+from quatprop.settings import SELECT_RATES, as_text, parse_all
 from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias
 from quatprop.text import Setting
 from quatprop.timeline import Policy
+from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,6 +65,8 @@ class PropagationSettings:
         same, so that settings that differ in it alone are equal.
     errors
         What is known of the gyroscope's errors.
+    given
+        The settings that were given, by name, as text: what is needed to make an output again.
     """
 
     kind: str | None = None
@@ -77,6 +81,7 @@ class PropagationSettings:
     at: str | None = None
     threads: int | None = field(default=None, repr=False, compare=False)
     errors: ErrorSettings = field(default_factory=ErrorSettings)
+    given: Mapping[str, str | bool] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if [self.every, self.rate, self.at].count(None) < 2:  # noqa: PLR2004  # two of three
@@ -148,6 +153,26 @@ class OutputSettings:
     comment: bool = False
     report: str | None = None
 
+    @property
+    def given(self) -> Mapping[str, str | bool]:
+        """What determines the file but its name, as text, by the names of settings."""
+        by_name = self.to is not None and Path(self.path).suffix in WRITERS[self.to].suffixes
+        values: dict[str, str | bool | None] = {
+            "to": None if by_name else self.to,
+            "layout": self.layout,
+        }
+        if self.message is not None:
+            values |= {
+                "message": self.message.type,
+                "out_topic": self.message.topic,
+                "frames": f"{self.message.frame},{self.message.child}",
+            }
+        if self.beside is not None:
+            values["beside"] = self.beside.removesuffix("-deg")
+            values["euler_unit"] = "deg" if self.beside.endswith("-deg") else None
+        values["header_comment"] = self.comment or None
+        return {name: value for name, value in values.items() if value is not None}
+
 
 def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
     """Return settings from their names and values.
@@ -164,6 +189,11 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         There is no such setting, a value cannot be used, or settings contradict each other.
     """
     values = parse_all(options)
+    given = {
+        name: without_secret(text) if isinstance(text, str) else text
+        for name, value in values.items()
+        if name != "threads" and (text := as_text(name, options[name], value))
+    }
     bias = values.get("bias")
     return PropagationSettings(
         kind=values.get("kind"),
@@ -191,6 +221,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         errors=ErrorSettings(
             **{one.name: values[one.name] for one in fields(ErrorSettings) if one.name in values}
         ),
+        given=given,
         **{
             name: values[name]
             for name in ("method", "rates", "every", "rate", "at", "threads")

@@ -176,6 +176,36 @@ def parse_all(
     return values
 
 
+def as_text(name: str, value: object, parsed: object) -> str | bool:
+    """Return the value of a setting as a configuration has it.
+
+    Parameters
+    ----------
+    name
+        A key of :data:`PROPAGATE`.
+    value, parsed
+        As it was given, and what its parser made of it.
+
+    Examples
+    --------
+    >>> as_text("max_gap", 200_000_000, 200_000_000), as_text("bias", [0.1, 0, 0], (0.1, 0.0, 0.0))
+    ('200000000ns', '0.1,0.0,0.0')
+    """
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(parsed, tuple):
+        return ",".join(map(str, parsed))
+    return f"{parsed}{SI_UNITS.get(name, '')}"
+
+
+SI_UNITS = {
+    "max_gap": "ns",
+    "noise_density": "rad/s/sqrt(Hz)",
+    "bias_sigma": "rad/s",
+    "random_walk": "rad/s^2/sqrt(Hz)",
+}
+"""Units of settings whose values are written with one."""
+
 SELECT: Mapping[str, Parser] = {
     "topic": text,
     "msg_path": path,

@@ -55,6 +55,10 @@ class StaticBias:
 
     window_ns: int = STATIC_WINDOW_NS
 
+    def __str__(self) -> str:
+        """Return it as :func:`bias` reads it."""
+        return f"{STATIC}:{self.window_ns}ns"
+
 
 @dataclass(frozen=True, slots=True)
 class BiasSource:
@@ -67,6 +71,10 @@ class BiasSource:
     """
 
     name: str
+
+    def __str__(self) -> str:
+        """Return it as :func:`bias` reads it."""
+        return self.name
 
 
 def text(value: object) -> str:
