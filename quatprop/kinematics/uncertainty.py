@@ -16,7 +16,7 @@ R' P R of the same rotations about body axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -95,6 +95,7 @@ class ErrorGrowth:
 
     def restart(self) -> None:
         """Begin again: the next attitude is known."""
+        self._first_ns: np.int64 | None = None
         self._previous: tuple[GyroSeries, Float64] | None = None
         self._sums = {
             name: np.zeros(rows) for name, rows in (("S", 9), ("G", 9), ("A", 9), ("B", 6))
@@ -121,40 +122,45 @@ class ErrorGrowth:
             rad^2.
         """
         self._rows = slice(-1, None) if to_end else slice(None)
-        covariance = np.empty((3, 3, 1 if to_end else len(gyro)))
-        for start in range(0, len(gyro), TILE):
-            tile = slice(start, start + TILE)
-            turn = rotation_elements(wxyz[tile])
-            reference = self._reference(gyro[tile], turn)
-            out = covariance if to_end else covariance[..., tile]
-            rotate_covariance(reference, turn[:, self._rows], out=out)
+        covariance = np.zeros((3, 3, 1 if to_end else len(gyro)))
+        if self._first_ns is None:
+            self._first_ns = gyro.t_ns[0]
+        # The covariance of noise is the same in all axes.
+        time_s = (gyro.t_ns - self._first_ns) / NS_PER_S
+        noise = self._errors.noise_density**2 * time_s[self._rows]
+        self.variances = {"noise_density": 3 * float(noise[-1])}
+        if replace(self._errors, noise_density=0.0) != SensorErrors():
+            for start in range(0, len(gyro), TILE):
+                tile = slice(start, start + TILE)
+                turn = rotation_elements(wxyz[tile])
+                reference = self._reference(gyro[tile], turn, time_s[tile])
+                out = covariance if to_end else covariance[..., tile]
+                rotate_covariance(reference, turn[:, self._rows], out=out)
+        for axis in range(3):
+            covariance[axis, axis] += noise
         self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
-    def _reference(self, gyro: GyroSeries, turn: Float64) -> Float64:
-        """Return the covariance ``(6, n)`` of rotations about reference axes."""
+    def _reference(self, gyro: GyroSeries, turn: Float64, time_s: Float64) -> Float64:
+        """Return the covariance ``(6, n)`` of rotations about reference axes, but for noise."""
         rows = self._rows
         if self._inertial:
             turn = np.repeat(np.eye(3).reshape(9, 1), len(gyro), axis=1)
         if self._previous is None:
-            self._first_ns = gyro.t_ns[0]
             self._previous = gyro[:1], turn[:, :1]
         last, last_turn = self._previous
         self._previous = gyro[-1:], turn[:, -1:].copy()
         errors = self._errors
-        time_s = (gyro.t_ns - self._first_ns) / NS_PER_S
         h = np.diff(gyro.t_ns, prepend=last.t_ns) / NS_PER_S
         # The integral of R over the interval that ends at each sample.
         step = np.empty(turn.shape)
         np.add(turn[:, 1:], turn[:, :-1], out=step[:, 1:])
         np.add(turn[:, :1], last_turn, out=step[:, :1])
         step *= h / 2
-        noise = errors.noise_density**2 * time_s[rows]
-        self.variances = {"noise_density": 3 * float(noise[-1])}
-        reference = np.zeros((6, len(noise)))
-        reference[DIAGONAL] = noise
+        reference = np.zeros((6, 1 if rows.start else len(gyro)))
         if errors.scale_sigma:
-            rate = errors.scale_sigma * gyro.rate.T
+            # In rows: an operation on columns would be slower than all that follows.
+            rate = errors.scale_sigma * np.ascontiguousarray(gyro.rate.T)
             if gyro.span_ns is None and not gyro.averages:
                 previous = errors.scale_sigma * last.rate.T
                 rate = (rate + np.concatenate([previous, rate[:, :-1]], axis=1)) / 2
