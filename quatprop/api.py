@@ -300,7 +300,7 @@ def compare(
         Paths as for :func:`read_attitudes`, or series in memory.
     tol, rms_tol, final_tol, p95_tol : str or float
         Limits on the worst, the RMS and the final error and on their 95th percentile: text such as
-        ``"0.1deg"``, or rad.
+        ``"0.1deg"``, or rad; or ``"3sigma"``, of series that have standard deviations.
     window_tol, window_rms_tol : str or float
         Limits on the worst and the RMS error of rotations over windows.
     drift_tol : str

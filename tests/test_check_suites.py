@@ -613,6 +613,8 @@ def test_a_suite_can_be_written_for_logs(folder):
     result = check(suite, "--init", *logs)
     assert result.exit_code == 0, result.output
     assert [line.split()[1] for line in result.stdout.splitlines()[:2]] == ["spin", "spin-2"]
+    lock = suite.with_name("suite.lock.json")
+    assert result.stderr.splitlines()[-1] == f"wrote {suite}, {lock} and the references"
     assert '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n' in suite.read_text()
     assert check(suite).stdout.splitlines()[-1] == "3 cases: 3 passed"
     again = check(suite, "--init", *logs)

@@ -413,6 +413,15 @@ def test_an_error_is_given_in_standard_deviations():
     assert compare(b, b).sigmas is None
     assert not compare(a, b, max_sigma=1.7).passed
     assert compare(a, b, max_sigma=1.8).passed
+    # The same limits on each statistic, as tolerances: 0 for the exact first attitude is left out.
+    for setting, value in (("tol", 3), ("rms_tol", math.sqrt(5 / 3)), ("final_tol", 1)):
+        for factor, passed in ((0.99, False), (1.01, True)):
+            limit = factor * value / math.sqrt(3) if setting != "rms_tol" else factor * value
+            comparison = compare(a, b, **{setting: f"{limit}sigma"})
+            (criterion,) = comparison.criteria
+            assert (criterion.setting, criterion.unit) == (setting, "sigma")
+            assert comparison.passed is passed
+            assert comparison.tolerance_rad is None
     both = compare(a, AttitudeSeries(t_ns, b.wxyz, covariance=covariance)).sigmas
     assert both.rms == pytest.approx(sigmas.rms / math.sqrt(2), rel=1e-9)
 
@@ -442,27 +451,41 @@ def test_compare_and_its_limit_on_the_command_line(tmp_path):
     assert result.exit_code == 1
     assert "sigma     the final error is " in result.stdout
     assert "failed    largest error " in result.stdout
-    result = CliRunner().invoke(cli, ["compare", str(truth), str(truth), "--max-sigma", "2"])
-    assert result.exit_code == 2
-    assert result.stderr.splitlines()[-1] == (
-        "Error: neither series has standard deviations, which --max-sigma needs; write them with "
-        "--sigma"
+    result = CliRunner().invoke(cli, ["compare", str(out), str(truth), "--p95-tol", "0.01sigma"])
+    assert result.exit_code == 1
+    assert "failed    95 % error " in result.stdout
+    assert " sigma, at most 0.01 sigma\n" in result.stdout
+    for option, named in (
+        (["--max-sigma", "2"], "--max-sigma"),
+        (["--tol", "3sigma"], "--tol 3sigma"),
+    ):
+        result = CliRunner().invoke(cli, ["compare", str(truth), str(truth), *option])
+        assert result.exit_code == 2
+        assert result.stderr.splitlines()[-1] == (
+            f"Error: neither series has standard deviations, which {named} needs; write them with "
+            "--sigma"
+        )
+    result = CliRunner().invoke(cli, ["compare", str(out), str(truth), "--tol", "-3sigma"])
+    assert result.stderr.splitlines()[-1].endswith(
+        "'-3sigma' is not an error in standard deviations; write a number with its unit, such as "
+        "3sigma"
     )
 
 
-def test_a_suite_has_the_limit(tmp_path):
+@pytest.mark.parametrize("limit", ["max-sigma = 0.1", 'tol = "0.1sigma"'])
+def test_a_suite_has_the_limit(tmp_path, limit):
     """With sigma and the errors among the settings of a case, and a reference of its own."""
     out, _, _ = run(tmp_path, "out.csv")
     suite = tmp_path / "suite.toml"
     suite.write_text(
-        """[case.still]
+        f"""[case.still]
 log = "log.csv"
 rate-unit = "rad/s"
 noise-density = "1e-3rad/s/sqrt(Hz)"
 scale-sigma = "5%"
 sigma = true
 reference-log = "out.csv"
-max-sigma = 0.1
+{limit}
 """
     )
     for arguments in (["--update"], []):

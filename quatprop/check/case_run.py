@@ -119,7 +119,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     ComparisonError
         They cannot be compared with these settings.
     """
-    limit = math.inf if case.comparison.tol is None else case.comparison.tol
+    limit = case.comparison.limit_rad
     if len(a) == len(b) == 1 and a.t_ns[0] == b.t_ns[0]:
         # A comparison needs two pairs; a log of one sample has one attitude.
         error = float(geodesic_angle(a.wxyz[0], b.wxyz[0]))
@@ -128,16 +128,19 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     result = compare(a, b, case.comparison)
     named = partial(with_names, a="the log's attitudes", b="the reference")
     first_ns = result.association.first_ns
-    failure = ""
+    failures = []
     if result.first_exceeding is not None:
-        failure = (
+        failures.append(
             f"above the tolerance, first at {_since(result.first_exceeding.t_ns, first_ns)} "
             f"({result.first_exceeding.t_ns} ns)"
         )
     cause = result.likely_cause
     causes = (cause, cause.also) if cause else ()
-    others = [one for one in result.criteria if one.setting != "tol" and not one.passed]
-    failures = [*filter(None, [failure]), *(named(criterion_text(one, result)) for one in others)]
+    failures += [
+        named(criterion_text(one, result))
+        for one in result.criteria
+        if not one.passed and (one.setting, one.unit) != ("tol", "rad")
+    ]
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=f"at {_since(result.worst.t_ns, first_ns)}",
@@ -187,8 +190,8 @@ def error_text(case: Case, comparison: CaseComparison) -> str:
         return ""
     error, *limit = (
         angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (comparison.error_rad, case.comparison.tol)
-        if angle is not None
+        for angle in (comparison.error_rad, case.comparison.limit_rad)
+        if math.isfinite(angle)
     )
     covered = comparison.coverage
     coverage = "" if covered is None else f", {covered:.4g} % of the reference covered"

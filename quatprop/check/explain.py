@@ -9,6 +9,7 @@ from quatprop.check.case_run import angle_text
 from quatprop.check.inputs import DIGITS, digests_of
 from quatprop.check.judge import differences
 from quatprop.check.spelling import sentence
+from quatprop.comparison.settings import Sigmas
 from quatprop.errors import QuatpropError
 from quatprop.text import listed, plain
 
@@ -55,8 +56,11 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     elif case.external is not None:
         yield "reference", f"{plain(case.external.path)}, an independent series"
     comparison = case.comparison
-    if comparison.tol is not None:
-        limit = angle_text(comparison.tol, in_degrees=case.in_degrees)
+    if (tolerance := comparison.tol) is not None:
+        if isinstance(tolerance, Sigmas):
+            limit = str(tolerance)
+        else:
+            limit = angle_text(tolerance, in_degrees=case.in_degrees)
         yield "judged by", f"worst error of at most {limit}, alignment {comparison.align}"
     if case.external is None:
         yield "", "equal timestamps" if case.strict else "timestamps may differ"

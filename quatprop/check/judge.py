@@ -180,11 +180,10 @@ def _refuse(case: Case, *reason: str | Setting | Text) -> NoReturn:
 
 def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
     """Return how the last attitude differs, which the reference may lack."""
-    tolerance = case.comparison.tol
-    if not case.strict or case.comparison.align != "none" or tolerance is None:
+    if not case.strict or case.comparison.align != "none":
         return ""
     error = float(geodesic_angle(np.array(pin.final_wxyz), np.array(run.final_wxyz)))
-    if error <= tolerance:
+    if error <= case.comparison.limit_rad:
         return ""
     angle = angle_text(error, in_degrees=case.in_degrees)
     return f"the attitude at the last sample is {angle} from the one that was pinned"

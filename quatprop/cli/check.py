@@ -139,7 +139,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     lock = loaded.lock if options["update"] or options["init"] else None
     results = _run(cases, pins, lock, options)
     if options["init"] and not options["as_json"]:
-        click.echo(f"wrote {suite}, {loaded.lock.name} and the references", err=True)
+        click.echo(f"wrote {suite}, {loaded.lock} and the references", err=True)
     if options["as_json"]:
         click.echo(json.dumps(_report(loaded, results, deleted), indent=2))
     _report_to_ci(loaded, results, options["junit"])

@@ -160,7 +160,8 @@ HELP = {
     "sigma": "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
     "in rad, covariances in messages that have them.",
     "sigma_axes": "Axes of those columns.  [default: body]",
-    "tol": "Largest error that passes, such as 1e-9rad or 0.1deg.  [default: none, all pass]",
+    "tol": "Largest error that passes, such as 1e-9rad or 0.1deg, or 3sigma where a series has "
+    "standard deviations; so for the next three.  [default: none, all pass]",
     "rms_tol": "Largest RMS error that passes.  [default: none]",
     "final_tol": "Largest final error that passes.  [default: none]",
     "p95_tol": "Largest 95th percentile of the error that passes.  [default: none]",
@@ -170,7 +171,7 @@ HELP = {
     "[default: none]",
     "min_coverage": "Least part of {log}, of its time and of its samples, that must be compared.  "
     "[default: none]",
-    "max_sigma": "Largest error that passes, in standard deviations, where a series has them.  "
+    "max_sigma": "Largest error that passes, in standard deviations, beside one in rad or deg.  "
     "[default: none]",
     "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or by "
     "the mean of all; or its reference and body frame (mount), from the motion.  [default: none]",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -161,7 +162,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         window=window,
         sigmas=sigmas,
         coverage=covered,
-        tolerance_rad=settings.tol,
+        tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         criteria=criteria,
         passed=passed,
         first_exceeding=meter.first_exceeding,

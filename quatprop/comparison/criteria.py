@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from quatprop.comparison.settings import Sigmas
 from quatprop.errors import ComparisonError
 from quatprop.text import Setting
 
@@ -86,20 +87,36 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
     ComparisonError
         There is a limit in standard deviations, and neither series has any.
     """
-    limits = [
-        ("tol", "largest error", errors.max),
-        ("rms_tol", "RMS error", errors.rms),
-        ("final_tol", "final error", errors.final),
-        ("p95_tol", "95 % error", errors.p95),
-    ]
+    for setting, label, name in (
+        ("tol", "largest error", "max"),
+        ("rms_tol", "RMS error", "rms"),
+        ("final_tol", "final error", "final"),
+        ("p95_tol", "95 % error", "p95"),
+        ("max_sigma", "largest error", "max"),
+    ):
+        limit = getattr(settings, setting)
+        if limit is None:
+            continue
+        if not isinstance(limit, Sigmas):
+            value = getattr(errors, name)
+            yield Criterion(setting, label, value, limit, "rad", value <= limit)
+            continue
+        if sigmas is None:
+            raise ComparisonError(
+                "neither series has standard deviations, which ",
+                Setting(setting, "" if setting == "max_sigma" else str(limit)),
+                " needs; write them with ",
+                Setting("sigma"),
+            )
+        value = getattr(sigmas, name)
+        yield Criterion(setting, label, value, limit.count, "sigma", value <= limit.count)
     if window is not None:
-        limits += [
+        for setting, label, value in (
             ("window_tol", "worst error over windows", window.max_rad),
             ("window_rms_tol", "RMS error over windows", window.rms_rad),
-        ]
-    for setting, label, value in limits:
-        if (limit := getattr(settings, setting)) is not None:
-            yield Criterion(setting, label, value, limit, "rad", value <= limit)
+        ):
+            if (limit := getattr(settings, setting)) is not None:
+                yield Criterion(setting, label, value, limit, "rad", value <= limit)
     if settings.drift_tol is not None:
         drift = drift_deg_h or 0.0
         passed = abs(drift) <= settings.drift_tol
@@ -107,14 +124,3 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
     if settings.min_coverage is not None:
         value, least = covered.least, settings.min_coverage
         yield Criterion("min_coverage", "coverage", value, least, "%", value >= least)
-    if (limit := settings.max_sigma) is not None:
-        if sigmas is None:
-            raise ComparisonError(
-                "neither series has standard deviations, which ",
-                Setting("max_sigma"),
-                " needs; write them with ",
-                Setting("sigma"),
-            )
-        yield Criterion(
-            "max_sigma", "largest error", sigmas.max, limit, "sigma", sigmas.max <= limit
-        )

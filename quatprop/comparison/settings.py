@@ -28,14 +28,24 @@ DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 
 
 @dataclass(frozen=True, slots=True)
+class Sigmas:
+    """A limit on an error in its standard deviations, as the compared series have them."""
+
+    count: float
+
+    def __str__(self) -> str:
+        return f"{self.count:g}sigma"
+
+
+@dataclass(frozen=True, slots=True)
 class ComparisonSettings:
     """How to compare two attitude series A and B.
 
     Parameters
     ----------
     tol, rms_tol, final_tol, p95_tol
-        Largest worst, RMS, final and 95th percentile geodesic error that passes, rad; None: every
-        error passes.
+        Largest worst, RMS, final and 95th percentile geodesic error that passes, rad or in
+        standard deviations; None: every error passes.
     window_tol, window_rms_tol
         The same for the worst and the RMS error of the rotations over windows, rad.
     drift_tol
@@ -43,7 +53,7 @@ class ComparisonSettings:
     min_coverage
         Least percentage of the reference, B, that must be compared: of its time and its samples.
     max_sigma
-        Largest error that passes, in standard deviations.
+        Largest error that passes, in standard deviations, where `tol` is in rad.
     align
         One of :data:`ALIGNMENTS`.
     time_offset
@@ -64,15 +74,15 @@ class ComparisonSettings:
         A limit on errors over windows is given, and no window.
     """
 
-    tol: float | None = None
-    rms_tol: float | None = None
-    final_tol: float | None = None
-    p95_tol: float | None = None
+    tol: float | Sigmas | None = None
+    rms_tol: float | Sigmas | None = None
+    final_tol: float | Sigmas | None = None
+    p95_tol: float | Sigmas | None = None
     window_tol: float | None = None
     window_rms_tol: float | None = None
     drift_tol: float | None = None
     min_coverage: float | None = None
-    max_sigma: float | None = None
+    max_sigma: Sigmas | None = None
     align: str = "none"
     time_offset: int | Literal["auto"] = 0
     match: str | None = None
@@ -90,7 +100,7 @@ class ComparisonSettings:
     @property
     def limit_rad(self) -> float:
         """The largest error that passes, rad."""
-        return math.inf if self.tol is None else self.tol
+        return self.tol if isinstance(self.tol, float | int) else math.inf
 
 
 def angle_rad(value: object) -> float:
@@ -107,6 +117,26 @@ def angle_rad(value: object) -> float:
     1.5707963267948966
     """
     return quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+
+
+def error_limit(value: object) -> float | Sigmas:
+    """Return a limit on an error: an angle as of :func:`angle_rad`, or text such as ``"3sigma"``.
+
+    Raises
+    ------
+    UsageError
+        The value is neither.
+
+    Examples
+    --------
+    >>> error_limit("2.5 sigma"), error_limit("90deg")
+    (Sigmas(count=2.5), 1.5707963267948966)
+    """
+    if isinstance(value, Sigmas):
+        return value
+    if isinstance(value, str) and value.rstrip().endswith("sigma"):
+        return Sigmas(quantity(value, {"sigma": 1.0}, "an error in standard deviations", "3sigma"))
+    return quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg, or in sigma: 3sigma")
 
 
 def drift_deg_h(value: object) -> float:
@@ -152,22 +182,24 @@ def _percentage(value: object) -> float:
     return percentage
 
 
-def _positive(value: object) -> float:
+def _sigmas(value: object) -> Sigmas:
+    if isinstance(value, Sigmas):
+        return value
     if (parsed := number(value)) <= 0:
         raise UsageError(f"{shown(value)} is not a number above 0")
-    return parsed
+    return Sigmas(parsed)
 
 
 COMPARE: Mapping[str, Parser] = {
-    "tol": angle_rad,
-    "rms_tol": angle_rad,
-    "final_tol": angle_rad,
-    "p95_tol": angle_rad,
+    "tol": error_limit,
+    "rms_tol": error_limit,
+    "final_tol": error_limit,
+    "p95_tol": error_limit,
     "window_tol": angle_rad,
     "window_rms_tol": angle_rad,
     "drift_tol": drift_deg_h,
     "min_coverage": _percentage,
-    "max_sigma": _positive,
+    "max_sigma": _sigmas,
     "align": Choice(*ALIGNMENTS),
     "time_offset": time_offset_ns,
     "match": Choice(*MATCHES),

@@ -31,8 +31,8 @@ class SigmaStatistics:
 
     Parameters
     ----------
-    max, rms
-        Over the pairs that have a covariance.
+    max, rms, p95
+        Over the pairs that have a covariance; p95 is the 95th percentile.
     final
         Of the last of them.
     expected_rad
@@ -41,6 +41,7 @@ class SigmaStatistics:
 
     max: float
     rms: float
+    p95: float
     final: float
     expected_rad: Float64 = field(compare=False, repr=False)
 
@@ -78,9 +79,13 @@ def sigma_statistics(
     sigmas = np.sqrt(np.concatenate(squares))
     if not len(sigmas):
         return None
-    rms = float(np.sqrt(np.mean(sigmas**2)))
-    expected_rad = np.sqrt(np.concatenate(traces))
-    return SigmaStatistics(float(sigmas.max()), rms, float(sigmas[-1]), expected_rad)
+    return SigmaStatistics(
+        max=float(sigmas.max()),
+        rms=float(np.sqrt(np.mean(sigmas**2))),
+        p95=float(np.percentile(sigmas, 95)),
+        final=float(sigmas[-1]),
+        expected_rad=np.sqrt(np.concatenate(traces)),
+    )
 
 
 def _interpolated(t_ns: Int64, covariances: Float64, wanted_ns: Int64) -> Float64:

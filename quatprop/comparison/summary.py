@@ -73,6 +73,8 @@ def comparison_rows(
 def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
     """Return the verdict on a criterion: what was measured, and what is allowed."""
     label, value, limit = criterion.label, criterion.value, criterion.limit
+    if criterion.unit == "sigma":
+        return f"{label} {value:.3g} sigma, at most {limit:.6g} sigma"
     match criterion.setting:
         case "tol":
             tolerance = f"the tolerance {angle_text(limit)}"
@@ -82,8 +84,6 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             return f"above {tolerance}, first at {first}"
         case "drift_tol":
             return f"{label} {value:+.6g} deg/h, at most {limit:.6g} deg/h"
-        case "max_sigma":
-            return f"{label} {value:.3g} sigma, at most {limit:.6g} sigma"
         case "min_coverage":
             covered = comparison.coverage
             samples = ""
