@@ -129,6 +129,17 @@ class MessageBlock:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def at(self, chosen: NDArray[np.generic]) -> MessageBlock:
+        """Return some of the messages, by their positions or a mask."""
+        return MessageBlock(
+            self.data,
+            self.starts[chosen],
+            self.ends[chosen],
+            self.log_ns[chosen],
+            self.publish_ns[chosen],
+            self.not_before_ns,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Loss:

@@ -52,12 +52,9 @@ def decompressed(block: MessageBlock) -> tuple[MessageBlock, int]:
     lengths = np.fromiter(map(len, messages), np.int64, len(messages))
     ends = np.cumsum(lengths)
     whole = replace(
-        block,
+        block.at(np.array(intact, np.intp)),
         data=np.frombuffer(b"".join(messages), np.uint8),
         starts=ends - lengths,
         ends=ends,
-        log_ns=block.log_ns[intact],
-        publish_ns=block.publish_ns[intact],
-        stride=0,
     )
     return whole, len(block) - len(intact)

@@ -118,32 +118,29 @@ class BinaryDecoder:
             Messages are encapsulated in a way that is not read.
         """
         try:
-            return self._columns(block.data, block.starts, block.ends - block.starts)
+            return self._columns(block)
         except TooShortError as error:
             raise self._too_short(block, error.positions) from None
 
-    def _columns(
-        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> list[NDArray[Any]]:
-        if not len(starts) or not self._ways:
-            return self._empty_columns(len(starts))
-        placement, order = self._encoding(data, starts, lengths)
-        messages = MessageBytes.of(data, starts, lengths, order, placement.header)
+    def _columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+        if not len(block) or not self._ways:
+            return self._empty_columns(len(block))
+        placement, order = self._encoding(block)
+        messages = MessageBytes.of(block, order, placement.header)
+        messages.require(placement.header)
         try:
             return follow(self._plan(placement), messages, len(self._ways))
         except MixedError:
-            return self._mixed(data, starts, lengths)
+            return self._mixed(block)
 
-    def _mixed(
-        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> list[NDArray[Any]]:
+    def _mixed(self, block: MessageBlock) -> list[NDArray[Any]]:
         """Return the columns of messages in several encapsulations, each decoded by itself."""
-        identifiers = data[starts].astype(np.int64) << 8 | data[starts + 1]
-        mixed = self._empty_columns(len(starts))
+        identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+        mixed = self._empty_columns(len(block))
         for identifier in np.unique(identifiers):
             same = np.flatnonzero(identifiers == identifier)
             try:
-                parts = self._columns(data, starts[same], lengths[same])
+                parts = self._columns(block.at(same))
             except TooShortError as error:
                 raise TooShortError(same[error.positions]) from None
             for column, part in zip(mixed, parts, strict=True):
@@ -153,16 +150,14 @@ class BinaryDecoder:
     def _empty_columns(self, count: int) -> list[NDArray[Any]]:
         return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
 
-    def _encoding(
-        self, data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> tuple[Placement, str]:
+    def _encoding(self, block: MessageBlock) -> tuple[Placement, str]:
         """Return how the first message is encoded."""
         if self.channel.encoding in PACKED:
             return ROS1, "<"
-        if lengths.min() < XCDR1.header:
-            raise TooShortError(np.flatnonzero(lengths < XCDR1.header))
-        begin = int(starts[0])
-        identifier = int(data[begin]) << 8 | int(data[begin + 1])
+        begin, end = int(block.starts[0]), int(block.ends[0])
+        if end - begin < XCDR1.header:
+            raise TooShortError(np.flatnonzero(block.ends - block.starts < XCDR1.header))
+        identifier = int(block.data[begin]) << 8 | int(block.data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
         form = UNREADABLE_ENCAPSULATIONS.get(identifier, "an unknown form")

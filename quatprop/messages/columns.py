@@ -17,6 +17,7 @@ from quatprop.messages.plan import COUNT, ENCAPSULATION, Repeat, Skip
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import MessageBlock
     from quatprop.messages.plan import Piece, Plan, Window
 
     Offsets: TypeAlias = int | NDArray[np.int64]
@@ -49,44 +50,38 @@ class MessageBytes:
 
     Parameters
     ----------
-    data
-        The buffer, shape ``(B,)``, uint8, contiguous.
-    starts, lengths
-        Where each message begins and how many bytes it has, shape ``(N,)``, int64, ``N > 0``.
+    block
+        The messages, at least one.
     order
         Byte order, ``"<"`` or ``">"``.
     origin
         Where in each message alignment is counted from.
     shortest
-        The least of `lengths`.
+        Bytes of the shortest message.
     stride
         Bytes from each message to the next where that is always the same, else 0.
     """
 
-    data: NDArray[np.uint8]
-    starts: NDArray[np.int64]
-    lengths: NDArray[np.int64]
+    block: MessageBlock
     order: str
     origin: int
     shortest: int
     stride: int
 
     @classmethod
-    def of(
-        cls,
-        data: NDArray[np.uint8],
-        starts: NDArray[np.int64],
-        lengths: NDArray[np.int64],
-        order: str,
-        origin: int,
-    ) -> MessageBytes:
+    def of(cls, block: MessageBlock, order: str, origin: int) -> MessageBytes:
         """Return messages with the length of the shortest and their stride."""
-        return cls(data, starts, lengths, order, origin, int(lengths.min()), _stride(starts))
+        if block.stride:
+            return cls(block, order, origin, int(block.ends[0] - block.starts[0]), block.stride)
+        shortest = int((block.ends - block.starts).min())
+        return cls(block, order, origin, shortest, _stride(block.starts))
+
+    def __len__(self) -> int:
+        return len(self.block)
 
     def at(self, positions: NDArray[np.intp]) -> MessageBytes:
         """Return some of the messages."""
-        starts, lengths = self.starts[positions], self.lengths[positions]
-        return MessageBytes.of(self.data, starts, lengths, self.order, self.origin)
+        return MessageBytes.of(self.block.at(positions), self.order, self.origin)
 
     def require(self, ends: Offsets) -> None:
         """Check that no message ends before an offset.
@@ -98,22 +93,22 @@ class MessageBytes:
         """
         if isinstance(ends, int) and ends <= self.shortest:
             return
-        short = self.lengths < ends
+        short = self.block.ends - self.block.starts < ends
         if np.count_nonzero(short):
             raise TooShortError(np.flatnonzero(short))
 
     def window(self, window: Window, offset: Offsets) -> NDArray[np.void]:
         """Return the bytes of a window in each message, shape ``(N,)``."""
         kind = np.dtype((np.void, window.size))
+        data, starts = self.block.data, self.block.starts
         if self.stride and isinstance(offset, int):
-            begin = int(self.starts[0]) + offset + window.offset
-            shape, strides = (len(self.starts),), (self.stride,)
-            return np.ndarray(shape, kind, self.data, begin, strides).copy()
+            begin = int(starts[0]) + offset + window.offset
+            return np.ndarray((len(starts),), kind, data, begin, (self.stride,)).copy()
         # All windows of the buffer, one byte apart: indexing them copies each message's window
         # in a single call.
-        shape = (len(self.data) - window.size + 1,)
-        windows: NDArray[np.void] = np.ndarray(shape, kind, self.data, 0, (1,))
-        fetched: NDArray[np.void] = windows[self.starts + (offset + window.offset)]
+        shape = (len(data) - window.size + 1,)
+        windows: NDArray[np.void] = np.ndarray(shape, kind, data, 0, (1,))
+        fetched: NDArray[np.void] = windows[starts + (offset + window.offset)]
         return fetched
 
     def numbers(self, piece: Piece, window: NDArray[np.void]) -> NDArray[Any]:
