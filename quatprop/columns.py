@@ -153,11 +153,9 @@ def _as_array(name: str, values: object) -> NDArray[Any]:
         # Dates of pandas with a zone, as UTC.
         return np.asarray(values.to_numpy(dtype="datetime64[ns]"))  # type: ignore[attr-defined]
     if hasattr(values, "to_numpy"):
-        try:
-            # Arrow's arrays copy only if they are allowed to; its chunked arrays always may.
-            return np.asarray(values.to_numpy(zero_copy_only=False))
-        except TypeError:
-            return np.asarray(values.to_numpy())
+        # Arrow's columns, which have a type and no dtype, copy only if they are allowed to.
+        options = {"zero_copy_only": False} if hasattr(values, "type") else {}
+        return np.asarray(values.to_numpy(**options))
     try:
         return np.asarray(values)
     except ValueError as error:

@@ -6,6 +6,7 @@ updates references: ``quatprop check SUITE.toml --update``.
 
 from __future__ import annotations
 
+from fnmatch import fnmatch
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -36,9 +37,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the suites to the paths that pytest collects."""
-    paths = {(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args}
-    config.args += [str(path) for path in _suites(config) if path.resolve() not in paths]
+    """Add the suites that pytest would not find to the paths that it collects.
+
+    pytest 8 leaves out the rest of a folder of which a file is named too.
+    """
+    paths = [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
+    skipped = config.getini("norecursedirs")
+    for suite in _suites(config):
+        for path in paths:
+            if suite.resolve().is_relative_to(path):
+                folders = suite.resolve().relative_to(path).parts[:-1]
+                if not any(fnmatch(folder, skip) for folder in folders for skip in skipped):
+                    break
+        else:
+            config.args.append(str(suite))
 
 
 def _suites(config: pytest.Config) -> list[Path]:

@@ -208,6 +208,15 @@ def test_rotation_vectors_are_those_of_scipy(rows):
     assert geodesic_angle(back, wxyz).max() < 1e-14
 
 
+def test_a_sign_that_either_choice_would_continue_does_not_depend_on_batches():
+    """Two attitudes half a turn apart have a dot product of zero: the choice before them counts."""
+    wxyz = np.array([[0.0, 0, 0, 1], [0, 0, 0, -1], [0, 0, 1, 0]])
+    for cut in range(4):
+        signs = Signs("continuous")
+        parts = np.concatenate([signs.applied(wxyz[:cut]), signs.applied(wxyz[cut:])])
+        np.testing.assert_array_equal(parts, [[0, 0, 0, 1], [0, 0, 0, 1], [0, 0, -1, 0]])
+
+
 @given(st.lists(quaternions, min_size=2, max_size=30), st.data())
 def test_a_continuous_sign_does_not_depend_on_batches(rows, data):
     """Neighbours never have a negative dot product, however the series is cut."""

@@ -6,6 +6,7 @@ import shutil
 import stat
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,11 @@ def test_every_file_is_generated(generated):
 
 
 def test_every_byte_is_the_same(generated):
-    """Generating them again gives the same files, bit for bit."""
+    """Generating them again gives the same files, bit for bit, with the versions of development."""
+    pins = (SAMPLE_LOGS.parent / ".ci" / "constraints.txt").read_text().split()
+    used = ("apsw", "lz4", "mcap", "numpy", "pyarrow", "rosbags", "zstandard")
+    if not {f"{name}=={version(name)}" for name in used} <= set(pins):
+        pytest.skip("other versions compress otherwise")
     differing = [
         name
         for name in sorted(files(generated))

@@ -142,6 +142,7 @@ class Signs:
             raise UsageError(f"no sign {quoted(sign)}; choose one of {listed(SIGNS)}")
         self._sign = sign
         self._last: Float64 | None = None
+        self._flip = 1.0
 
     def applied(self, wxyz: Float64) -> Float64:
         """Return the next batch of the series, shape ``(N, 4)``."""
@@ -149,11 +150,11 @@ class Signs:
             return wxyz
         if self._sign == "positive":
             return _positive(wxyz)
-        before = wxyz[:1] if self._last is None else self._last[None]
+        before = wxyz[:1] if self._last is None else self._last
         dots = np.einsum("ij,ij->i", np.concatenate([before, wxyz[:-1]]), wxyz)
-        flips = np.cumprod(np.where(dots < 0, -1.0, 1.0))
+        flips = self._flip * np.cumprod(np.where(dots < 0, -1.0, 1.0))
+        self._last, self._flip = wxyz[-1:].copy(), float(flips[-1])
         signed: Float64 = wxyz * flips[:, None]
-        self._last = signed[-1].copy()
         return signed
 
 
