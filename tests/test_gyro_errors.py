@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.cli import cli
 from quatprop.errors import UsageError
+from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
 from quatprop.settings import parse
@@ -394,6 +395,34 @@ def test_standard_deviations_are_read_again(tmp_path, name, axes):
         wanted = turn @ expected.covariance @ turn.swapaxes(1, 2)
         diagonals = (np.diagonal(one, axis1=1, axis2=2) for one in (found, wanted))
         np.testing.assert_allclose(*diagonals, rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize("message", ["Imu", "PoseWithCovarianceStamped"])
+@pytest.mark.parametrize("name", ["out.mcap", "out.bag", "out"])
+def test_covariances_are_read_again_from_messages(tmp_path, name, message):
+    """All of them, about body axes again: an error is as many sigma as of the series in memory."""
+    out, result, expected = run(tmp_path, name, "--message", message)
+    assert result.exit_code == 0, result.output
+    series = read_attitudes(out)
+    np.testing.assert_allclose(series.covariance, expected.covariance, rtol=1e-9, atol=1e-16)
+    turn = Rotation.from_rotvec([0.01, 0.02, -0.01]).as_quat(scalar_first=True)
+    other = AttitudeSeries(expected.t_ns, multiply(expected.wxyz, turn))
+    sigmas = compare(out, other).sigmas
+    assert sigmas.rms == pytest.approx(compare(expected, other).sigmas.rms, rel=1e-6)
+
+
+def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
+    """What is the same in every message says nothing of the attitude."""
+    log = shared_logs / "two_imus/test1_2014_xsens.bag"
+    with AnyReader([log]) as reader:
+        found = {
+            tuple(reader.deserialize(data, c.msgtype).orientation_covariance)
+            for c, _, data in reader.messages()
+            if c.topic == "/xsens/imu_data"
+        }
+    assert len(found) == 1
+    assert any(found.pop())
+    assert read_attitudes(log, topic="/xsens/imu_data").covariance is None
 
 
 def test_an_error_is_given_in_standard_deviations():

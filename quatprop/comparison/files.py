@@ -74,7 +74,8 @@ def compare_files(
         files = file_a, file_b
         beginnings = [_Beginning(file) for file in files]
         is_long = any(one.is_long for one in beginnings)
-        if is_long and not keep and _is_streamable(files, settings):
+        has_sigmas = any(one.has_covariances for one in beginnings)
+        if is_long and not keep and not has_sigmas and _is_streamable(files, settings):
             try:
                 of_a, of_b = (one.batches() for one in beginnings)
                 comparison = _streamed(of_a, of_b, settings)
@@ -105,6 +106,11 @@ class _Beginning:
                 self.is_long = True
                 break
 
+    @property
+    def has_covariances(self) -> bool:
+        """Whether attitudes have covariances."""
+        return any(batch.covariance is not None for batch in self._first)
+
     def batches(self) -> Iterator[AttitudeSeries]:
         """Yield all batches, once."""
         while self._first:
@@ -118,7 +124,7 @@ def _is_streamable(files: Iterable[AttitudeFile], settings: ComparisonSettings) 
         and settings.align in {"none", "first"}
         and settings.time_offset != "auto"
         and settings.window is None
-        and all(file.signal.covariances is None and not file.read_once for file in files)
+        and not any(file.read_once for file in files)
     )
 
 

@@ -107,6 +107,9 @@ class OrientationField:
         Which frames it relates, where the type fixes them.
     position
         Three numbers x, y, z, m: the position that belongs to it.
+    covariance
+        Its covariance about the axes of the reference frame, rad^2: nine numbers, or 36 with the
+        position's first.
     fields
         Paths of the numbers: one of four in the order of `layout`, or w, x, y, z; empty in the
         table.
@@ -119,6 +122,7 @@ class OrientationField:
     absent: str | None = None
     frames: str = ""
     position: str | None = None
+    covariance: str | None = None
     fields: tuple[str, ...] = ()
     stamps: tuple[Stamp, ...] = ()
 
@@ -159,6 +163,9 @@ class SignalFields:
 _SENT = Stamp(("timestamp",), "us")
 _SAMPLED = (Stamp(("timestamp_sample",), "us"),)
 _FRD_TO_NED = OrientationField("q", SCALAR_FIRST, frames="FRD body to NED reference")
+_ROS_POSE_WITH_COVARIANCE = OrientationField(
+    "pose.pose.orientation", position="pose.pose.position", covariance="pose.covariance"
+)
 _FOXGLOVE_STAMP = (Stamp.of_time("timestamp"),)
 _FOXGLOVE_POSE = OrientationField("pose.orientation", position="pose.position")
 _FOXGLOVE_TRANSFORM = SignalFields(
@@ -174,7 +181,11 @@ _FOXGLOVE_POSE_IN_FRAME = SignalFields(orientation=_FOXGLOVE_POSE, stamps=_FOXGL
 MESSAGE_TYPES: Mapping[str, SignalFields] = {
     "sensor_msgs/msg/Imu": SignalFields(
         rate=RateField(("angular_velocity",), absent="angular_velocity_covariance[0]"),
-        orientation=OrientationField("orientation", absent="orientation_covariance[0]"),
+        orientation=OrientationField(
+            "orientation",
+            absent="orientation_covariance[0]",
+            covariance="orientation_covariance",
+        ),
         acceleration=AccelerationField("linear_acceleration", "linear_acceleration_covariance[0]"),
     ),
     "geometry_msgs/msg/QuaternionStamped": SignalFields(orientation=OrientationField("quaternion")),
@@ -182,7 +193,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
         orientation=OrientationField("pose.orientation", position="pose.position")
     ),
     "geometry_msgs/msg/PoseWithCovarianceStamped": SignalFields(
-        orientation=OrientationField("pose.pose.orientation", position="pose.pose.position")
+        orientation=_ROS_POSE_WITH_COVARIANCE
     ),
     "geometry_msgs/msg/TransformStamped": SignalFields(
         orientation=OrientationField("transform.rotation", position="transform.translation")
@@ -195,7 +206,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
     ),
     "nav_msgs/msg/Odometry": SignalFields(
         rate=RateField(("twist.twist.angular",), measured=False),
-        orientation=OrientationField("pose.pose.orientation", position="pose.pose.position"),
+        orientation=_ROS_POSE_WITH_COVARIANCE,
     ),
     "foxglove.FrameTransform": _FOXGLOVE_TRANSFORM,
     "foxglove.Odometry": _FOXGLOVE_ODOMETRY,

@@ -242,13 +242,18 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
         rate = rate if _is_rate(rate, root) else None
     if orientation is not None:
         components, layout = _quaternion(root, prefix + orientation.name)
-        position = existing(orientation.position)
+
+        def counted(name: str | None, *counts: int) -> str | None:
+            name = existing(name)
+            return name if name and _count(find(root, name)) in counts else None
+
         orientation = replace(
             orientation,
             name=prefix + orientation.name,
             layout=layout or orientation.layout,
             absent=existing(orientation.absent),
-            position=position if position and _count(find(root, position)) == AXES else None,
+            covariance=counted(orientation.covariance, 9, 36),
+            position=counted(orientation.position, AXES),
             fields=components,
             stamps=stamps_for(prefix + orientation.name),
         )

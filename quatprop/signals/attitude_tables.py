@@ -24,15 +24,14 @@ from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import Any
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
 
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.signal import Poses, Rows
+    from quatprop.signals.signal import Covariances, Poses, Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
 
@@ -166,7 +165,7 @@ def _positions(log: TableLog) -> list[int]:
 
 def _covariances(
     log: TableLog, columns: ColumnMatch, meaning: Meaning, provenance: JsonObject
-) -> Callable[[], Iterator[tuple[Any, ...]]] | None:
+) -> Callable[[], Covariances] | None:
     """Return what reads the standard deviations beside attitudes; None where there are none.
 
     They are about body axes, unless the metadata of the file say otherwise.
@@ -180,7 +179,7 @@ def _covariances(
     uncertainty = provenance.get("uncertainty")
     axes = uncertainty.get("columns_axes") if isinstance(uncertainty, dict) else "body"
 
-    def covariances() -> Iterator[tuple[Any, ...]]:
+    def covariances() -> Covariances:
         for t_ns, numbers in log.metered_rows(timed):
             split = numbers.shape[1] - len(beside)
             wxyz = meaning.converted(_attitudes(numbers[:, :split], columns))

@@ -6,14 +6,17 @@ for.
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from quatprop.conventions import HAMILTON
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import LogError, UsageError
-from quatprop.kinematics.quaternion import IDENTITY
+from quatprop.kinematics.quaternion import IDENTITY, conjugate
+from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
 from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.messages.ulog import is_secondary
@@ -34,7 +37,7 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.message_values import MessageReader
-    from quatprop.signals.signal import Poses, Rows
+    from quatprop.signals.signal import Covariances, Poses, Rows
     from quatprop.tables.base import TableLog
 
 
@@ -133,10 +136,14 @@ def _of_field(
     groups = (field.fields, [field.absent])
     reader = FieldReader(log, channel, clock, *groups)
     rows = partial(_message_rows, log, channel, reader, order, meaning)
-    poses = None
+    poses = covariances = None
     if field.position is not None:
         pose_reader = FieldReader(log, channel, clock, *groups, [field.position])
         poses = partial(_message_poses, log, channel, pose_reader, order, meaning)
+    if field.covariance is not None and meaning == HAMILTON:
+        beside = [field.position], [field.covariance]
+        covariance_reader = FieldReader(log, channel, clock, *groups, *beside)
+        covariances = partial(_message_covariances, log, channel, covariance_reader, order)
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
     placeholder = _is_beside_rate(channel, field, log.path) and are_all(
         (np.abs(wxyz) for _, wxyz in rows()), IDENTITY, PLACEHOLDER_MESSAGES
@@ -155,6 +162,7 @@ def _of_field(
         rows=rows,
         stamps=partial(stamps_logged, log, channel, reader),
         poses=poses,
+        covariances=covariances,
         placeholder=placeholder,
     )
 
@@ -223,3 +231,30 @@ def _message_poses(
     places = [order.index(part) for part in range(4)]
     for t_ns, stored, position in timed_values(log, channel, reader):
         yield t_ns, meaning.converted(stored[:, places]), position
+
+
+def _message_covariances(
+    log: MessageLog, channel: Channel, reader: MessageReader, order: tuple[int, ...]
+) -> Covariances:
+    """Yield attitudes, positions or None, and covariances about body axes.
+
+    A covariance that is the same in all of the first messages is a constant of the sensor's
+    driver, not what is known of the attitude: there is none then.
+    """
+    places = [order.index(part) for part in range(4)]
+    varies: bool | None = None
+    for t_ns, stored, *position, numbers in timed_values(log, channel, reader):
+        wxyz = stored[:, places]
+        if varies is None:
+            varies = bool((numbers != numbers[:1]).any())
+        covariance = None
+        if varies:
+            size = math.isqrt(numbers.shape[1])
+            of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
+            is_known = np.isfinite(of_rotation).all(axis=(1, 2))
+            is_known &= (np.diagonal(of_rotation, axis1=1, axis2=2) >= 0).all(axis=1)
+            of_rotation[~is_known] = 0.0
+            # Quaternions are not checked yet.
+            with np.errstate(over="ignore", invalid="ignore"):
+                covariance = reference_covariance(conjugate(wxyz), of_rotation)
+        yield t_ns, wxyz, position[0] if position else None, covariance

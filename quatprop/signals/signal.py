@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
     Rows: TypeAlias = Iterator[tuple[Int64, Float64]]
     Poses: TypeAlias = Iterator[tuple[Int64, Float64, Float64]]
+    Covariances: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
 
 
 def no_parts() -> None:
@@ -155,7 +156,7 @@ class AttitudeSignal(Signal):
         where there are none.
     covariances
         Reads stamps, quaternions, positions or None, and covariances about body axes, shape
-        ``(N, 3, 3)``, rad^2; None where there are none.
+        ``(N, 3, 3)``, rad^2, or None; None where there is no place for them.
     placeholder
         Whether it is the identity in every message of a sensor: never set.
     """
@@ -166,5 +167,5 @@ class AttitudeSignal(Signal):
     provenance: JsonObject
     representation: str = "quaternion"
     poses: Callable[[], Poses] | None = None
-    covariances: Callable[[], Iterator[tuple[Any, ...]]] | None = None
+    covariances: Callable[[], Covariances] | None = None
     placeholder: bool = False
