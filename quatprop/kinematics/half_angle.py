@@ -1,8 +1,12 @@
-"""Cosine and sine of half an angle, for steps of any size."""
+"""Cosine and sine of half an angle, for steps of any size, rounded alike on every processor.
+
+Mathematical libraries give sines that differ in the last place from one processor to another, so
+there are only additions, multiplications, divisions and square roots here.
+"""
 
 from __future__ import annotations
 
-from math import factorial
+from math import factorial, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,19 +17,30 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
 
 TERMS = 5
-"""Of the series for cosine and sine: enough for steps of 11 degrees; libm is for longer steps."""
+"""Of the series for cosine and ratio: enough for steps of 11 degrees."""
 
 _COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
 _RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
 _REACH = 4 * (2.0**-55 * factorial(2 * TERMS)) ** (1 / TERMS)
 """Square of the largest angle for which the series leave out less than a quarter ulp."""
 
+_LONG_COSINE = [(-1) ** k / factorial(2 * k) for k in range(2, 9)]
+_LONG_SINE = [(-1) ** k / factorial(2 * k + 1) for k in range(1, 9)]
+"""Taylor coefficients of all but the leading terms. At an eighth of a turn the first one that is
+left out is 5e-19 and 3e-20."""
+
+_QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+"""Quarter of a turn, rad, in parts: multiples of the first two, up to 2**20, are exact."""
+
+_MANY_TURNS = 2 * pi * 2**17
+"""Of longer steps whole turns are left out, which rounds no more than their angle is rounded."""
+
 
 def half_angle(square: Float64) -> tuple[Float64, Float64]:
     """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
 
-    Both are power series in a squared, smooth through zero; beyond their reach libm takes over.
-    Each result depends on its own angle only, to the bit.
+    Both are power series in a squared, smooth through zero; beyond their reach, of what quarter
+    turns leave of the angle. Each result depends on its own angle only, to the bit.
 
     Parameters
     ----------
@@ -40,12 +55,36 @@ def half_angle(square: Float64) -> tuple[Float64, Float64]:
     square = np.asarray(square)
     with np.errstate(over="ignore", invalid="ignore"):
         cosine, ratio = _series(_COSINE, square), _series(_RATIO, square)
-    beyond = square > _REACH
-    if beyond.any():
-        angle = np.sqrt(square[beyond])
-        cosine[beyond] = np.cos(angle / 2)
-        ratio[beyond] = np.sin(angle / 2) / angle
+        beyond = square > _REACH
+        if beyond.any():
+            angle = np.sqrt(square[beyond])
+            cosine[beyond], sine = _cosine_and_sine(angle / 2)
+            ratio[beyond] = sine / angle
     return cosine, ratio
+
+
+def _cosine_and_sine(angle: Float64) -> tuple[Float64, Float64]:
+    """Return cosine and sine of angles of any size, rad.
+
+    References
+    ----------
+    fdlibm, Sun Microsystems, 1993: what the leading terms are rounded by is added to the smaller
+    ones.
+    """
+    angle = np.fmod(angle, _MANY_TURNS)
+    quarters = np.rint(angle / (pi / 2))
+    high, middle, low = (quarters * part for part in _QUARTER)
+    angle -= high
+    x = angle - middle
+    rounding = (angle - x - middle) - low
+    square = x * x
+    half = square / 2
+    leading = 1 - half
+    small = square * square * _series(_LONG_COSINE, square) - x * rounding
+    cosine = leading + (1 - leading - half + small)
+    sine = x + (x * (square * _series(_LONG_SINE, square)) + leading * rounding)
+    odd, sign = quarters % 2 == 1, np.where(quarters % 4 >= 2, -1.0, 1.0)  # noqa: PLR2004  # halves
+    return sign * np.where(odd, -sine, cosine), sign * np.where(odd, cosine, sine)
 
 
 def _series(coefficients: list[float], x: Float64) -> Float64:

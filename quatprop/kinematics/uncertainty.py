@@ -188,7 +188,7 @@ class ErrorGrowth:
         # h^3/12 for the deviation from it, R being orthogonal.
         square = _symmetric(twice, twice)
         square *= walk / 4 * h
-        square[DIAGONAL] += walk / 12 * h**3
+        square[DIAGONAL] += walk / 12 * h * h * h
         twice *= h / 2
         a = self._sum("A", twice)[:, rows]
         b = self._sum("B", square)[:, rows]
