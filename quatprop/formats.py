@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections import defaultdict
 from contextlib import ExitStack, contextmanager, suppress
@@ -15,7 +14,6 @@ from quatprop.containers.compressed_files import DecompressedCopy, file_compress
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource, os_reason
 from quatprop.containers.msg_files import MsgFiles
-from quatprop.containers.remote import RemoteSource, bag_files, local_copy
 from quatprop.containers.stores import find, is_address, without_secret
 from quatprop.errors import (
     DamagedLogError,
@@ -119,6 +117,8 @@ def _open_remote(
     copied: bool,
 ) -> MessageLog | TableLog:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
+    from quatprop.containers.remote import RemoteSource, bag_files, local_copy
+
     _, found = find(address)
     if copied or (kind == "rosbag2" and found.is_file):
         copy = stack.enter_context(local_copy(address))
@@ -227,6 +227,8 @@ def _open_stdin(
     stack.callback(folder.remove)
     copy = folder.path / "stdin"
     with copy.open("wb") as file:
+        import shutil
+
         shutil.copyfileobj(stream, file)
     stack.enter_context(_renamed_errors("-"))
     return stack.enter_context(open_log(copy, kind, msg_path=msg_path))

@@ -9,9 +9,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import secrets
-import shutil
-import tempfile
 import time
 import weakref
 from contextlib import suppress
@@ -56,7 +53,7 @@ class LockedTemp(Generic[T]):
     def __init__(self, place: Path, make: Callable[[Path], T]) -> None:
         _remove_abandoned(place)
         while True:
-            self.path = place.with_name(f"{_prefix(place)}{secrets.token_hex(4)}.part")
+            self.path = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
             # A signal may end the run between any two steps: what was made is removed then, too.
             self._removal = weakref.finalize(self, _remove, self.path)
             self.made = make(self.path)
@@ -75,6 +72,8 @@ class LockedTemp(Generic[T]):
 
 def temp_folder() -> LockedTemp[None]:
     """Return a new folder for copies of logs; those that killed runs have left are removed."""
+    import tempfile
+
     return LockedTemp(Path(tempfile.gettempdir(), "copies"), lambda path: path.mkdir(0o700))
 
 
@@ -131,4 +130,9 @@ def _lock(path: Path, *, wait: bool) -> int | None:
 
 def _remove(path: Path) -> None:
     with suppress(OSError):
-        path.unlink() if path.is_file() else shutil.rmtree(path)
+        if path.is_file():
+            path.unlink()
+        elif path.exists():
+            import shutil
+
+            shutil.rmtree(path)

@@ -132,6 +132,36 @@ def test_help_imports_nothing_heavy():
     assert out.stdout.splitlines()[-1] == "[]"
 
 
+UNUSED = {
+    *("concurrent.futures", "random", "shutil", "tempfile", "tqdm", "click.shell_completion"),
+    *("pyarrow.dataset", "pyarrow.compute", "quatprop.into", "quatprop.comparison.settings"),
+    *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
+    *("quatprop.signals.biases", "quatprop.signals.interpolation", "quatprop.signals.time_ranges"),
+}
+"""What a plain run has no use for, and takes long to import or is easily imported by mistake."""
+
+
+def test_a_plain_run_imports_what_it_uses(tmp_path):
+    """A short log is propagated in the time that imports take."""
+    program = (
+        "import sys; from quatprop.cli import cli\n"
+        "try: cli(sys.argv[1:])\n"
+        "except SystemExit as end: assert not end.code\n"
+        f"print(sorted({UNUSED!r} & set(sys.modules)))"
+    )
+    arguments = [
+        "propagate",
+        "-q",
+        PACKAGE.parent / "sample_logs/coning.mcap",
+        "-o",
+        tmp_path / "a.parquet",
+    ]
+    result = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
+    assert result.stdout == "[]\n"
+
+
 def test_the_kinds_of_the_command_line_are_those_of_the_table():
     """--from lists exactly the kinds that have a reader."""
     from quatprop.log_kinds import READERS

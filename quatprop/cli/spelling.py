@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.comparison.settings import COMPARE
 from quatprop.text import Text, plain
 
 if TYPE_CHECKING:
@@ -15,9 +14,6 @@ if TYPE_CHECKING:
 OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 """Settings whose option has another name."""
 
-ONCE = {*COMPARE, "normalize", "on_invalid"}
-"""Settings that a command with two inputs has once, not once for each."""
-
 LOOKUPS = {"at", "q0"}
 """Sides whose attitudes are only looked up; quatprop convert can say everything about them."""
 
@@ -26,11 +22,18 @@ def option(setting: Setting, side: str = "") -> str:
     """Return a setting as an option, such as ``--clock log``, or ``--clock-b log`` for side b."""
     side = setting.side or side
     name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
-    if side and side not in LOOKUPS and setting.name not in ONCE:
+    if side and side not in LOOKUPS and setting.name not in _once():
         name += f"-{side}"
     text = f"--{name} {setting.value}" if setting.value else f"--{name}"
     # Attitudes of a file that is only looked up have no options of their own.
     return f"{text} of quatprop convert" if side in LOOKUPS else text
+
+
+def _once() -> set[str]:
+    """Return the settings that a command with two inputs has once, not once for each."""
+    from quatprop.comparison.settings import COMPARE
+
+    return {*COMPARE, "normalize", "on_invalid"}
 
 
 def sentence(error: QuatpropError) -> str:

@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.bias_series import BiasSeries
-from quatprop.conditioning.calibration import Calibration, read_calibration
-from quatprop.conditioning.cells import cells_of
 from quatprop.conditioning.inputs import ConditioningInputs
-from quatprop.conditioning.mounting import mounting
-from quatprop.conditioning.static_detection import find_rest
 from quatprop.conditioning.time_range import absolute_range, clipped
 
 if TYPE_CHECKING:
@@ -25,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.conditioning.bias_series import BiasSeriesReport
+    from quatprop.conditioning.bias_series import BiasSeries, BiasSeriesReport
     from quatprop.conditioning.static_detection import Rest
     from quatprop.conditioning.time_range import PartOfLog, PartReader
     from quatprop.series import GyroSeries
@@ -163,13 +158,22 @@ def condition(
     biases, frames = inputs.biases, inputs.mounting
     mount = None if frames is None else frames.matrix
     if settings.mount is not None and frames is None:
+        from quatprop.conditioning.mounting import mounting
+
         mount = mounting(settings.mount)
-    calibration = _calibration(settings, inputs.topic)
+    matrix = bias = None
+    remarks: tuple[str, ...] = ()
+    if settings.calibration is not None:
+        from quatprop.conditioning.calibration import read_calibration
+
+        calibration = read_calibration(settings.calibration, inputs.topic)
+        matrix, bias, remarks = calibration.matrix, calibration.bias_rad_s, calibration.remarks
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips else None
     first_ns, last_ns, rest = _look_ahead(read, settings, inputs, parts)
     start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
-    bias = calibration.bias_rad_s if rest is None else rest.mean_rad_s
+    if rest is not None:
+        bias = rest.mean_rad_s
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
     part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)
@@ -177,26 +181,20 @@ def condition(
         bias_rad_s=bias if biases is None else None,
         rest=rest,
         bias_series=None if biases is None else biases.report,
-        calibration=calibration.matrix,
+        calibration=matrix,
         mount=mount,
         mount_frames=None if frames is None else frames.frames,
         start_ns=start_ns,
         end_ns=end_ns,
         outside=[0, 0],
-        remarks=calibration.remarks,
+        remarks=remarks,
         part=part,
     )
     batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    matrix = _product(mount if settings.rates == "body" else None, calibration.matrix)
+    matrix = _product(mount if settings.rates == "body" else None, matrix)
     return conditioned(batches, bias=biases or bias, matrix=matrix), report
-
-
-def _calibration(settings: Conditioning, topic: str) -> Calibration:
-    if settings.calibration is None:
-        return Calibration()
-    return read_calibration(settings.calibration, topic)
 
 
 def _look_ahead(
@@ -210,6 +208,9 @@ def _look_ahead(
         return 0, 0, None
     if parts and settings.static_ns is None and (ends := parts.ends()) is not None:
         return *ends, None
+    from quatprop.conditioning.cells import cells_of
+    from quatprop.conditioning.static_detection import find_rest
+
     shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
     cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
     rest = None if settings.static_ns is None else find_rest(cells, inputs, shortest_ns)
@@ -249,10 +250,10 @@ def conditioned(
         return
     for batch in batches:
         rate = batch.rate
-        if isinstance(bias, BiasSeries):
-            rate = rate - bias.at(batch.t_ns)
-        elif bias is not None:
+        if isinstance(bias, np.ndarray):
             rate = rate - bias
+        elif bias is not None:
+            rate = rate - bias.at(batch.t_ns)
         if matrix is not None:
             rate = _transformed(rate, matrix)
         yield batch.with_rate(rate)

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from quatprop.conditioning.mounting import FrameMounting
 
 
+FROM_TRANSFORMS = "tf:"
+"""Begins a mounting that is taken from the transforms of the log."""
+
+
 @dataclass(frozen=True, slots=True)
 class ConditioningInputs:
     """What is known of a log besides its rates; None where it is not there or not asked for.

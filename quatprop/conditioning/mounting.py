@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-FROM_TRANSFORMS = "tf:"
-"""Begins a mounting that is taken from the transforms of the log."""
-
-
 @dataclass(frozen=True, slots=True)
 class FrameMounting:
     """A mounting from the static transforms of a log.

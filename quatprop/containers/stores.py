@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 import threading
-from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
@@ -314,6 +313,8 @@ def put(address: str, data: Buffer) -> None:
 
 def interruptible(work: Callable[[], Result]) -> Result:
     """Run `work` in a thread and wait for it, so that Ctrl-C is noticed, and ends the waiting."""
+    from concurrent.futures import Future, wait
+
     done: Future[Result] = Future()
 
     def run() -> None:

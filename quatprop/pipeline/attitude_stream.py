@@ -22,7 +22,6 @@ from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.conditioning_inputs import conditioning_inputs
-from quatprop.signals.interpolation import stamps_in
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
 from quatprop.text import Setting
@@ -275,5 +274,7 @@ class AttitudeStream:
 def _times(settings: PropagationSettings) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
     if settings.at is not None:
+        from quatprop.signals.interpolation import stamps_in
+
         return Listed(stamps_in(settings.at))
     return None if settings.rate is None else Steady(settings.rate)

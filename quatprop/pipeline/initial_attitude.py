@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.static_detection import AT_REST
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
-from quatprop.signals.beside_rates import specific_forces
-from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -130,6 +127,8 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
+    from quatprop.signals.interpolation import attitude_at, first_orientation
+
     log, mount = recording.log, recording.mount
     first_ns = int(first.t_ns[0])
     if wanted.source not in {"level", "log"}:
@@ -175,6 +174,8 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
 
 
 def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
+    from quatprop.conditioning.static_detection import AT_REST
+
     rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
     scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if not scatter <= AT_REST:
@@ -189,6 +190,8 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
 
 def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
+    from quatprop.signals.beside_rates import specific_forces
+
     rows = specific_forces(log, recording.source, recording.selection)
     if rows is None:
         raise LogError(

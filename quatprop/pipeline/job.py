@@ -11,7 +11,6 @@ from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
-from quatprop.into import copy_kind, open_into
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile
@@ -104,6 +103,8 @@ def run(
         ) as log,
     ):
         if output.into:
+            from quatprop.into import copy_kind
+
             kind = copy_kind(log, output.path, output.to)
             output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)
         source = choose_rates(log, settings.selection)
@@ -157,6 +158,8 @@ def _open_output(
 
     def stamps(again: MessageLog | TableLog) -> Stamps:
         return choose_rates(again, settings.selection).stamps()
+
+    from quatprop.into import open_into
 
     return open_into(log, output.path, stamps, **options)
 

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.conditioning.inputs import ConditioningInputs
-from quatprop.conditioning.mounting import FROM_TRANSFORMS
+from quatprop.conditioning.inputs import FROM_TRANSFORMS, ConditioningInputs
 from quatprop.errors import LogError, UsageError
-from quatprop.signals.beside_rates import own_orientation, specific_forces
-from quatprop.signals.biases import read_biases
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.signals.static_transforms import frame_mounting
 
 if TYPE_CHECKING:
     from quatprop.conditioning import Conditioning
@@ -45,8 +41,12 @@ def conditioning_inputs(
     """
     biases = mounting = None
     if wanted.bias_from is not None:
+        from quatprop.signals.biases import read_biases
+
         biases = read_biases(wanted.bias_from, log, selection)
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
+        from quatprop.signals.static_transforms import frame_mounting
+
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:
         return ConditioningInputs(biases=biases, mounting=mounting)
@@ -61,6 +61,8 @@ def conditioning_inputs(
 
 def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
     """Yield specific forces, if the log has some that can be read."""
+    from quatprop.signals.beside_rates import specific_forces
+
     try:
         yield from specific_forces(log, source, selection) or ()
     except (LogError, UsageError):
@@ -69,6 +71,8 @@ def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelect
 
 def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
     """Yield the log's own orientation, if it has one that was ever set."""
+    from quatprop.signals.beside_rates import own_orientation
+
     try:
         own = own_orientation(log, source, selection)
     except (LogError, UsageError):

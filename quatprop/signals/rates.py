@@ -15,7 +15,6 @@ from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
-from quatprop.signals.time_ranges import RangeReader
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, quoted
 
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import MessageReader
+    from quatprop.signals.time_ranges import RangeReader
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
 
@@ -164,6 +164,8 @@ def _part_reader(
     span = log.recorded_span(channel)
     if span is None:
         return None
+    from quatprop.signals.time_ranges import RangeReader
+
     return RangeReader(
         span,
         lambda within: stamps_logged(log, channel, reader(), within),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -139,6 +138,8 @@ def scratch_file(target: Path | str) -> BinaryIO:
         Where the content will go in the end. The file is on the same disk, which has to have
         room for the content anyway.
     """
+    import tempfile  # brings in much that few runs need
+
     in_temp_folder = is_stdout(target) or is_stream(target)
     with output_errors(target):
         folder = None if in_temp_folder else Path(os.path.realpath(target)).parent

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.provenance import as_json
 
 if TYPE_CHECKING:
@@ -240,6 +239,8 @@ class AttitudeTable(AttitudeWriter):
         if self._sigma is not None and series.covariance is not None:
             covariance = series.covariance
             if self._sigma == "reference":
+                from quatprop.kinematics.uncertainty import reference_covariance
+
                 covariance = reference_covariance(series.wxyz, covariance)
             columns += [np.sqrt(covariance[:, axis, axis]) for axis in range(3)]
         self._table.write(series.t_ns, columns)
