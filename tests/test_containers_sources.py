@@ -100,6 +100,14 @@ def test_reading_ends_with_the_file(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_place_that_no_file_has_is_behind_the_end(tmp_path):
+    """Damage names places beyond what the system takes as one."""
+    path = tmp_path / "log"
+    path.write_bytes(b"0123456789")
+    with FileSource(path) as source:
+        assert source.read(2**63, 4) == source.read(10, 4) == b""
+
+
 def test_a_pipe_is_refused_with_the_way_out(tmp_path):
     """Bytes that were read to recognise a log cannot be read again from a pipe."""
     pipe = tmp_path / "pipe.csv"

@@ -418,6 +418,67 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
     assert all(block.count(b'"') % 2 == 0 for block in cut)
 
 
+# Tables of other programs
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        '"sep=\t"\nTime\tGyro_X_CAL\tGyro_Y_CAL\tGyro_Z_CAL\tAcc\t\nms\tdeg/s\tdeg/s\tdeg/s\tg\t\n',
+        "time\tgyro_x\tgyro_y\tgyro_z\tacc_x\n[ms]\t[deg/s]\t[deg/s]\t[deg/s]\t[m/s^2]\n",
+    ],
+)
+def test_a_row_of_units_below_the_names_may_have_units_of_other_sensors(head):
+    """Those of the time and of the rates are what counts."""
+    t_ns, rate, losses = read(f"{head}0\t180\t0\t0\t9.8\n10\t0\t90\t0\t9.8\n".encode())
+    assert t_ns.tolist() == [0, 10_000_000]
+    assert rate.tolist() == [[np.pi, 0, 0], [0, np.pi / 2, 0]]
+    assert losses == []
+
+
+MIXED = "GYRO,{0},1,2,3\nACC,{0},0,0,9.8\n"
+
+
+@pytest.mark.parametrize("header", ["GYRO,t_ns,wx,wy,wz\n", "# GYRO,t_ns,wx,wy,wz\n"])
+def test_rows_that_begin_with_their_kind_are_refused(header):
+    """Accelerations among the rates would be taken for rates."""
+    text = header + "".join(map(MIXED.format, range(9)))
+    with pytest.raises(UnsupportedLogError, match="its rows begin with 'ACC', 'GYRO', so"):
+        read(text.encode())
+
+
+def test_rows_of_one_kind_have_the_header_of_their_kind():
+    """Loggers describe all kinds of records first, each in a comment."""
+    text = "# GYRO,t_ns,wx [rad/s],wy [rad/s],wz [rad/s]\n# ACC,t_ns,ax,ay,az\n" + "".join(
+        f"GYRO,{k},1,2,3\n" for k in range(9)
+    )
+    t_ns, rate, losses = read(text.encode())
+    assert (t_ns.tolist(), rate[0].tolist(), losses) == (list(range(9)), [1, 2, 3], [])
+
+
+@pytest.mark.parametrize(
+    "line", ["  <x/>\n", "t=590 gx=0.1 gy=0.2 gz=0.3\n", "1.0D+0 2.0D+0 3.0D+0\n"]
+)
+def test_a_text_without_rows_of_numbers_is_refused(line):
+    """Its words are no names of columns."""
+    with pytest.raises(UnsupportedLogError, match="none of its first 9 lines is a row of"):
+        read((9 * line).encode())
+
+
+@pytest.mark.parametrize(
+    "cell", ["2023/11/14 22:13:20.5", "11/14/2023 10:13:20 PM", "14.11.2023 22:13:20", "22:13:20.5"]
+)
+def test_dates_that_may_be_read_in_several_ways_are_refused(cell):
+    """The sentence says how to write them, and that rows may be counted."""
+    text = "time,wx,wy,wz\n" + 9 * f"{cell},1,2,3\n"
+    with pytest.raises(UnsupportedLogError) as caught:
+        read(text.encode(), rate_unit="rad/s")
+    assert str(caught.value) == (
+        "-: 'time' holds dates that are not of ISO 8601; write them as 2023-11-14T22:13:20.5, or "
+        "count rows at a steady rate with sample_rate='HZ'"
+    )
+
+
 # Real recordings
 
 OPTIONS = {

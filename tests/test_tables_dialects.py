@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from quatprop import read_rates
 from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.selection import RateSelection
@@ -42,6 +43,41 @@ KNOWN = {
     ),
     "time_ms,gyro_x_dps,gyro_y_dps,gyro_z_dps": ("", (1, 2, 3), "deg/s", (0,), "ms"),
     "t [s];omega_z [rad/s];omega_y [rad/s];omega_x [rad/s]": ("", (3, 2, 1), "rad/s", (0,), "s"),
+    "timestamp,TimeUS,I,GyrX,GyrY,GyrZ,AccX,T": ("ArduPilot", (3, 4, 5), "rad/s", (1,), "us"),
+    "loopIteration,time (us),axisP[0],gyroADC[0],gyroADC[1],gyroADC[2]": (
+        *("Betaflight", (3, 4, 5), "deg/s", (1,), "us"),
+    ),
+    "# UncalGyro,utcTimeMillis,elapsedRealtimeNanos,UncalGyroXRadPerSec,UncalGyroYRadPerSec,"
+    "UncalGyroZRadPerSec,DriftXRadPerSec,DriftYRadPerSec,DriftZRadPerSec": (
+        *("Android GnssLogger", (3, 4, 5), "rad/s", (2,), "ns"),
+    ),
+    "time,seconds_elapsed,rotationRateX,rotationRateY,rotationRateZ,gravityX": (
+        *("Sensor Logger", (2, 3, 4), "rad/s", (0,), "ns"),
+    ),
+    "Zeit (s);Gyroskop x (rad/s);Gyroskop y (rad/s);Gyroskop z (rad/s)": (
+        *("", (1, 2, 3), "rad/s", (0,), "s"),
+    ),
+    "UTC time (s),time ITOW,xRate (deg/s),yRate (deg/s),zRate (deg/s)": (
+        *("", (2, 3, 4), "deg/s", (0,), "s"),
+    ),
+    "timestampNs,userRotationRateX(rad/s),userRotationRateY(rad/s),userRotationRateZ (rad/s)": (
+        "",
+        (1, 2, 3),
+        "rad/s",
+        (0,),
+        "ns",
+    ),
+    "time_boot_ms,X_GYRO_OUT [deg/s],Y_GYRO_OUT [deg/s],Z_GYRO_OUT [deg/s],exposure (us)": (
+        *("", (1, 2, 3), "deg/s", (0,), "ms"),
+    ),
+    "__time (s),p (deg/s),q (deg/s),r (deg/s)": ("", (1, 2, 3), "deg/s", (0,), "s"),
+    "time_s,p_rad_s,q_rad_s,r_rad_s": ("", (1, 2, 3), "rad/s", (0,), "s"),
+    "t [s],\u03c9x [rad\u00b7s\u207b\u00b9],\u03c9y [rad\u00b7s\u207b\u00b9],\u03c9z [rad s-1]": (
+        *("", (1, 2, 3), "rad/s", (0,), "s"),
+    ),
+    "t (s),gx (degrees per second),gy (degrees per second),gz (degrees per second)": (
+        *("", (1, 2, 3), "deg/s", (0,), "s"),
+    ),
 }
 
 
@@ -254,9 +290,39 @@ def test_naming_the_columns_and_the_unit_overrules_the_header():
 def test_a_unit_of_another_kind_is_refused_by_name():
     """A header that declares a unit this version does not know is not read as another."""
     with pytest.raises(
-        UnsupportedLogError, match=r"declared in 'mdps'; convert them to rad/s or deg"
+        UnsupportedLogError, match=r"declared in 'counts'; convert them to rad/s or deg/s$"
     ):
-        chosen("t_ns,Gyr_X [mdps],Gyr_Y [mdps],Gyr_Z [mdps]")
+        chosen("t_ns,Gyr_X [counts],Gyr_Y [counts],Gyr_Z [counts]")
+
+
+@pytest.mark.parametrize(
+    ("unit", "read_as", "scale"),
+    [("mdps", "deg/s", 1e-3), ("mrad/s", "rad/s", 1e-3), ("deg/h", "deg/s", 1 / 3600),
+     ("rpm", "deg/s", 6.0)],
+)  # fmt: skip
+def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scale):
+    """They are read as one of the two units of rates, and a user may not say that they are it."""
+    header = ",".join(["t_ns", *(f"G_{axis} [{unit}]" for axis in "xyz")])
+    found = chosen(header)
+    assert (found.unit, found.scale) == (read_as, pytest.approx(scale, rel=1e-15))
+    assert found.remarks == (f"the rates are in {unit}, which is read as {scale:.4g} {read_as}",)
+    with pytest.raises(UsageError, match=f"are in {unit}; leave the option out"):
+        chosen(header, rate_unit="rad/s")
+
+
+@pytest.mark.parametrize("note", ["drift", "bias", "cov", "error"])
+def test_axes_that_are_no_rates_are_not_taken_for_them(note):
+    """The unit of a rate does not make one of what describes a rate."""
+    with pytest.raises(NoRatesError):
+        chosen(",".join(["t_ns", *(f"{note}_{axis} [rad/s]" for axis in "xyz")]))
+
+
+def test_seconds_and_nanoseconds_may_be_named(tmp_path):
+    """`ros2 topic echo --csv` has no header, and its stamp is two columns."""
+    path = tmp_path / "echo.csv"
+    path.write_text("".join(f"1700000000,{k}0000000,imu,0.1,0.2,0.3\n" for k in range(1, 9)))
+    rates = read_rates(path, rate_cols=["3", "4", "5"], time_col="0,1", rate_unit="rad/s")
+    assert (rates.t_ns - 1_700_000_000_000_000_000).tolist() == [k * 10**7 for k in range(1, 9)]
 
 
 def test_a_declared_sample_rate_stands_in_for_a_time_column():

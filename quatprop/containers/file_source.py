@@ -70,7 +70,9 @@ class FileSource:
         OSError
             The medium is damaged there.
         """
-        length = max(0, min(length, self.size - start))
+        length = min(length, self.size - start)
+        if length <= 0:
+            return b""  # a damaged place may be one that the system does not take
         data = self._read(length, start)
         while len(data) < length:
             more = self._read(length - len(data), start + len(data))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import operator
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -11,8 +12,14 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
-from quatprop.tables.base import TableNotes
-from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
+from quatprop.tables.base import OTHER_DATES, TableNotes
+from quatprop.tables.matching.column_names import (
+    RATE_UNITS,
+    SCALED_RATE_UNITS,
+    TIME_UNITS,
+    parse_name,
+)
+from quatprop.text import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -27,6 +34,7 @@ COMMENTS = ("#", "%", "//")
 _OURS = COMMENT.decode()
 _LINES = 200
 _LINES_A_CELL = 10
+_HEADER_ROWS = 3
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _MARK = b"\xef\xbb\xbf"
 _DELIMITERS = ("\t", ";", ",", "|", " ")
@@ -37,6 +45,7 @@ _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 _DATE = re.compile(
     r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
+_OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 _RATES = 3
 _SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
@@ -110,11 +119,20 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
     data = [row for row in rows[first:] if _is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
-    _refuse_mixture(data[:-1] or data, width, path)
     header = _header(rows[:first], data)
+    widths = {len(row) for row in rows if row}
+    is_text = widths != {2} if header is None else header == len(rows) - 1
+    if not data and len(rows) > _HEADER_ROWS and is_text:
+        raise UnsupportedLogError(
+            path,
+            f"none of its first {len(rows)} lines is a row of {_RATES} numbers or more; is it a "
+            "table with a row a sample?",
+        )
+    _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
     names = [str(k) for k in range(width)] if header is None else _names(rows, header, width)
     body = first if header is None else header + 1
     dates = _dates(data[0]) if data else {}
+    others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
     notes = _notes(texts[: first if header is None else header], names, path)
     return CsvLayout(
         names=names,
@@ -123,7 +141,14 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=replace(notes, units={**notes.units, **dict.fromkeys(dates, "ns")}),
+        notes=replace(
+            notes,
+            units={
+                **notes.units,
+                **dict.fromkeys(others, OTHER_DATES),
+                **dict.fromkeys(dates, "ns"),
+            },
+        ),
         dates=dates,
     )
 
@@ -190,31 +215,50 @@ def _dates(row: list[str]) -> dict[int, str | None]:
     return {k: "UTC" if match["zone"] else None for k, match in matches if match}
 
 
-def _refuse_mixture(data: list[list[str]], width: int, path: Path) -> None:
-    """Refuse rows most of which do not fit the first one."""
+def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -> None:
+    """Refuse rows most of which do not fit the first one, or that begin with their kind.
+
+    Parameters
+    ----------
+    data, width, path
+        Rows of numbers, the number of columns of the first one, and the log.
+    title
+        The name of their first column; ``""`` where they have no header.
+    """
     widths = Counter(map(len, data))
-    if data and widths[width] * 2 < len(data):
-        counts = ", ".join(map(str, sorted(widths)))
-        raise UnsupportedLogError(
-            path,
-            f"its rows have {counts} columns, so it holds several kinds of records; "
-            "write each kind to a file of its own",
-        )
+    kinds = sorted({row[0].strip() for row in data})
+    have_kinds = len(kinds) > 1 and all(map(str.isidentifier, kinds))
+    if have_kinds and (len(widths) > 1 or title.startswith(COMMENTS) or title in kinds):
+        reason = f"its rows begin with {listed(kinds)}"
+    elif data and widths[width] * 2 < len(data):
+        reason = f"its rows have {', '.join(map(str, sorted(widths)))} columns"
+    else:
+        return
+    raise UnsupportedLogError(
+        path,
+        f"{reason}, so it holds several kinds of records; write each kind to a file of its own",
+    )
 
 
 def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
-    """Return which row before the first row of numbers names its columns."""
-    for k in range(len(before) - 1, -1, -1):
-        row = before[k]
-        if len(row) < _RATES or any(_NUMBER.fullmatch(cell) for cell in row):
-            continue
-        if (
+    """Return which row before the first row of numbers names its columns.
+
+    It is the last that fits, or the one that begins with the kind of the record, as the rows do.
+    """
+    fitting = [
+        k
+        for k, row in enumerate(before)
+        if len(row) >= _RATES
+        and not any(map(_NUMBER.fullmatch, row))
+        and (
             not data
             or len(row) == len(data[0])
             or len(_without_trailing_cell(row)) == len(_without_trailing_cell(data[0]))
-        ):
-            return k
-    return None
+        )
+    ]
+    kind = data[0][0].strip() if data else ""
+    of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
+    return next(reversed(of_kind or fitting), None)
 
 
 def _without_trailing_cell(row: list[str]) -> list[str]:
@@ -229,17 +273,20 @@ def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
         return names
     above = _fitted(above, width)
     if any(above) and not any(map(_NUMBER.fullmatch, above)):
-        if all(not name or parse_name(f"({name})").unit in _UNITS for name in names):
+        units = [name.strip("[]") for name in names]
+        known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
+        # Columns of other sensors may have units that are not known.
+        if sum(known) >= _RATES or all(map(operator.or_, known, map(operator.not_, units))):
             return [
                 f"{name} ({unit})" if unit else name
-                for name, unit in zip(above, names, strict=True)
+                for name, unit in zip(above, units, strict=True)
             ]
         if "" in above[1:]:
             return _grouped(above, names)
     return names
 
 
-_UNITS = {*RATE_UNITS, *TIME_UNITS}
+_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
 
 
 def _fitted(row: list[str], width: int) -> list[str]:

@@ -10,13 +10,15 @@ from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
 from quatprop.selection import RateSelection
-from quatprop.tables.matching.column_names import RATE_UNITS
+from quatprop.tables.matching.column_names import RATE_UNITS, SCALED_RATE_UNITS
 from quatprop.tables.matching.dialects import (
+    AXIS_FIRST,
     COMPONENT,
     GENERIC,
     ORIENTATION_ABSENT,
     QUATERNION_PARTS,
     RATE_PARTS,
+    WITH_RATE_UNIT,
 )
 from quatprop.tables.matching.matcher import ColumnMatcher
 from quatprop.text import Setting, Text, listed, plain
@@ -96,7 +98,7 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     """
     matcher = ColumnMatcher(log, selection, "rate_cols", RATE_PARTS)
     dialect = matcher.dialect("rate")
-    sets = matcher.sets(dialect.rate)
+    sets = matcher.sets(dialect.rate) or matcher.sets(AXIS_FIRST) or _sets_with_rate_unit(matcher)
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
@@ -104,17 +106,28 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
     convention = dialect if rate in sets else GENERIC
-    unit = matcher.unit("rate", rate, RATE_UNITS, convention.rate_unit)
+    declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, convention.rate_unit)
+    unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
     timed = matcher.timed(rate, dialect)
     return ColumnMatch(
         timed,
         *matcher.describe(rate, timed),
         unit,
         convention.name,
-        scale=log.notes.rate_scale,
+        scale=scale * log.notes.rate_scale,
         method=convention.method,
-        remarks=tuple(_remarks(matcher, dialect)),
+        remarks=tuple(_remarks(matcher, dialect, declared)),
     )
+
+
+def _sets_with_rate_unit(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
+    """Return sets of axes that are rates by their declared unit, whatever their names say."""
+    return [
+        columns
+        for pattern in WITH_RATE_UNIT
+        for columns in matcher.sets(pattern)
+        if matcher.declared(columns) in {*RATE_UNITS, *SCALED_RATE_UNITS}
+    ]
 
 
 def match_bias(log: TableLog) -> ColumnMatch:
@@ -149,7 +162,10 @@ def match_bias(log: TableLog) -> ColumnMatch:
     return ColumnMatch(timed, *matcher.describe(bias, timed), unit, dialect.name)
 
 
-def _remarks(matcher: ColumnMatcher, dialect: Dialect) -> Iterator[Text]:
+def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[str | Text]:
+    if unit in SCALED_RATE_UNITS:
+        read_as, scale = SCALED_RATE_UNITS[unit]
+        yield f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"
     if matcher.notes.mount:
         yield _mount_remark(matcher.notes.mount)
     if unused := matcher.unused_stamps(dialect):

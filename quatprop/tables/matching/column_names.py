@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from quatprop.tables.matching.dialects import (
+    AXIS_FIRST,
     EULER,
     EULER_NUMBERED,
     GYROSCOPE,
@@ -16,21 +17,33 @@ from quatprop.tables.matching.dialects import (
 
 RATE_UNITS = {
     "rad/s": (
-        *("rad/s", "rads^-1", "rad*s^-1", "rad.s^-1", "rad/sec", "rad_s", "rad_per_s", "radps"),
-        *("radian/s", "radians/s", "radians/sec"),
+        *("rad/s", "rads^-1", "rads-1", "rad/sec", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
+        *("radian/s", "radians/s", "radians/sec", "radian/second", "radians/second"),
     ),
     "deg/s": (
-        *("deg/s", "degs^-1", "deg*s^-1", "deg.s^-1", "deg/sec", "deg_s", "deg_per_s", "degps"),
-        *("dps", "\u00b0/s", "\u00ba/s", "degree/s", "degrees/s", "degrees/sec"),
+        *("deg/s", "degs^-1", "degs-1", "deg/sec", "deg_s", "deg_per_s", "deg_per_sec", "degps"),
+        *("dps", "\u00b0/s", "\u00ba/s", "\u00b0/sec", "\u00b0s^-1", "degree/s", "degrees/s"),
+        *("degrees/sec", "degree/second", "degrees/second"),
     ),
 }
-"""How headers spell the units of a rate, without spaces and in lower case."""
+"""How headers spell the units of a rate, in lower case, without spaces and points."""
+
+SCALED_RATE_UNITS = {
+    "mrad/s": ("rad/s", 1e-3),
+    "mdeg/s": ("deg/s", 1e-3),
+    "mdps": ("deg/s", 1e-3),
+    "deg/h": ("deg/s", 1 / 3600),
+    "deg/hr": ("deg/s", 1 / 3600),
+    "\u00b0/h": ("deg/s", 1 / 3600),
+    "rpm": ("deg/s", 6.0),
+}
+"""Units that are read as another one, and what they are multiplied by."""
 
 TIME_UNITS = {
     "s": ("s", "sec", "secs", "second", "seconds"),
-    "ms": ("ms", "msec", "msecs", "millisecond", "milliseconds"),
-    "us": ("us", "\u00b5s", "\u03bcs", "usec", "usecs", "microsecond", "microseconds"),
-    "ns": ("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
+    "ms": ("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"),
+    "us": ("us", "\u00b5s", "\u03bcs", "usec", "usecs", "micros", "microsecond", "microseconds"),
+    "ns": ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
 }
 """How headers spell the units of time."""
 
@@ -45,8 +58,11 @@ UNITS = {
     for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS)
     for unit, spellings in units.items()
     for spelling in spellings
-}
+} | {unit: unit for unit in SCALED_RATE_UNITS}
 """The unit that each spelling means."""
+
+_CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+"""Where a new word begins in camel case."""
 
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
 # "sec" and "nanosec" are left out: at the end of a name they are the two halves of a timestamp.
@@ -54,7 +70,9 @@ _SUFFIXES = sorted({*UNITS} - {"sec", "secs", "nsec", "nsecs", "nanosec", "nanos
 _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})")
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
-    rf"(?:.*[._])?(?:{TIME_NAMES})",
+    AXIS_FIRST,
+    r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
+    rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
     ROTATION_VECTOR,
     EULER,
     EULER_NUMBERED.format("[xyz]{3}"),
@@ -96,12 +114,19 @@ def parse_name(text: str) -> ColumnName:
     bracketed = _BRACKETS.fullmatch(name)
     if bracketed and not bracketed[2].strip().isdecimal():
         unit = "".join(bracketed[2].lower().split())
-        return ColumnName(text, _key(bracketed[1]), UNITS.get(unit, unit))
+        return ColumnName(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
+    name = _CAPITAL.sub("_", name)
     suffixed = _SUFFIX.fullmatch(name)
     if suffixed and any(re.fullmatch(stem, _key(suffixed[1])) for stem in _MAY_HAVE_SUFFIX):
         return ColumnName(text, _key(suffixed[1]), UNITS[suffixed[2].lower()])
     return ColumnName(text, _key(name))
 
 
+def _spelling(unit: str) -> str:
+    """Return a unit in brackets as :data:`UNITS` spells it."""
+    return re.sub(r"[.*\u00b7\u22c5]", "", unit.replace("\u207b\u00b9", "^-1")).replace("per", "/")
+
+
 def _key(name: str) -> str:
-    return re.sub(r"\s+", "_", name.strip().lower()).replace("/", ".").lstrip(".")
+    name = _CAPITAL.sub("_", name.strip())
+    return re.sub(r"\s+", "_", name.lower()).replace("/", ".").lstrip(".")

@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
-from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.column_names import SCALED_RATE_UNITS, parse_name
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -44,7 +44,11 @@ class TableColumns:
         """Return the column of a name: as spelled, by key, or by number from 0."""
         name, key = name.strip(), parse_name(name).key
         positions = [k for k, column in enumerate(self.columns) if column.text.strip() == name]
-        positions = positions or [k for k, column in enumerate(self.columns) if column.key == key]
+        positions = positions or [
+            k
+            for k, column in enumerate(self.columns)
+            if column.key == key or column.text.strip().lower() == name.lower()
+        ]
         if len(positions) > 1:
             raise UsageError(
                 f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
@@ -108,7 +112,9 @@ class TableColumns:
         self.refuse_unknown(positions, declared, units)
         if not declared:
             what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
-            self.undeclared(f"the unit of the {what}", Setting(f"{quantity}_unit", "|".join(units)))
+            self.undeclared(
+                f"the unit of the {what}", Setting(f"{quantity}_unit", "|".join(_choices(units)))
+            )
         return declared
 
     def declared(self, positions: Positions) -> str:
@@ -122,9 +128,14 @@ class TableColumns:
             raise UnsupportedLogError(
                 self.path,
                 f"{self.names(positions)} are declared in {quoted(unit)}; "
-                f"convert them to {' or '.join(units)}",
+                f"convert them to {' or '.join(_choices(units))}",
             )
 
     def undeclared(self, what: str, setting: Setting) -> None:
         """Note what is not declared; all of it is refused together, in :meth:`timed`."""
         self.unknown.append((what, setting))
+
+
+def _choices(units: Collection[str]) -> list[str]:
+    """Return the units that a user may name."""
+    return [unit for unit in units if unit not in SCALED_RATE_UNITS]

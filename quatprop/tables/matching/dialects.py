@@ -65,11 +65,15 @@ _ROS_RATE = r"(?:.*\.)?(?:angular_velocity|twist\.angular)\." + _XYZ
 _ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + COMPONENT
 _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
-TIME_NAMES = r"t|time|timestamp|time_?stamp|stamp"
-GYROSCOPE = (
-    r"(?!.*(?:bias|cov|std|var|noise))(?:(?:.*[._])?(?:gyroscope|gyro|gyr|omega|angular_?velocity"
-    r"|angular_?rate|ang_?vel|rotation_?rate)[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
+TIME_NAMES = r"_*(?:t|time|timestamp|time_?stamp|stamp)"
+_NOT_RATE = r"(?!.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
+_GYROSCOPE = r"(?:gyroscope|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
+GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
+AXIS_FIRST = rf"{_NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
+WITH_RATE_UNIT = tuple(
+    rf"{_NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
+"""Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
 _NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
 _NOT_ROTATION = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint|rate|speed|vel|acc))"
 _QUATERNION = (
@@ -175,6 +179,22 @@ DIALECTS = (
         "rad/s",
         log_time="time",
     ),
+    Dialect("ArduPilot", "gyr_" + _XYZ, "", ("time",), "rad/s", "us", needs=("timeus",)),
+    Dialect(
+        "Betaflight",
+        "gyro_adc" + _INDEX,
+        time=("time",),
+        rate_unit="deg/s",
+        time_unit="us",
+        needs=("loopiteration",),
+    ),
+    Dialect(
+        "Android GnssLogger",
+        "uncal_gyro_" + _XYZ,
+        time=("elapsed_realtime_nanos",),
+        time_unit="ns",
+        needs=("elapsedrealtimenanos",),
+    ),
     Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
     Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
     Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
@@ -189,7 +209,16 @@ DIALECTS = (
     ),
     Dialect(
         "Sensor Logger",
-        quaternion="q" + COMPONENT,
+        "rotation_rate_" + _XYZ,
+        "quaternion_" + COMPONENT,
+        ("time",),
+        "rad/s",
+        "ns",
+        needs=("seconds_elapsed",),
+    ),
+    Dialect(
+        "Sensor Logger",
+        quaternion="q_?" + COMPONENT,
         time=("time",),
         time_unit="ns",
         needs=("seconds_elapsed",),
@@ -225,7 +254,7 @@ ROTATIONS = (
 )
 """Representation, pattern and spellings of the components of attitudes that are no quaternions."""
 
-RATE_PARTS = ("x|0|[0]|roll", "y|1|[1]|pitch", "z|2|[2]|yaw")
+RATE_PARTS = ("x|p|0|[0]|roll", "y|q|1|[1]|pitch", "z|r|2|[2]|yaw")
 """What the group ``part`` of each rate axis may be."""
 
 QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")

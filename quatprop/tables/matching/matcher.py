@@ -11,8 +11,8 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UndeclaredError, UsageError
-from quatprop.tables.base import TimedColumns
+from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.tables.base import OTHER_DATES, TimedColumns
 from quatprop.tables.matching.column_names import TIME_UNITS
 from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES
@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from quatprop.tables.matching.dialects import Dialect
 
     Positions = tuple[int, ...]
+
+
+_INSTANT = r"(?!.*(?:period|delta|interval|duration|exposure|latency|delay|dt)).*"
+"""Names of columns that may be the time where a unit says that they are one."""
 
 
 class ColumnMatcher(TableColumns):
@@ -165,6 +169,13 @@ class ColumnMatcher(TableColumns):
                 "; name other columns, or the time with ",
                 Setting("time_col"),
             )
+        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
+            raise UnsupportedLogError(
+                self.path,
+                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, or ",
+                "count rows at a steady rate with ",
+                Setting("sample_rate", "HZ"),
+            )
         unit = "ns"
         if len(time) == 1:
             by_convention = any(time[0] in self.matching(pattern) for pattern in dialect.time)
@@ -200,7 +211,7 @@ class ColumnMatcher(TableColumns):
                 " contradict each other; give one",
             )  # fmt: skip
         if name is not None:
-            return self._with_nanoseconds(self.position(name, "time_col")), None
+            return self._named_time(name), None
         if sample_rate is not None:
             if not (math.isfinite(sample_rate) and sample_rate > 0):
                 raise UsageError(Setting("sample_rate"), f" {sample_rate} is not a rate above 0 Hz")
@@ -211,13 +222,22 @@ class ColumnMatcher(TableColumns):
                 return self._with_nanoseconds(positions[0]), None
             if positions:
                 raise self._ambiguous_time(positions)
-        if len(self.notes.units) == 1:
-            return tuple(self.notes.units), None
-        if self.notes.sample_rate is not None:
+        positions = list(self.notes.units)
+        if len(positions) != 1:
+            positions = [k for k in self.matching(_INSTANT) if self.columns[k].unit in TIME_UNITS]
+        if len(positions) != 1 and self.notes.sample_rate is not None:
             return (), self.notes.sample_rate
-        raise self._ambiguous_time(
-            self.matching(rf".*[._](?:{TIME_NAMES})") or range(len(self.columns))
-        )
+        if len(positions) != 1:
+            likely = (rf".*[._](?:{TIME_NAMES})", r".*(?:time|stamp|sec|clock|date).*", ".*")
+            raise self._ambiguous_time(positions or next(filter(None, map(self.matching, likely))))
+        return tuple(positions), None
+
+    def _named_time(self, name: str) -> Positions:
+        """Return the time column that the user names, or those of seconds and nanoseconds."""
+        parts = name.split(",")
+        if len(parts) == 2 and name not in (column.text.strip() for column in self.columns):  # noqa: PLR2004
+            return tuple(self.position(part, "time_col") for part in parts)
+        return self._with_nanoseconds(self.position(name, "time_col"))
 
     def _clock(self, dialect: Dialect) -> tuple[str, ...]:
         """Return the patterns of the time columns of the chosen clock."""
