@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.buffers import BUFFER, Buffers, in_groups
 from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
 from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.loading import BUFFER, Buffers, in_groups
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -148,5 +148,7 @@ def test_chunks_that_follow_each_other_share_a_buffer(sizes):
         if group.buffer is not None:
             for number, (_, into) in enumerate(group.parts()):
                 into[:] = number
-            expected = np.repeat(np.arange(len(group.items)), [sizes[item] for item in group.items])
+            expected = np.repeat(
+                np.arange(len(group.chunks)), [sizes[item] for item in group.chunks]
+            )
             assert (group.buffer == expected).all()

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 MAX_SIZE = 1 << 30
 """Bytes that one chunk or message may decompress to."""
 
-LARGE = 1 << 26
-"""Bytes from which a chunk is not decompressed ahead of its use."""
-
 _PIECE = 1 << 20
 """Bytes that are decompressed at a time when streaming."""
 

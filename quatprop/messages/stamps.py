@@ -88,7 +88,7 @@ class Stamp:
         """
         t_ns = self._scaled(columns[0], path)
         for nanoseconds in columns[1:]:
-            t_ns += nanoseconds.astype(np.int64)
+            np.add(t_ns, nanoseconds, out=t_ns, dtype=np.int64, casting="unsafe")
         return t_ns
 
     def _scaled(self, column: NDArray[Any], path: Path | str) -> NDArray[np.int64]:
@@ -102,9 +102,14 @@ class Stamp:
             fits = (column > -limit) & (column < limit)
             if not fits.all():
                 raise self._overflow(column, np.flatnonzero(~fits), path)
-        whole = np.floor(column).astype(np.int64) if floating else column.astype(np.int64)
-        t_ns: NDArray[np.int64] = whole * scale
-        return t_ns + np.rint((column - whole) * scale).astype(np.int64) if floating else t_ns
+        t_ns: NDArray[np.int64]
+        if not floating:
+            t_ns = np.multiply(column, scale, dtype=np.int64, casting="unsafe")
+            return t_ns
+        whole = np.floor(column).astype(np.int64)
+        t_ns = whole * scale
+        t_ns += np.rint((column - whole) * scale).astype(np.int64)
+        return t_ns
 
     def _exact(self, column: NDArray[Any], scale: int, path: Path | str) -> NDArray[np.int64]:
         """Return the times of integers and decimals."""

@@ -1,14 +1,11 @@
-"""Load the regions of an MCAP file, several together and ahead of their use."""
+"""Load the regions of an MCAP file."""
 
 from __future__ import annotations
 
-from contextlib import closing
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from quatprop.concurrency.threads import Deferred, prefetch
-from quatprop.containers.buffers import in_groups
-from quatprop.containers.compression import LARGE
 from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.loading import LARGE, LoadedGroup, load_in_groups
 from quatprop.containers.mcap.regions import Loaded, RegionError, head_of, load
 from quatprop.containers.mcap.selected import (
     Selected,
@@ -23,42 +20,17 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.buffers import Group
-    from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.redefinitions import DefinitionCheck
     from quatprop.containers.mcap.regions import ChunkHead, Region
 
     Content: TypeAlias = Loaded | Selected | RegionError
-
-
-class LoadedGroup(NamedTuple):
-    """Regions that were loaded together.
-
-    Parameters
-    ----------
-    group
-        The regions, and the buffer that holds their records if they have one.
-    contents
-        The whole of each region; its selected messages alone, where that is quicker; or why it
-        cannot be read.
-    """
-
-    group: Group[Region]
-    contents: list[Content]
-
-    @property
-    def data(self) -> Buffer:
-        """The records of all regions, one after another."""
-        if self.group.buffer is not None:
-            return self.group.buffer.data
-        (content,) = self.contents
-        return b"" if isinstance(content, RegionError) else content.data
+    """The whole of a region; its selected messages alone; or why it cannot be read."""
 
 
 def load_regions(
     source: FileSource, regions: Sequence[Region], ids: Sequence[int], definitions: DefinitionCheck
-) -> Generator[LoadedGroup, None, None]:
+) -> Generator[LoadedGroup[Region, Content], None, None]:
     """Load regions, one after another.
 
     Parameters
@@ -81,9 +53,7 @@ def load_regions(
     first = loader.head(regions[0]) if regions else None
     is_uncompressed = first is not None and first.is_uncompressed
     source.expect(*expected_ranges(regions, ids, uncompressed=is_uncompressed))
-    groups = in_groups((region, loader.size(region)) for region in regions)
-    with closing(prefetch(loader.load, groups)) as loaded:
-        yield from loaded
+    return load_in_groups(((region, loader.size(region)) for region in regions), loader.load)
 
 
 class _Loader:
@@ -100,22 +70,16 @@ class _Loader:
             return None  # noted when the chunk is loaded
 
     def size(self, region: Region) -> int | None:
-        """Return the bytes of the records of a chunk that is loaded into a buffer with others."""
+        """Return the bytes of the records of a chunk; None for one that is not loaded as usual."""
         head = self.head(region)
-        if head is None or head.size > LARGE:
+        if head is None or not head.size:
             return None
-        if head.is_uncompressed and may_be_selected(region, region.own(self.ids)):
+        own = region.own(self.ids)
+        if head.size <= LARGE and head.is_uncompressed and may_be_selected(region, own):
             return None
-        return head.size or None
+        return head.size
 
-    def load(self, group: Group[Region]) -> LoadedGroup | Deferred[LoadedGroup]:
-        def loaded() -> LoadedGroup:
-            return LoadedGroup(group, [self._load(*part) for part in group.parts()])
-
-        head = self.head(group.items[0]) if group.buffer is None else None
-        return Deferred(loaded) if head and head.size > LARGE else loaded()
-
-    def _load(self, region: Region, into: NDArray[np.uint8] | None) -> Content:
+    def load(self, region: Region, into: NDArray[np.uint8] | None) -> Content:
         """Return the selected messages of a region or, where that is as quick, all of it."""
         own = region.own(self.ids)
         try:

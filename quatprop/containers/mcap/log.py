@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.loading import LoadedGroup
+    from quatprop.containers.loading import LoadedGroup
+    from quatprop.containers.mcap.loading import Content
     from quatprop.containers.mcap.regions import Region
 
 
@@ -172,28 +173,30 @@ class McapLog(MessageLog):
         return count
 
     def _located(
-        self, loaded: LoadedGroup, topic: str, ids: Sequence[int]
+        self, loaded: LoadedGroup[Region, Content], topic: str, ids: Sequence[int]
     ) -> tuple[Buffer, LocatedMessages, int]:
         """Locate the messages of a group; also return how many more are known to be lost."""
         group = loaded.group
         everything = self._only_messages(loaded, ids)
         if everything is not None:
-            return loaded.data, everything, 0
+            return _records(loaded), everything, 0
         parts, lost = [], 0
-        each = zip(loaded.contents, group.items, group.begins, strict=True)
+        each = zip(loaded.contents, group.chunks, group.begins, strict=True)
         for content, region, begin in each:
             messages, missing = self._of_region(content, region, topic, ids)
             lost += missing
             if messages:
                 parts.append(messages.moved(begin))
-        return loaded.data, LocatedMessages.joined(parts), lost
+        return _records(loaded), LocatedMessages.joined(parts), lost
 
-    def _only_messages(self, loaded: LoadedGroup, ids: Sequence[int]) -> LocatedMessages | None:
+    def _only_messages(
+        self, loaded: LoadedGroup[Region, Content], ids: Sequence[int]
+    ) -> LocatedMessages | None:
         """Return the messages of regions that hold nothing else, which is quick; else None."""
-        data, group = loaded.data, loaded.group
+        data, group = _records(loaded), loaded.group
         if any(not isinstance(each, Loaded) or each.damage for each in loaded.contents):
             return None
-        first = group.items[0]
+        first = group.chunks[0]
         try:
             begin = self._definitions.check_leading(data, first, first.own(ids))
         except RegionError:
@@ -201,7 +204,7 @@ class McapLog(MessageLog):
         messages = only_messages(data, begin)
         if messages is None:
             return None
-        for region, end in zip(group.items, [*group.begins[1:], len(data)], strict=True):
+        for region, end in zip(group.chunks, [*group.begins[1:], len(data)], strict=True):
             count, rest = divmod(end - begin, messages.stride)
             (id_,) = messages.counts()
             if rest or id_ not in region.own(ids) or region.count(id_) not in {count, None}:
@@ -211,7 +214,7 @@ class McapLog(MessageLog):
 
     def _of_region(
         self,
-        content: Loaded | Selected | RegionError,
+        content: Content,
         region: Region,
         topic: str,
         ids: Sequence[int],
@@ -332,6 +335,14 @@ def _message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
     """Return how many messages of some channels the regions hold; None if that is unknown."""
     counts = [region.count(id_) for region in regions for id_ in region.own(ids)]
     return None if None in counts else sum(count for count in counts if count is not None)
+
+
+def _records(loaded: LoadedGroup[Region, Content]) -> Buffer:
+    """Return the records of all regions, one after another."""
+    if loaded.group.buffer is not None:
+        return loaded.group.buffer.data
+    (content,) = loaded.contents
+    return b"" if isinstance(content, RegionError) else content.data
 
 
 def _block(data: Buffer, messages: LocatedMessages, not_before_ns: int) -> MessageBlock:

@@ -1,0 +1,169 @@
+"""Chunks of a log, several of which are loaded together and ahead of their use.
+
+Chunks that follow one another are loaded into one buffer, so that their messages can be located
+and decoded together. The memory of buffers is used again once nobody refers to it any more: fresh
+memory for each would cost as much as decompressing it, since the system clears every page.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections import deque
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import numpy as np
+
+from quatprop.concurrency.threads import Deferred, prefetch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    Bytes = NDArray[np.uint8]
+
+Chunk = TypeVar("Chunk")
+Content = TypeVar("Content")
+
+BUFFER = 1 << 21
+"""Bytes in a buffer: the chunks in it stay in the processor's cache until they are decoded."""
+
+FIRST = 1 << 16
+"""Bytes in the first buffer, for who reads only the beginning; each is twice as large as the one
+before, up to :data:`BUFFER`."""
+
+LARGE = 1 << 26
+"""Bytes from which a chunk is not loaded ahead of its use."""
+
+
+class Buffers:
+    """Buffers whose memory is used again when no array refers to them."""
+
+    def __init__(self) -> None:
+        self._free: deque[memoryview] = deque()
+
+    def take(self, size: int) -> Bytes:
+        """Return uninitialised memory of so many bytes."""
+        memory = np.empty(0, np.uint8).data
+        while self._free and len(memory) < size:
+            memory = self._free.popleft()
+        if not size <= len(memory) <= max(2 * size, BUFFER):
+            # Not cleared, as a bytearray would be: pages that are not used cost nothing.
+            memory = np.empty(max(size, min(2 * size, BUFFER)), np.uint8).data
+        buffer = np.frombuffer(memory, np.uint8)
+        weakref.finalize(buffer, self._free.append, memory).atexit = False
+        return buffer[:size]
+
+
+@dataclass(frozen=True, slots=True)
+class Group(Generic[Chunk]):
+    """Chunks that are loaded together, in one thread.
+
+    Parameters
+    ----------
+    chunks
+        The chunks.
+    buffer
+        Memory for their records, one after another; None for one that needs memory of its own.
+    begins
+        Where in it those of each begin.
+    is_large
+        Whether it is loaded only when it is its turn.
+    """
+
+    chunks: list[Chunk]
+    buffer: Bytes | None
+    begins: list[int]
+    is_large: bool = False
+
+    def parts(self) -> Iterator[tuple[Chunk, Bytes | None]]:
+        """Yield each chunk with the memory for its records."""
+        if self.buffer is None:
+            yield from ((chunk, None) for chunk in self.chunks)
+            return
+        ends = [*self.begins[1:], len(self.buffer)]
+        for chunk, begin, end in zip(self.chunks, self.begins, ends, strict=True):
+            yield chunk, self.buffer[begin:end]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedGroup(Generic[Chunk, Content]):
+    """Chunks that were loaded together.
+
+    Parameters
+    ----------
+    group
+        The chunks.
+    contents
+        What loading each of them gave.
+    """
+
+    group: Group[Chunk]
+    contents: list[Content]
+
+
+def load_in_groups(
+    sized: Iterable[tuple[Chunk, int | None]],
+    load: Callable[[Chunk, Bytes | None], Content],
+) -> Generator[LoadedGroup[Chunk, Content], None, None]:
+    """Load chunks, one after another.
+
+    Parameters
+    ----------
+    sized
+        The chunks, and how large the records of each are; None for one that needs memory of its
+        own.
+    load
+        Loads a chunk into the memory that is given to it. Called in other threads.
+
+    Yields
+    ------
+    LoadedGroup
+        Chunks that follow each other.
+    """
+
+    def loaded(group: Group[Chunk]) -> LoadedGroup[Chunk, Content]:
+        return LoadedGroup(group, [load(*part) for part in group.parts()])
+
+    def load_group(
+        group: Group[Chunk],
+    ) -> LoadedGroup[Chunk, Content] | Deferred[LoadedGroup[Chunk, Content]]:
+        return Deferred(lambda: loaded(group)) if group.is_large else loaded(group)
+
+    with closing(prefetch(load_group, in_groups(sized))) as groups:
+        yield from groups
+
+
+def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[Group[Chunk]]:
+    """Yield chunks in groups: handing over each by itself would cost as much as decompressing it.
+
+    Memory is given to them in their order, whichever of them is loaded first.
+
+    Examples
+    --------
+    >>> [group.chunks for group in in_groups([("a", 5), ("b", 7), ("c", None), ("d", 3)])]
+    [['a', 'b'], ['c'], ['d']]
+    """
+    buffers = Buffers()
+    chunks: list[Chunk] = []
+    sizes: list[int] = []
+    limit = min(FIRST, BUFFER)
+
+    def group() -> Group[Chunk]:
+        return Group(chunks, buffers.take(sum(sizes)), list(accumulate(sizes, initial=0))[:-1])
+
+    for chunk, size in sized:
+        alone = size is None or size > LARGE
+        if chunks and (size is None or alone or sum(sizes) + size > limit):
+            yield group()
+            chunks, sizes, limit = [], [], min(BUFFER, 2 * limit)
+        if size is None or alone:
+            yield Group([chunk], None, [0], is_large=size is not None)
+        else:
+            chunks.append(chunk)
+            sizes.append(size)
+    if chunks:
+        yield group()
