@@ -183,7 +183,7 @@ sample_rate, clock
     q0 : sequence of float, str or path
         Attitude body to reference at the first sample: four numbers in the order of `q0_layout`;
         ``"level"``, roll and pitch from the accelerometer at rest; ``"log"``, the log's own
-        orientation; or the path of an attitude series. By default the identity.
+        orientation; or an attitude series, a path or a topic of the log. By default the identity.
     heading : float
         For ``q0="level"``: rotation about the reference's z axis, deg.
     reference_z : str

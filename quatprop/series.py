@@ -280,7 +280,7 @@ class AttitudeSeries:
         variances: Float64 = np.einsum("...ii->...i", self.covariance)
         return np.sqrt(variances)
 
-    def as_quat(self, *, scalar_first: bool) -> Float64:
+    def as_quat(self, *, scalar_first: bool | None = None) -> Float64:
         """Return the quaternions as an array in a layout.
 
         Parameters
@@ -293,7 +293,17 @@ class AttitudeSeries:
         -------
         ndarray
             Shape ``(N, 4)``, float64; a copy.
+
+        Raises
+        ------
+        UsageError
+            The layout is not given: libraries differ in it, so there is no default.
         """
+        if scalar_first is None:
+            raise UsageError(
+                "as_quat needs the order of the components: scalar_first=True is w, x, y, z, "
+                "scalar_first=False x, y, z, w, as scipy has them by default"
+            )
         return self.wxyz.copy() if scalar_first else np.roll(self.wxyz, -1, axis=1)
 
     def to_arrow(self, *, scalar_first: bool = True) -> pa.Table:

@@ -178,7 +178,7 @@ def test_attitudes_as_arrays_and_tables():
     last = series.to_pandas(scalar_first=False)
     assert list(last.columns) == ["t_ns", "qx", "qy", "qz", "qw"]
     assert last["qw"].tolist() == series.wxyz[:, 0].tolist()
-    with pytest.raises(TypeError, match="scalar_first"):
+    with pytest.raises(UsageError, match=r"scalar_first=True is w, x, y, z, scalar_first=False x,"):
         series.as_quat()
 
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.pipeline.initial_attitude import InitialAttitude, level
 
+SAMPLES = Path(__file__).parent.parent / "sample_logs"
 G = 9.80665
 COLUMNS = "t_ns,wx,wy,wz,accel_x,accel_y,accel_z\n"
 
@@ -321,3 +323,49 @@ def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_
 def test_the_report_names_where_q0_is_from(wanted, origin):
     """Nothing is called given that was not."""
     assert wanted.origin == origin
+
+
+def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
+    """Interpolated at the first sample that is used, as from a file; the report names the topic."""
+    both, out = tmp_path / "both.bag", tmp_path / "out.csv"
+    assert run(SAMPLES / "tumbling.bag", "--into", both, "--method", "coning").exit_code == 0
+    run(both, "-o", tmp_path / "whole.csv", "-t", "/imu", "--method", "coning")
+    result = run(both, "-o", out, "-t", "/imu", "--start", "+5s", "--q0", "/attitude")
+    assert result.exit_code == 0, result.output
+    assert ", from /attitude" in result.stderr
+    rows = (tmp_path / "whole.csv").read_text().splitlines()[1:]
+    expected = [float(q) for q in rows[500].split(",")[1:]]
+    np.testing.assert_allclose(first_row(out), expected, atol=1e-15)
+    config = tmp_path / "a.toml"
+    config.write_text('q0 = "/attitude"\n')
+    again = tmp_path / "again.csv"
+    run(both, "-o", again, "-t", "/imu", "--start", "+5s", "--config", config)
+    assert again.read_bytes() == out.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("q0", "sentence"),
+    [
+        ("/vicon", "--q0 /vicon is neither four numbers W,X,Y,Z nor level or log, no such file"),
+        ("levle", "--q0 levle is neither four numbers W,X,Y,Z nor level or log, no such file"),
+        ("/imu", "no samples in 'its attitudes'"),
+    ],
+)
+def test_a_name_that_is_no_series_is_refused(tmp_path, q0, sentence):
+    """Neither a file nor a topic, or a topic without attitudes."""
+    out = tmp_path / "out.csv"
+    result = run(SAMPLES / "tumbling.bag", "-o", out, "--q0", q0)
+    assert result.exit_code == 2
+    assert sentence in result.stderr
+    assert not out.exists()
+
+
+def test_a_series_that_begins_later_says_by_how_much(tmp_path):
+    """In seconds, beside the two stamps."""
+    late = tmp_path / "late.csv"
+    late.write_text("t_ns,qw,qx,qy,qz\n1700000015000000000,1,0,0,0\n1700000016000000000,1,0,0,0\n")
+    result = run(SAMPLES / "tumbling.bag", "-o", tmp_path / "out.csv", "--q0", late)
+    assert (
+        "late.csv: its first attitude is 15 s after the first sample that is used "
+        "(1700000015000000000 and 1700000000000000000 ns); are both on the same clock?"
+    ) in result.stderr

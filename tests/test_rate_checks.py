@@ -88,7 +88,7 @@ def slow(t_ns, rate, wxyz):
     [
         ("none", ""),
         ("saturated", "of its extreme of"),
-        ("held", "67 % of the rows repeat the row before while the body turns: held samples"),
+        ("held", "67 % of the rows repeat the row before while the body turns: the log re"),
         ("slow", "the sample rate is too low for this motion"),
         ("whole seconds", "the timestamps are whole seconds"),
         ("zero stamps", "all header stamps of topic '/imu' are zero"),
@@ -159,8 +159,8 @@ def test_held_samples_at_an_extreme_are_no_saturation():
     rate = swinging()[np.arange(20_000) // 4 * 4]
     (said,) = remarks(rate)
     assert said == (
-        "75 % of the rows repeat the row before while the body turns: held samples, so a new rate "
-        "is measured only every 4 rows"
+        "75 % of the rows repeat the row before while the body turns: the log repeats samples, "
+        "with a new rate only every 4 rows"
     )
 
 

@@ -129,7 +129,7 @@ def test_time_that_no_increment_covers_is_remarked_on():
     assert timeline.counts.path_angle_rad == pytest.approx(6 * 3**0.5)
     (remark,) = remarks(timeline.counts, OBSERVE)
     assert str(remark) == (
-        "the increments were integrated over 6 s of the 8 s between the first timestamp "
+        "the increments cover 6 s of the 8 s between the first timestamp "
         "and the last: no rotation is assumed for the rest"
     )
 
@@ -152,8 +152,7 @@ def test_increments_that_cover_more_than_the_time_are_remarked_on():
     list(timeline.apply([GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), spans)]))
     (remark,) = remarks(timeline.counts, OBSERVE)
     assert str(remark) == (
-        "the increments were integrated over 10 s of the 8 s between the first timestamp "
-        "and the last"
+        "the increments cover 10 s of the 8 s between the first timestamp and the last"
     )
 
 

@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from table_rates import rate_batches
 
+from quatprop.cli import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.tables import text_stream, timestamps
@@ -538,3 +540,39 @@ def test_a_file_of_several_record_types_is_refused(shared_logs):
     """Rows of different kinds in one file are not a table."""
     with pytest.raises(UnsupportedLogError, match="its rows have 7, 8, 11 columns, so it holds"):
         CsvLog(Path(shared_logs / "csv/reject_mixed_records.csv"))
+
+
+@pytest.mark.parametrize(
+    ("options", "contradiction"),
+    [
+        (["--time-unit", "us"], "--time-unit says us, but by header or convention 't_ns' is in ns"),
+        (
+            ["--rate-unit", "rad/s"],
+            "--rate-unit says rad/s, but by header or convention 'wx_dps', 'wy_dps', 'wz_dps' are",
+        ),
+    ],
+)
+def test_a_unit_is_refused_where_the_header_says_otherwise(tmp_path, options, contradiction):
+    """Unless the columns are named too, and then the summary says what the header says."""
+    path, out = tmp_path / "a.csv", tmp_path / "out.csv"
+    path.write_text("t_ns,wx_dps,wy_dps,wz_dps\n0,.1,0,0\n10000000,.1,0,0\n")
+    named = ["--time-col", "t_ns", "--rate-cols", "1,2,3"]
+    results = [
+        CliRunner().invoke(cli, ["propagate", str(path), "-o", str(out), *options, *others])
+        for others in ([], named)
+    ]
+    assert [result.exit_code for result in results] == [2, 0]
+    assert contradiction in results[0].stderr
+    assert f"warning: {contradiction}" in results[1].stderr
+    assert f"; read in {options[1]}, as asked for" in results[1].stderr
+
+
+def test_a_unit_of_time_of_attitudes_that_the_header_contradicts_is_told(tmp_path):
+    """In convert as in propagate."""
+    path = tmp_path / "a.csv"
+    path.write_text("time_ms,qw,qx,qy,qz\n0,1,0,0,0\n10,1,0,0,0\n")
+    arguments = ["convert", str(path), "-", "--time-col", "0", "--time-unit", "s"]
+    result = CliRunner().invoke(cli, arguments)
+    assert (
+        "note: --time-unit says s, but by header or convention 'time_ms' is in ms; read in s"
+    ) in result.stderr

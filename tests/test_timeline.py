@@ -293,7 +293,7 @@ def test_increments_that_miss_a_thousandth_of_the_time_are_remarked(integrated_n
     else:
         (text,) = found
         assert text == (
-            f"the increments were integrated over {integrated_ns / 1e6:.6g} ms of the 1 ms{end}"
+            f"the increments cover {integrated_ns / 1e6:.6g} ms of the 1 ms{end}"
         ).replace("0.998999 ms", "998.999 us")
 
 

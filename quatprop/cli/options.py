@@ -42,7 +42,7 @@ VALUES = {
     "quat_field": "A.B.C",
     "quat_cols": "A,B,C[,D]",
     "frame": "[PARENT:]CHILD",
-    "q0": "W,X,Y,Z|level|log|FILE",
+    "q0": "W,X,Y,Z|level|log|FILE|TOPIC",
     "heading": "DEG",
     "bias": "X,Y,Z|static[:DUR]|FILE|TOPIC",
     "calibration": "FILE",
@@ -115,8 +115,8 @@ HELP = {
     "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
     "body]",
     "q0": "First attitude, body-to-ref: four numbers; level, roll and pitch "
-    "from gravity at rest; log, the log's own orientation; or FILE, an attitude series, at that "
-    "time.  [default: identity]",
+    "from gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
+    "TOPIC of the log, at that time.  [default: identity]",
     "heading": "For --q0 level: rotation about the reference's z axis.  [default: 0]",
     "reference_z": "For --q0 level: where the reference's z axis points (down for "
     "north-east-down).  [default: up]",

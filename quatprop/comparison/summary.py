@@ -184,7 +184,9 @@ def _errors(comparison: Comparison) -> Iterator[Row]:
             f"{error:14.6e} rad {math.degrees(error):14.6g} deg",
         )
     if comparison.drift_deg_h is not None:
-        yield "drift", f"{comparison.drift_deg_h:+.6g} deg/h, slope of the error"
+        # Rounding errors are no drift.
+        drift = round(comparison.drift_deg_h, 9) or 0.0
+        yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, slope of the error"
 
 
 def _window(window: WindowStatistics, first_ns: int) -> str:

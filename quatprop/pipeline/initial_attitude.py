@@ -38,7 +38,8 @@ class InitialAttitude:
     Parameters
     ----------
     source
-        ``"level"``, ``"log"``, or the path of an attitude series; ``""`` for `wxyz`.
+        ``"level"``, ``"log"``, or an attitude series, a path or a topic of the log; ``""`` for
+        `wxyz`.
     wxyz
         The attitude body -> reference, where it is given.
     heading
@@ -120,7 +121,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     Raises
     ------
     UsageError
-        The log does not begin at rest.
+        The log does not begin at rest, or the series is neither a file nor a topic.
     LogError
         The log has no accelerations, or the other series, or the log's own orientation, does not
         reach to the first sample.
@@ -132,7 +133,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     log, mount = recording.log, recording.mount
     first_ns = int(first.t_ns[0])
     if wanted.source not in {"level", "log"}:
-        return unit_q0(attitude_at(wanted.source, first_ns))
+        return unit_q0(attitude_at(wanted.source, first_ns, log, recording.selection))
     if log is None:
         raise UsageError(Setting("q0", wanted.source), " needs a log, not rates in memory")
     if wanted.source == "log":

@@ -183,7 +183,7 @@ class RateChecks:
             remarks.append(
                 Text(
                     f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body "
-                    f"turns: held samples, so a new rate is measured only every {hold:.2g} rows"
+                    f"turns: the log repeats samples, with a new rate only every {hold:.2g} rows"
                 )
             )
         moving = self._highest != self._lowest

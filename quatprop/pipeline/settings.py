@@ -105,16 +105,17 @@ class PropagationSettings:
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        return self.conditioning.looks_ahead or self.q0.source in FROM_THE_LOG
+        is_topic = bool(self.q0.source) and self.q0.source not in self.inputs
+        return self.conditioning.looks_ahead or is_topic
 
     @property
     def inputs(self) -> list[str]:
         """Files that are read beside the log."""
         beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
-        biases, calibration = self.conditioning.bias_from, self.conditioning.calibration
-        if biases is not None and not Path(biases).exists():
-            biases = None  # a topic of the log
-        paths = (beside, self.at, biases, calibration, self.errors.imu)
+        series = [path for path in (beside, self.conditioning.bias_from) if path]
+        # What is no file is a topic of the log.
+        there = [path for path in series if Path(path).exists()]
+        paths = (*there, self.at, self.conditioning.calibration, self.errors.imu)
         return [path for path in paths if path]
 
 

@@ -232,19 +232,20 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     path = folder / text
     if name not in FILE_SETTINGS or (name == "q0" and text in FROM_THE_LOG):
         return None
-    if name == "bias":
+    if name in {"bias", "q0"}:
         # It may as well be a topic, static, or numbers.
-        return path if path.is_file() else None
+        return path if path.is_file() or (name == "q0" and path.exists()) else None
     return None if "," in text and not path.exists() else path
 
 
 def initial_attitude(value: object) -> tuple[float, ...] | str:
-    """Return four numbers, ``"level"``, ``"log"``, or the path of an attitude series."""
+    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic."""
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
     if not isinstance(value, PathLike) and not (isinstance(value, str) and not _is_numbers(value)):
         return numbers("W,X,Y,Z")(value)
-    if not Path(value).exists():
+    may_be_a_topic = isinstance(value, str) and value and "." not in Path(value).name
+    if not may_be_a_topic and not Path(value).exists():
         raise UsageError(
             f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
             "is there"

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from quatprop.signals.signal import Covariances, Poses, Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
+    from quatprop.text import Text
 
 AXES = 3
 """Numbers in a position."""
@@ -112,14 +113,18 @@ def _match(log: TableLog, selection: AttitudeSelection, recorded: dict[str, str]
     return columns
 
 
-def _remarks(columns: ColumnMatch) -> tuple[str, ...]:
+def _remarks(columns: ColumnMatch) -> tuple[str | Text, ...]:
     if columns.representation == "quaternion":
-        return ()
+        return columns.remarks
     sign = "which of q and -q is meant is not stored: signs are those of each row by itself"
     if not columns.representation.startswith("euler-"):
-        return (sign,)
+        return *columns.remarks, sign
     first, second, third = tuple(columns.representation.removeprefix("euler-"))
-    return sign, f"the angles turn about {first}, the new {second}, and the newest {third}"
+    return (
+        *columns.remarks,
+        sign,
+        f"the angles turn about {first}, the new {second}, and the newest {third}",
+    )
 
 
 def _rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:

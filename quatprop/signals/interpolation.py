@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -16,24 +17,27 @@ from quatprop.errors import (
     QuatpropError,
     TimelineError,
     UndeclaredError,
+    UsageError,
 )
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
+from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.text import Setting, quoted
+from quatprop.tables.base import is_table
+from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
+    from quatprop.selection import SignalSelection
     from quatprop.series import AttitudeSeries
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
@@ -46,23 +50,22 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 
 
 def attitude_at(
-    path: Path | str,
+    source: Path | str,
     t_ns: int,
-    selection: AttitudeSelection | None = None,
-    kind: str | None = None,
+    log: MessageLog | TableLog | None = None,
+    selection: SignalSelection | None = None,
 ) -> Float64:
-    """Return the attitude that a file has at a time.
+    """Return the attitude that a series has at a time.
 
     Parameters
     ----------
-    path
-        An attitude series, or any log with attitudes.
+    source
+        A file of attitudes, any log with attitudes, or a topic of `log`.
     t_ns
         The time, ns.
-    selection
-        Which attitudes, and what their numbers mean; None for the only ones there are.
-    kind
-        Kind of the file; None means told by content and suffix.
+    log, selection
+        An open log that can be read again, and how its rates were chosen; None for rates in
+        memory.
 
     Returns
     -------
@@ -75,13 +78,27 @@ def attitude_at(
     TimelineError
         The time is before the first or after the last attitude.
     LogError
-        The file cannot be used as asked.
+        The series cannot be used as asked.
+    UsageError
+        There is no such file and no such topic.
     """
-    with _about("q0"), open_log(path, kind) as opened:
-        source = choose_attitudes(opened, selection or AttitudeSelection())
+    wanted, clock = AttitudeSelection(), None if selection is None else selection.clock
+    is_file = Path(source).exists()
+    if not is_file:
+        topic = str(source)
+        if log is None or is_table(log) or not channels_of(cast("MessageLog", log), topic):
+            raise UsageError(
+                Setting("q0"),
+                f" {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, no such file "
+                "is there, and the log has no such topic",
+            )
+        wanted = AttitudeSelection(topic=topic, clock=clock)
+    with _about("q0"), ExitStack() as stack:
+        if is_file or log is None:
+            log = stack.enter_context(open_log(source))
         # Invalid rows elsewhere in the series do not matter.
-        check = QuaternionCheck(path, drop=True)
-        return attitude_in(check.apply(source.rows()), t_ns, path)
+        check = QuaternionCheck(log.path, drop=True)
+        return attitude_in(check.apply(choose_attitudes(log, wanted).rows()), t_ns, log.path)
 
 
 @contextmanager
@@ -221,11 +238,12 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
         raise NoSamplesError(path, "its attitudes")
     if before is None or after is None:
         edge, word = (after, "first") if before is None else (before, "last")
-        where = "before" if word == "first" else "after"
         stamp = cast("Row", edge)[0]
         raise TimelineError(
             path,
-            f"{t_ns} ns is {where} its {word} attitude at {stamp} ns; are both on the same clock?",
+            f"its {word} attitude is {duration_text(abs(stamp - t_ns))} "
+            f"{'after' if stamp > t_ns else 'before'} the first sample that is used ({stamp} and "
+            f"{t_ns} ns); are both on the same clock?",
         )
     if after[0] - before[0] > MAX_INTERPOLATION_NS:
         raise TimelineError(

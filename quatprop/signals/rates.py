@@ -175,7 +175,7 @@ def _part_reader(
 
 def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
     if field.span is not None:
-        yield "the samples are increments, which the sensor has integrated"
+        yield "the samples are angle increments: the sensor itself has summed up its rate"
     elif field.burst is not None:
         yield "several samples a message: the time of each is counted back from the stamp"
     if field.unit not in (None, unit):

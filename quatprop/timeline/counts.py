@@ -196,7 +196,7 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
         missed = counts.span_ns - counts.integrated_ns
         if abs(missed) > INTEGRATED_SHARE * counts.span_ns:
             yield Text(
-                f"the increments were integrated over {duration_text(counts.integrated_ns)} of the "
+                f"the increments cover {duration_text(counts.integrated_ns)} of the "
                 f"{duration_text(counts.span_ns)} between the first timestamp and the last"
                 + (": no rotation is assumed for the rest" if missed > 0 else "")
             )

@@ -163,6 +163,7 @@ def match_bias(log: TableLog) -> ColumnMatch:
 
 
 def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[str | Text]:
+    yield from matcher.overruled
     if unit in SCALED_RATE_UNITS:
         read_as, scale = SCALED_RATE_UNITS[unit]
         yield f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"
@@ -232,6 +233,7 @@ def match_quaternion(
         dialect=dialect.name if wxyz in sets else "",
         representation="quaternion",
         layout=_layout(sorted(wxyz), wxyz),
+        remarks=tuple(matcher.overruled),
     )
 
 

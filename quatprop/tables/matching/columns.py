@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.tables.matching.column_names import SCALED_RATE_UNITS, parse_name
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -35,6 +35,7 @@ class TableColumns:
         self.columns = [parse_name(name) for name in log.columns()]
         self.selection = selection
         self.unknown: list[tuple[str, Setting]] = []
+        self.overruled: list[Text] = []
 
     def matching(self, pattern: str) -> list[int]:
         """Return the columns whose keys match a pattern."""
@@ -97,17 +98,22 @@ class TableColumns:
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
         declared = self.declared(positions) or convention
         if chosen is not None:
-            # Who names the columns and the unit knows better than the header.
-            is_named = getattr(self.selection, columns) is not None
-            if declared in units and declared != chosen and not is_named:
-                raise UsageError(
-                    f"{plain(self.path)}: ",
+            if declared in units and declared != chosen:
+                verb = "is" if len(positions) == 1 else "are"
+                contradiction = Text(
                     Setting(f"{quantity}_unit"),
-                    f" says {chosen}, but by header or convention {self.names(positions)} are in "
-                    f"{declared}; leave the option out or, if it is right, name the columns too, "
-                    "with ",
-                    Setting(columns),
+                    f" says {chosen}, but by header or convention {self.names(positions)} {verb} "
+                    f"in {declared}",
                 )
+                # Who names the columns and the unit knows better than the header.
+                if getattr(self.selection, columns) is None:
+                    raise UsageError(
+                        f"{plain(self.path)}: ",
+                        contradiction,
+                        "; leave the option out or, if it is right, name the columns too, with ",
+                        Setting(columns),
+                    )
+                self.overruled.append(Text(contradiction, f"; read in {chosen}, as asked for"))
             return chosen
         self.refuse_unknown(positions, declared, units)
         if not declared:

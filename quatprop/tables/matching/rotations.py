@@ -66,7 +66,8 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
     unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
     timed = matcher.timed(columns, GENERIC)
     name, clock = matcher.describe(sorted(columns), timed)
-    return ColumnMatch(timed, name, clock, unit, representation=representation)
+    remarks = tuple(matcher.overruled)
+    return ColumnMatch(timed, name, clock, unit, representation=representation, remarks=remarks)
 
 
 def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]:
