@@ -14,7 +14,7 @@ from quatprop.containers.compressed_files import DecompressedCopy, file_compress
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource, os_reason
 from quatprop.containers.msg_files import MsgFiles
-from quatprop.containers.stores import find, is_address, without_secret
+from quatprop.containers.stores import below, find, is_address, without_secret
 from quatprop.errors import (
     DamagedLogError,
     LogError,
@@ -117,25 +117,23 @@ def _open_remote(
     copied: bool,
 ) -> MessageLog | TableLog:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
-    from quatprop.containers.remote import RemoteSource, bag_files, local_copy
+    from quatprop.containers.remote import RemoteSource
+    from quatprop.containers.transfers import bag_files, local_copy
 
     _, found = find(address)
     if copied or (kind == "rosbag2" and found.is_file):
         copy = stack.enter_context(local_copy(address))
         return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
     if not found.is_file:
-        files = {PurePosixPath(info.path).name for info in bag_files(address, found)}
+        files = bag_files(address)
         indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
-        copy = stack.enter_context(local_copy(address, files - indexed))
+        copy = stack.enter_context(local_copy(address, set(files) - indexed))
 
         def source_of_part(part: Path) -> FileSource:
-            is_there = part.name in indexed
-            return (
-                RemoteSource(f"{base}/{part.name}{query}", part) if is_there else FileSource(part)
-            )
+            if part.name in indexed:
+                return RemoteSource(below(address, part.name), part)
+            return FileSource(part)
 
-        base, mark, parameters = address.partition("?")
-        base, query = base.rstrip("/"), mark + parameters
         log = _open_folder(copy, kind, stack, source_of_part=source_of_part)
     else:
         name = Path(PurePosixPath(found.path).name)

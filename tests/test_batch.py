@@ -17,8 +17,9 @@ from click.testing import CliRunner
 from quatprop import __version__
 from quatprop.batch import run as batch
 from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
-from quatprop.batch.logs import LogSearch, output_paths, shard
+from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest
+from quatprop.batch.outputs import output_paths, shard
 from quatprop.batch.run import BatchTask, propagate_log
 from quatprop.cli import cli
 from quatprop.cli.batch import command
@@ -251,6 +252,10 @@ def test_logs_can_be_listed(tmp_path):
     done = CliRunner().invoke(cli, arguments, input=f"{logs[0]}\n{logs[1]}")
     assert done.stderr.splitlines()[-1] == "2 of 2 logs done, 10 samples"
     assert "there are no logs; name files, folders or patterns" in run("-o", "x").stderr
+    (tmp_path / "empty").mkdir()
+    empty = run(tmp_path / "empty", "-o", "x").stderr
+    assert "there are no logs in '" in empty
+    assert "empty'; name files" in empty
 
 
 def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
@@ -474,7 +479,7 @@ def test_a_log_at_an_address_is_skipped_too(tmp_path):
     path, out = log(tmp_path / "a.csv"), tmp_path / "out"
     for _ in range(2):
         done = run(path.as_uri(), "-o", out, "--skip-existing")
-    assert done.stderr == "nothing to do: all 1 outputs are up to date\n"
+    assert done.stderr == "nothing to do: its output is up to date\n"
     log(path, rate=7.0)
     done = run(path.as_uri(), "-o", out, "--skip-existing")
     assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples"

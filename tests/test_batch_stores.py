@@ -13,10 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 import quatprop
-from quatprop.batch.logs import FoundLog, shard
+from quatprop.batch.logs import FoundLog, LogSearch
+from quatprop.batch.outputs import shard
 from quatprop.batch.store_manifest import manifest_in
 from quatprop.cli import cli
-from quatprop.containers.stores import get, list_objects, put, upload
+from quatprop.containers.stores import list_objects
+from quatprop.containers.transfers import get, put, upload
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 HEADER = "t_ns,wx,wy,wz\n"
@@ -41,8 +43,7 @@ def log(path, rate=1.0, samples=5):
 
 def names_in(address):
     """Return the names of the objects below an address."""
-    top = len(address.removeprefix("s3://")) + 1
-    return [info.path[top:] for info in list_objects(address)]
+    return list(list_objects(address))
 
 
 @pytest.fixture
@@ -89,6 +90,32 @@ def test_a_store_gives_what_a_folder_gives(bucket, logs, tmp_path):
     assert not list(Path().glob("s3:*"))
 
 
+PATTERNS = ("*", "**", "**/*.csv", "*/*.csv", "run[12]/**", "**/*_ros2", "r*", "**/run1/*.csv")
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_pattern_finds_in_a_store_what_it_finds_in_a_folder(bucket, tmp_path, pattern):
+    """With the same names of outputs: files, bags, and folders that are searched."""
+    for place in (tmp_path, f"{bucket}/found"):
+        for name in ("a.csv", "run1/a.csv", "run1/deep/b.csv", "run2/c.csv", ".hidden/d.csv"):
+            log(place / name if place is tmp_path else f"{place}/{name}")
+    shutil.copytree(SAMPLES / "tumbling_ros2", tmp_path / "run2" / "tumbling_ros2")
+    upload(SAMPLES / "tumbling_ros2", f"{bucket}/found/run2/tumbling_ros2")
+    near, far = LogSearch(), LogSearch()
+    near.add(f"{tmp_path}/{pattern}")
+    far.add(f"{bucket}/found/{pattern}")
+    assert [log.name for log in far.logs] == [log.name for log in near.logs]
+    assert far.logs
+
+
+def test_a_pattern_that_matches_nothing_in_a_store_is_said(bucket):
+    """As for one of a folder."""
+    log(f"{bucket}/nothing/a.csv")
+    result = run(f"{bucket}/nothing/*.mcap", "-o", f"{bucket}/out")
+    assert result.exit_code == 2
+    assert "nothing matches 's3://" in result.stderr
+
+
 def test_what_is_up_to_date_in_a_store_is_left_out(bucket):
     """By size, time and ETag of the log; also where the log has the same size as before."""
     logs, out = f"{bucket}/logs", f"{bucket}/out"
@@ -114,7 +141,7 @@ def test_folders_go_to_a_store_too(bucket):
     assert done.exit_code == 0, done.output
     assert {"a/a.db3", "a/metadata.yaml"} <= set(names_in(f"{bucket}/out"))
     done = run(f"{bucket}/logs", "-o", f"{bucket}/out", "--to", "rosbag2", "--skip-existing")
-    assert done.stderr == "nothing to do: all 1 outputs are up to date\n"
+    assert done.stderr == "nothing to do: its output is up to date\n"
 
 
 def test_two_batches_at_once_into_one_prefix(bucket, tmp_path):

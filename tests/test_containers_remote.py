@@ -20,10 +20,10 @@ from mcap.writer import CompressionType
 from pyarrow import feather
 
 from quatprop.cli import cli
-from quatprop.containers import remote
+from quatprop.containers import transfers
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.remote import local_copy
-from quatprop.containers.stores import _with_retry_limit, put, upload, without_secret
+from quatprop.containers.stores import _with_retry_limit, without_secret
+from quatprop.containers.transfers import local_copy, put, upload
 from quatprop.errors import LogError, StoreError
 from quatprop.formats import open_log
 from quatprop.times import NS_PER_S
@@ -231,12 +231,12 @@ def test_a_store_that_does_not_answer_is_given_up_on():
 
 def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
     """What its library does in a thread does not hold up the rest."""
-    monkeypatch.setattr(remote, "_copied", lambda *_: time.sleep(60))
+    monkeypatch.setattr(transfers.shutil, "copyfileobj", lambda *_: time.sleep(60))
     # A shell that runs the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     began = time.monotonic()
     threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt), local_copy("s3://logs/a.bag"):
+    with pytest.raises(KeyboardInterrupt), local_copy(f"file://{SAMPLES}/tumbling.bag"):
         pass
     assert time.monotonic() - began < 30
 
@@ -276,7 +276,7 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (
         "import os, sys\n"
-        "from quatprop.containers.remote import local_copy\n"
+        "from quatprop.containers.transfers import local_copy\n"
         "with local_copy(sys.argv[1]):\n"
         "    os._exit(0)\n"
     )

@@ -1,4 +1,4 @@
-"""Find the logs of a batch, and name the output of each.
+"""Find the logs of a batch.
 
 Paths are strings here: a batch may have a hundred thousand.
 """
@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import glob
 import os.path
-import re
 from dataclasses import dataclass, field
-from pathlib import Path
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
-from quatprop.containers.stores import below, find, is_address, list_objects, locate, without_secret
+from quatprop.containers.stores import below, exists, find, is_address, list_objects, without_secret
 from quatprop.errors import UnreadableLogError, UsageError
 from quatprop.log_kinds import READERS
-from quatprop.text import Setting, Text, quoted
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator, Sequence
 
 COMPRESSION_SUFFIXES = {".gz", ".zst", ".zstd", ".lz4", ".bz2"}
 
@@ -29,14 +28,11 @@ MAGIC_BYTES = max(map(len, MAGIC))
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 
+METADATA = "metadata.yaml"
+"""The file that makes a folder a ROS 2 bag."""
+
 TABLES = {"parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"}
 """Kinds of files that hold many other things, too."""
-
-OTHER_OUTPUT = Text(
-    "keep their folders in the names with ", Setting("root", "DIR"), ", a folder above both, or "
-    "write to another folder"
-)  # fmt: skip
-"""The way out where two logs have the same output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,65 +93,56 @@ class LogSearch:
         """
         if name == "-":
             raise UsageError("stdin is one log; give it to quatprop propagate")
-        if is_address(name):
-            self._add_address(name)
-        elif glob.has_magic(name) and not os.path.exists(name):
+        if glob.has_magic(name) and _is_pattern(name):
             self._add_matches(name)
         elif _is_plain_folder(name):
             self._add_folder(name, name)
         else:
-            self._add_log(name, os.path.dirname(os.path.abspath(name)), folder=os.path.isdir(name))
-
-    def _add_address(self, address: str) -> None:
-        place = _absolute(address)
-        # Of what has the name of a log, the store is not asked: there may be many.
-        if _kind_by_suffix(place) or find(address)[1].is_file:
-            self._add_log(address, place.rpartition("/")[0])
-            return
-        if place.rstrip("/") == _absolute(self.output).rstrip("/"):
-            raise UsageError(f"outputs in {quoted(place)} would lie among the logs; choose ",
-                             Setting("output", "another folder"))  # fmt: skip
-        top = len(locate(address)[1]) + 1
-        names = [str(info.path)[top:] for info in list_objects(address)]
-        bags = {os.path.dirname(name) for name in names if _is_metadata(name)}
-        if "" in bags:
-            self._add_log(address, place.rstrip("/").rpartition("/")[0], folder=True)
-            return
-        for name in names:
-            bag = next((above for above in _folders_of(name) if above in bags), None)
-            log = below(address, name if bag is None else bag)
-            if _absolute(log).startswith(os.path.join(_absolute(self.output), "")):
-                continue
-            kind = "" if _is_hidden(name) else _kind_by_suffix(name)
-            if bag is not None or kind:
-                is_table = bag is None and kind in TABLES
-                self._add_log(log, place, folder=bag is not None, maybe=is_table)
-            else:
-                self.other_files += 1
+            self._add_log(name, os.path.dirname(_absolute(name)), folder=_is_folder(name))
 
     def _add_matches(self, pattern: str) -> None:
-        parts = Path(pattern).parts
-        fixed = next(k for k, part in enumerate(parts) if glob.has_magic(part))
-        root = str(Path(*parts[:fixed]))
+        base, mark, parameters = _split(pattern)
+        parts = base.replace(os.sep, "/").split("/")
+        count = next(k for k, part in enumerate(parts) if glob.has_magic(part))
+        root = f"{'/'.join(parts[:count]) or ('/' if count else '.')}{mark}{parameters}"
         if parts[-1] == "**":
             self._add_folder(root, root)
             return
-        matches = sorted(glob.iglob(pattern, recursive=True))
+        if is_address(pattern):
+            matches = [below(root, name) for name in _matching(root, parts[count:])]
+        else:
+            matches = sorted(glob.iglob(pattern, recursive=True))
         if not matches:
             raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
         for match in matches:
             if _is_plain_folder(match):
                 self._add_folder(match, root)
             else:
-                self._add_log(match, root, folder=os.path.isdir(match))
+                self._add_log(match, root, folder=_is_folder(match))
 
     def _add_folder(self, folder: str, root: str) -> None:
-        output = self.output and os.path.realpath(self.output)
-        if os.path.realpath(folder) == output:
+        output = self.output and _real(self.output)
+        if _real(folder) == output:
             raise UsageError(f"outputs in {quoted(folder)} would lie among the logs; choose ",
                              Setting("output", "another folder"))  # fmt: skip
-        for path, kind in self._search(folder, output):
+        search = self._search_store if is_address(folder) else self._search
+        for path, kind in search(folder, output):
             self._add_log(path, root, folder=kind == "rosbag2", maybe=kind in TABLES)
+
+    def _search_store(self, address: str, output: str) -> Iterator[tuple[str, str]]:
+        """Yield address and kind of each log below an address."""
+        names = list_objects(address)
+        bags = {os.path.dirname(name) for name in names if os.path.basename(name) == METADATA}
+        for name in names:
+            bag = next((above for above in _folders_of(name) if above in bags), None)
+            log = below(address, name if bag is None else bag)
+            if _absolute(log).startswith(f"{output}/"):
+                continue
+            hidden = any(part.startswith(".") for part in name.split("/"))
+            if kind := "rosbag2" if bag else "" if hidden else _kind_by_suffix(name):
+                yield log, kind
+            else:
+                self.other_files += 1
 
     def _search(self, top: str, output: str) -> Iterator[tuple[str, str]]:
         """Yield path and kind of each log in a folder."""
@@ -164,15 +151,14 @@ class LogSearch:
             raise UnreadableLogError(error.filename, f"it cannot be listed: {error.strerror}")
 
         for place, folders, files in os.walk(top, onerror=refuse):
-            if "metadata.yaml" in files:
+            if METADATA in files:
                 folders.clear()
                 yield place, "rosbag2"
                 continue
             folders[:] = sorted(
                 folder
                 for folder in folders
-                if not folder.startswith(".")
-                and os.path.realpath(os.path.join(place, folder)) != output
+                if not folder.startswith(".") and _real(os.path.join(place, folder)) != output
             )
             for file in sorted(files):
                 path = os.path.join(place, file)
@@ -194,62 +180,46 @@ class LogSearch:
         self.logs.append(FoundLog(path, name if folder else _stem(name), maybe))
 
 
-def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str]:
-    """Return the path of the output of each log.
-
-    Parameters
-    ----------
-    logs
-        The logs.
-    folder
-        The folder of all outputs.
-    suffix
-        Suffix of every output, with its dot; empty for folders.
-
-    Raises
-    ------
-    UsageError
-        Two logs would have the same output, also on file systems that ignore case.
-    """
-    paths: list[str] = []
-    owners: dict[str, FoundLog] = {}
-    for log in logs:
-        name = log.name + suffix
-        paths.append(below(folder, name) if is_address(folder) else os.path.join(folder, name))
-        owner = owners.setdefault(log.name.lower(), log)
-        if owner is not log:
-            one, other, both = (
-                quoted(without_secret(path)) for path in (owner.path, log.path, paths[-1])
-            )
-            raise UsageError(f"{one} and {other} would both be written to {both}; ", OTHER_OUTPUT)
-    return paths
+def _is_pattern(name: str) -> bool:
+    """Return whether a name with ``*`` or ``[`` is a pattern: nothing has it for its own name."""
+    if not is_address(name):
+        return not os.path.exists(name)
+    return glob.has_magic(_split(name)[0]) and not exists(name)
 
 
-def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
-    """Return one part of N of the logs: that of one machine of many, as in an array job.
-
-    Parameters
-    ----------
-    logs
-        All logs, the same on every machine.
-    text
-        ``"I/N"``, the I-th part, from 1 to N.
-
-    Raises
-    ------
-    UsageError
-        It is not I/N.
-    """
-    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
-    part, parts = map(int, match.groups()) if match else (0, 0)
-    if not 1 <= part <= parts:
-        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for ", Setting("shard"))
-    return sorted(logs, key=lambda log: log.name)[part - 1 :: parts]
+def _is_folder(path: str) -> bool:
+    """Return whether a path is a folder, or an address a prefix."""
+    if not is_address(path):
+        return os.path.isdir(path)
+    # Of what has the name of a log, the store is not asked: there may be many.
+    return not _kind_by_suffix(_absolute(path)) and not find(path)[1].is_file
 
 
 def _is_plain_folder(path: str) -> bool:
     """Return whether a path is a folder, but no ROS 2 bag."""
-    return os.path.isdir(path) and not os.path.isfile(os.path.join(path, "metadata.yaml"))
+    if is_address(path):
+        return _is_folder(path) and not exists(below(path, METADATA))
+    return os.path.isdir(path) and not os.path.isfile(os.path.join(path, METADATA))
+
+
+def _matching(address: str, patterns: Sequence[str]) -> list[str]:
+    """Return what below an address matches a pattern: objects, and prefixes above them."""
+    names = list_objects(address)
+    places = {place for name in names for place in (*_folders_of(name), name)}
+    return sorted(place for place in places if _fits(place.split("/"), patterns))
+
+
+def _fits(parts: Sequence[str], patterns: Sequence[str]) -> bool:
+    """Return whether the parts of a path match those of a pattern, as in :mod:`glob`."""
+    if not patterns:
+        return not parts
+    if patterns[0] == "**" and _fits(parts, patterns[1:]):
+        return True
+    if not parts or (parts[0].startswith(".") and not patterns[0].startswith(".")):
+        return False
+    if patterns[0] == "**":
+        return _fits(parts[1:], patterns)
+    return fnmatchcase(parts[0], patterns[0]) and _fits(parts[1:], patterns[1:])
 
 
 def _kind(path: str) -> str:
@@ -271,14 +241,6 @@ def _kind_by_suffix(name: str) -> str:
     return SUFFIXES.get(suffix, "")
 
 
-def _is_metadata(name: str) -> bool:
-    return os.path.basename(name) == "metadata.yaml"
-
-
-def _is_hidden(name: str) -> bool:
-    return any(part.startswith(".") for part in name.split("/"))
-
-
 def _folders_of(name: str) -> Iterator[str]:
     """Yield the folders above a file, the uppermost first."""
     parts = name.split("/")
@@ -292,6 +254,18 @@ def _stem(name: str) -> str:
     return os.path.splitext(stem)[0] if packed else stem
 
 
+def _split(name: str) -> tuple[str, str, str]:
+    """Return a path, or an address without its parameters; then their mark, and they."""
+    return name.partition("?") if is_address(name) else (name, "", "")
+
+
 def _absolute(path: str) -> str:
     """Return an absolute path, whose links are not followed, or an address without its secrets."""
-    return without_secret(path).partition("?")[0] if is_address(path) else os.path.abspath(path)
+    return (
+        _split(without_secret(path))[0].rstrip("/") if is_address(path) else os.path.abspath(path)
+    )
+
+
+def _real(path: str) -> str:
+    """Return an absolute path, whose links are followed, or an address as above."""
+    return _absolute(path) if is_address(path) else os.path.realpath(path)

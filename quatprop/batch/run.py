@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.batch.logs import OTHER_OUTPUT, output_paths
 from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
+from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
-from quatprop.containers.stores import is_address, upload, without_secret
+from quatprop.containers.stores import is_address, without_secret
+from quatprop.containers.transfers import upload
 from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
@@ -99,7 +100,7 @@ def plan(
     job
         The settings, which all logs share; its paths are ignored.
     folder, suffix
-        As for :func:`quatprop.batch.logs.output_paths`.
+        As for :func:`quatprop.batch.outputs.output_paths`.
     manifest
         The manifest in that folder.
 

@@ -18,7 +18,8 @@ from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
 from quatprop.batch.manifest import Manifest, entries_in, json_line, write_table
-from quatprop.containers.stores import below, get, is_address, list_objects, put, upload
+from quatprop.containers.stores import below, is_address, list_objects
+from quatprop.containers.transfers import get, put, upload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -60,9 +61,7 @@ class StoreManifest(Manifest):
 
     def existing_outputs(self) -> Callable[[str], bool]:
         """Return a function that tells whether an output is there, by its path in the folder."""
-        top = len(self._place()) + 1
-        objects = list_objects(self._folder, missing_ok=True)
-        names = {str(info.path)[top:] for info in objects}
+        names = set(list_objects(self._folder, missing_ok=True))
         # An output may be a folder.
         names |= {name.rpartition("/")[0] for name in names}
         return names.__contains__
@@ -101,9 +100,8 @@ class StoreManifest(Manifest):
 
     def _read(self) -> Iterator[Mapping[str, Any]]:
         """Yield all entries, the oldest first."""
-        top = len(self._place()) + 1
         objects = list_objects(self._folder, missing_ok=True)
-        names = [str(info.path)[top:] for info in objects if info.size]
+        names = [name for name, info in objects.items() if info.size]
         whole = [name for name in names if name == self.NAME]
         parts = [name for name in names if name.startswith("manifest/")]
         with ThreadPoolExecutor(REQUESTS) as pool:
@@ -113,17 +111,11 @@ class StoreManifest(Manifest):
 
     def _parts(self) -> list[tuple[str, int]]:
         objects = list_objects(below(self._folder, "manifest"), missing_ok=True)
-        return [(str(info.path), info.size) for info in objects]
+        return [(name, info.size) for name, info in objects.items()]
 
     def _new_part(self) -> str:
         name = f"{time.time_ns():020d}-{os.getpid()}-{secrets.token_hex(4)}.jsonl"
         return below(self._folder, f"manifest/{name}")
-
-    def _place(self) -> str:
-        """Return the path of the folder in its store."""
-        from quatprop.containers.stores import locate
-
-        return locate(self._folder)[1]
 
 
 def manifest_in(folder: str) -> Manifest:

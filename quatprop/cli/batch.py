@@ -157,19 +157,25 @@ command.params += SHARED
 
 def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
-    from quatprop.batch.logs import LogSearch, shard
+    from quatprop.batch.logs import LogSearch
+    from quatprop.batch.outputs import shard
+    from quatprop.containers.stores import without_secret
+    from quatprop.text import listed
 
-    listed: list[str] = []
+    given = list(names)
     if batch["list_file"] is not None:
         with click.open_file(
             batch["list_file"], encoding="utf-8", errors="surrogateescape"
         ) as file:
-            listed = [name for line in file if (name := line.rstrip("\r\n"))]
+            given += [name for line in file if (name := line.rstrip("\r\n"))]
     search = LogSearch(batch["root"], batch["folder"])
-    for name in (*names, *listed):
+    for name in given:
         search.add(name)
     if not search.logs:
-        raise click.UsageError("there are no logs; name files, folders or patterns, or use --list")
+        where = f" in {listed(map(without_secret, given))}" if given else ""
+        raise click.UsageError(
+            f"there are no logs{where}; name files, folders or patterns, or use --list"
+        )
     if batch["shard"]:
         search.logs = shard(search.logs, batch["shard"])
     return search
@@ -230,7 +236,8 @@ class _Shown:
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
         if not self._total:
-            click.echo(f"nothing to do: all {skipped} outputs are up to date", err=True)
+            what = "its output is" if skipped == 1 else f"all {skipped} outputs are"
+            click.echo(f"nothing to do: {what} up to date", err=True)
             return
         tables = self.states["no rates"]
         logs = self._total - tables

@@ -1,30 +1,25 @@
-"""Logs in object stores: read in ranges, or copied to this machine for the time they are read."""
+"""Logs in object stores, read in ranges."""
 
 from __future__ import annotations
 
 import io
-import shutil
 import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.stores import etag_of, find, interruptible, list_objects, locate, reading
+from quatprop.containers.stores import etag_of, locate, reading
+from quatprop.containers.transfers import copy_object
 from quatprop.temp_files import temp_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Sequence
     from concurrent.futures import Future
+    from pathlib import Path
 
     from pyarrow import NativeFile
-    from pyarrow.fs import FileInfo, FileSystem
-
-BLOCK_BYTES = 1 << 24
-"""Bytes that are copied at a time."""
 
 SMALL_BYTES = 1 << 20
 """Size of an object up to which it is read at once."""
@@ -169,9 +164,7 @@ class RemoteSource(FileSource):
             if self._copy is None:
                 self._temp = temp_folder()
                 path = self._temp.path / self.path.name
-                with reading(self._address):
-                    store, place = locate(self._address)
-                    interruptible(lambda: _copy_file(store, place, path))
+                copy_object(self._address, path)
                 self._copy = FileSource(path)
         return self._copy
 
@@ -232,64 +225,3 @@ def _requests(begins: Sequence[int], ends: Sequence[int]) -> tuple[list[int], li
         else:
             together[1][-1] = max(together[1][-1], end)
     return together
-
-
-@contextmanager
-def local_copy(address: str, names: Collection[str] | None = None) -> Iterator[Path]:
-    """Copy a log from an object store into a temporary folder, removed when the block ends.
-
-    Parameters
-    ----------
-    address
-        Of a file, or of a folder with a ROS 2 bag.
-    names
-        The files of a folder to copy; others are there, but empty. None is all.
-
-    Yields
-    ------
-    Path
-        The copy, under the same name.
-
-    Raises
-    ------
-    StoreError
-        There is no such object, or it may not be read.
-    """
-    temp = temp_folder()
-    try:
-        with reading(address):
-            target = interruptible(lambda: _copied(address, temp.path, names))
-        yield target
-    finally:
-        temp.remove()
-
-
-def _copied(address: str, folder: Path, names: Collection[str] | None) -> Path:
-    """Copy the object at an address into a folder, and return the copy."""
-    store, found = find(address)
-    target = folder / PurePosixPath(found.path).name
-    if found.is_file:
-        _copy_file(store, found.path, target)
-        return target
-    target.mkdir()
-    for info in bag_files(address, found):
-        copy = target / PurePosixPath(info.path).name
-        if names is None or copy.name in names:
-            _copy_file(store, info.path, copy)
-        else:
-            copy.touch()
-    return target
-
-
-def bag_files(address: str, folder: FileInfo) -> list[FileInfo]:
-    """Return the files of a bag in a store, without those of folders inside."""
-    return [
-        info
-        for info in list_objects(address)
-        if PurePosixPath(info.path).parent == PurePosixPath(folder.path)
-    ]
-
-
-def _copy_file(store: FileSystem, place: str, target: Path) -> None:
-    with store.open_input_stream(place) as source, target.open("wb") as copy:
-        shutil.copyfileobj(source, copy, BLOCK_BYTES)

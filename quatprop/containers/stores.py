@@ -8,25 +8,23 @@ from __future__ import annotations
 
 import os
 import re
-import threading
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
 from typing import TYPE_CHECKING, TypeVar
 from urllib.parse import parse_qs, unquote, urlsplit
 
-from quatprop.errors import OutputError, StoreError
+from quatprop.errors import StoreError
 from quatprop.provenance import Digest
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from pyarrow import NativeFile
     from pyarrow.fs import FileInfo, FileSystem
 
-    from quatprop.containers.compression import Buffer
 
 Result = TypeVar("Result")
 
@@ -153,15 +151,6 @@ def reading(address: str) -> Iterator[None]:
         raise StoreError(without_secret(address), store_reason(error, address)) from error
 
 
-@contextmanager
-def writing(address: str) -> Iterator[None]:
-    """Turn errors of a store into one that names the object that is written."""
-    try:
-        yield
-    except (OSError, ValueError) as error:
-        raise OutputError(without_secret(address), store_reason(error, address)) from error
-
-
 def find(address: str) -> tuple[FileSystem, FileInfo]:
     """Return a store, and the object or the prefix at an address.
 
@@ -180,8 +169,25 @@ def find(address: str) -> tuple[FileSystem, FileInfo]:
     return store, found
 
 
-def list_objects(address: str, *, missing_ok: bool = False) -> list[FileInfo]:
-    """Return all objects below an address, in order of their paths.
+def exists(address: str) -> bool:
+    """Return whether there is an object at an address, or below it.
+
+    Raises
+    ------
+    StoreError
+        Its store does not say.
+    """
+    try:
+        find(address)
+    except StoreError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return False
+        raise
+    return True
+
+
+def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInfo]:
+    """Return all objects below an address by their paths below it, in order of these.
 
     Parameters
     ----------
@@ -200,8 +206,9 @@ def list_objects(address: str, *, missing_ok: bool = False) -> list[FileInfo]:
     with reading(address):
         store, place = locate(address)
         selector = FileSelector(place, allow_not_found=missing_ok, recursive=True)
-        found = [info for info in store.get_file_info(selector) if info.is_file]
-    return sorted(found, key=lambda info: str(info.path))
+        found = {str(info.path): info for info in store.get_file_info(selector) if info.is_file}
+    top = len(place.rstrip("/")) + 1
+    return {path[top:]: found[path] for path in sorted(found)}
 
 
 def etag_of(file: NativeFile) -> str | None:
@@ -220,10 +227,10 @@ def objects_of(address: str) -> Iterator[tuple[str, FileInfo, NativeFile]]:
         They cannot be read.
     """
     store, found = find(address)
-    objects = [found] if found.is_file else list_objects(address)
-    for info in objects:
+    objects = {"": found} if found.is_file else list_objects(address)
+    for name, info in objects.items():
         with reading(address), store.open_input_file(info.path) as file:
-            yield "" if found.is_file else info.path[len(found.path) + 1 :], info, file
+            yield name, info, file
 
 
 def digest_of_object(address: str) -> Digest:
@@ -252,78 +259,3 @@ def identity_of_object(address: str) -> list[tuple[object, ...]]:
         (name, file.size(), info.mtime_ns, etag_of(file))
         for name, info, file in objects_of(address)
     ]
-
-
-def get(address: str) -> bytes:
-    """Return the content of an object.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
-    """
-    with reading(address):
-        store, place = locate(address)
-        with store.open_input_file(place) as file:
-            return bytes(file.read())
-
-
-def upload(source: Path, address: str) -> None:
-    """Copy a file, or the files of a folder, to a store; an object is visible when it is complete.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-    import pyarrow as pa
-
-    files = [source]
-    if source.is_dir():
-        files = sorted(file for file in source.rglob("*") if file.is_file())
-        # What tells that there is a bag comes last.
-        files.sort(key=lambda file: file.name == "metadata.yaml")
-    for file in files:
-        target = address
-        if source.is_dir():
-            target = below(address, file.relative_to(source).as_posix())
-        with file.open("rb") as stream:
-            is_empty = not stream.read(1)
-        put(target, b"" if is_empty else pa.memory_map(str(file)).read_buffer())
-
-
-def put(address: str, data: Buffer) -> None:
-    """Write an object.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
-
-    def write() -> None:
-        store, place = locate(address)
-        with store.open_output_stream(place) as stream:
-            stream.write(data)
-
-    with writing(address):
-        # A stream that an interruption ends would be closed, and half an object visible.
-        interruptible(write)
-
-
-def interruptible(work: Callable[[], Result]) -> Result:
-    """Run `work` in a thread and wait for it, so that Ctrl-C is noticed, and ends the waiting."""
-    from concurrent.futures import Future, wait
-
-    done: Future[Result] = Future()
-
-    def run() -> None:
-        try:
-            done.set_result(work())
-        except BaseException as error:  # noqa: BLE001  # raised in the thread that waits
-            done.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    while not done.done():
-        wait([done], timeout=0.1)
-    return done.result()

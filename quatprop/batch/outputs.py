@@ -1,0 +1,75 @@
+"""The outputs of a batch: the name of each, and which machine of many makes it."""
+
+from __future__ import annotations
+
+import os.path
+import re
+from typing import TYPE_CHECKING
+
+from quatprop.containers.stores import below, is_address, without_secret
+from quatprop.errors import UsageError
+from quatprop.text import Setting, Text, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from quatprop.batch.logs import FoundLog
+
+OTHER_OUTPUT = Text(
+    "keep their folders in the names with ", Setting("root", "DIR"), ", a folder above both, or "
+    "write to another folder"
+)  # fmt: skip
+"""The way out where two logs have the same output."""
+
+
+def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str]:
+    """Return the path of the output of each log.
+
+    Parameters
+    ----------
+    logs
+        The logs.
+    folder
+        The folder of all outputs.
+    suffix
+        Suffix of every output, with its dot; empty for folders.
+
+    Raises
+    ------
+    UsageError
+        Two logs would have the same output, also on file systems that ignore case.
+    """
+    paths: list[str] = []
+    owners: dict[str, FoundLog] = {}
+    for log in logs:
+        name = log.name + suffix
+        paths.append(below(folder, name) if is_address(folder) else os.path.join(folder, name))  # noqa: PTH118
+        owner = owners.setdefault(log.name.lower(), log)
+        if owner is not log:
+            one, other, both = (
+                quoted(without_secret(path)) for path in (owner.path, log.path, paths[-1])
+            )
+            raise UsageError(f"{one} and {other} would both be written to {both}; ", OTHER_OUTPUT)
+    return paths
+
+
+def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
+    """Return one part of N of the logs: that of one machine of many, as in an array job.
+
+    Parameters
+    ----------
+    logs
+        All logs, the same on every machine.
+    text
+        ``"I/N"``, the I-th part, from 1 to N.
+
+    Raises
+    ------
+    UsageError
+        It is not I/N.
+    """
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+    part, parts = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= part <= parts:
+        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for ", Setting("shard"))
+    return sorted(logs, key=lambda log: log.name)[part - 1 :: parts]
