@@ -43,9 +43,11 @@ def test_the_command_writes_to_stdout():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--rate", "fast"], "'fast' is not a number"),
-        (["--rate", "1e12"], "Invalid value for '--rate': a rate is above 0 and at most 1e9 Hz"),
-        (["--rate", "0"], "Invalid value for '--rate': a rate is above 0 and at most 1e9 Hz"),
+        (["--rate", "fast"], "Invalid value for '--rate': 'fast' is not a rate in Hz; write 100,"),
+        (["--angle", "wide"], "Invalid value for '--angle': 'wide' is not a number"),
+        (["--seed", "-1"], "Invalid value for '--seed': -1 is not in the range x>=0"),
+        (["--rate", "1e12"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
+        (["--rate", "0"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--start", "+10s"], "'+10s' is not absolute; write RFC 3339 or ns"),
         (["--start", "noon"], "'noon' is not a time"),
         (

@@ -6,7 +6,6 @@ of it is in :data:`HELP`.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
@@ -31,77 +30,35 @@ if TYPE_CHECKING:
             """Return the command with the option."""
 
 
-VALUES = {
-    "topic": "NAME",
-    "msg_path": "PATH",
-    "time_field": "A.B",
-    "time_col": "C",
-    "sample_rate": "HZ",
-    "rate_field": "A.B.C",
-    "rate_cols": "X,Y,Z",
-    "quat_field": "A.B.C",
-    "quat_cols": "A,B,C[,D]",
-    "frame": "[PARENT:]CHILD",
-    "q0": "W,X,Y,Z|level|log|FILE|TOPIC",
-    "heading": "DEG",
-    "bias": "X,Y,Z|static[:DUR]|FILE|TOPIC",
-    "calibration": "FILE",
-    "mount": "W,X,Y,Z|x,-y,-z|tf:FRAME",
-    "start": "TIME",
-    "end": "TIME",
-    "max_gap": "DUR",
-    "every": "N",
-    "rate": "HZ",
-    "at": "FILE",
-    "threads": "N",
-    "noise_density": "X",
-    "bias_sigma": "X",
-    "random_walk": "X",
-    "scale_sigma": "X",
-    "imu": "FILE.yaml",
-    "tol": "ANGLE",
-    "rms_tol": "ANGLE",
-    "final_tol": "ANGLE",
-    "p95_tol": "ANGLE",
-    "window_tol": "ANGLE",
-    "window_rms_tol": "ANGLE",
-    "drift_tol": "DRIFT",
-    "min_coverage": "PERCENT",
-    "max_sigma": "N",
-    "time_offset": "DUR|auto",
-    "max_dt": "DUR",
-    "min_matched": "PERCENT",
-    "window": "DUR",
-}
-"""What help calls the value of a setting that has no choices."""
-
 HELP = {
     "kind": "Kind of {log}.  [default: told by its content, then by its suffix]",
-    "topic": "Topic of {log}.  [default: the only one with {signal}]",
-    "msg_path": "Message definitions for {log}: a .msg file, or a folder of them.  [default: those "
-    "in the log or beside it]",
+    "topic": "NAME  Topic of {log}.  [default: the only one with {signal}]",
+    "msg_path": "PATH  Message definitions for {log}: a .msg file, or a folder of them.  "
+    "[default: those in the log or beside it]",
     "clock": "Timestamp source.  [default: header where the message has one, else log]",
-    "time_field": "Message field of {log} that is the time.  [default: the header stamp]",
-    "time_col": "Time column of {log}, by name or number from 0; two (SEC,NANOSEC) of one stamp.  "
-    "[default: by the header]",
+    "time_field": "A.B  Message field of {log} that is the time.  [default: the header stamp]",
+    "time_col": "C  Time column of {log}, by name or number from 0; two (SEC,NANOSEC) of one "
+    "stamp.  [default: by the header]",
     "time_unit": "Unit of the time in {log}.  [default: as the log says]",
-    "sample_rate": "Rows a second of {log}, a table without a time.  [default: none]",
-    "rate_field": "Message field that is the rate.  [default: known from the message type]",
-    "rate_cols": "Rate columns of a table; by name or number from 0.  [default: by the header]",
+    "sample_rate": "HZ  Rows a second of {log}, a table without a time.  [default: none]",
+    "rate_field": "A.B.C  Message field that is the rate.  [default: known from the message type]",
+    "rate_cols": "X,Y,Z  Rate columns of a table; by name or number from 0.  [default: by the "
+    "header]",
     "rate_unit": "Unit of the rates.  [default: as the log says]",
-    "quat_field": "Message field of {log} that is the quaternion.  [default: known from the "
-    "message type]",
-    "quat_cols": "Columns of the quaternion in {log} in the order in which they are stored, by "
-    "name or number from 0; or of three angles, with --from-euler.  [default: by the header]",
-    "frame": "Which transform of {log}, where it is a list of them.  [default: the only one there "
-    "is]",
+    "quat_field": "A.B.C  Message field of {log} that is the quaternion.  [default: known from "
+    "the message type]",
+    "quat_cols": "A,B,C[,D]  Columns of the quaternion in {log} in the order in which they are "
+    "stored, by name or number from 0; or of three angles, with --from-euler.  [default: by the "
+    "header]",
+    "frame": "[PARENT:]CHILD  Which transform of {log}, where it is a list of them.  [default: "
+    "the only one there is]",
     "from_layout": "Order of the quaternion in {log}.  [default: by names, definitions or "
     "metadata; required where none of them says it]",
     "from_convention": "Convention of {log}.  [default: by metadata, else hamilton]",
     "from_direction": "Which coordinates {log} turns into which.  [default: by metadata, else "
     "body-to-ref]",
-    "from_angle_unit": "Unit of angles in {log}, a table of yaw, pitch, roll or rotation vectors.  "
-    "[default: by names; required where they do not say it]",
+    "from_angle_unit": "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
+    "vectors.  [default: by names; required where they do not say it]",
     "from_euler": "Sequence of the angles in {log}: xyz turns about x, the new y and the newest "
     "z. yaw, pitch and roll are about z, y and x.  [default: zyx, or by names]",
     "normalize": "Scale quaternions to unit length.  [default: refuse those off by more than "
@@ -109,85 +66,88 @@ HELP = {
     "on_invalid": "Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or "
     "leave out.  [default: error]",
     "method": "Integration rule: the rate over an interval is that of the sample at its start, of "
-    "the one at its end, their mean, linear between them (coning), or a cubic through four samples "
-    "(cubic). Coning and cubic also correct averages and increments for coning.  [default: "
-    "start; end where the log's samples are averages or increments]",
+    "the one at its end, their mean, linear between them (coning), or a cubic through four "
+    "samples (cubic). Coning and cubic also correct averages and increments for coning.  "
+    "[default: start; end where the log's samples are averages or increments]",
     "rates": "Frame the rates are resolved in: body multiplies right, inertial left.  [default: "
     "body]",
-    "q0": "First attitude, body-to-ref: four numbers; level, roll and pitch "
-    "from gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
-    "TOPIC of the log, at that time.  [default: identity]",
-    "heading": "For --q0 level: rotation about the reference's z axis.  [default: 0]",
+    "q0": "W,X,Y,Z|level|log|FILE|TOPIC  First attitude, body-to-ref: four numbers; level, roll "
+    "and pitch from gravity at rest; log, the orientation beside the rates; or FILE, an attitude "
+    "series, or TOPIC of the log, at that time.  [default: identity]",
+    "heading": "DEG  For --q0 level: rotation about the reference's z axis.  [default: 0]",
     "reference_z": "For --q0 level: where the reference's z axis points (down for "
     "north-east-down).  [default: up]",
     "q0_layout": "Order of the four numbers of --q0.  [default: scalar-first]",
-    "bias": "Subtracted from the rates; in --rate-unit. static takes the mean rate over a rest of "
-    "at least DUR (1s), found in the whole log by rate, accelerometer and orientation; FILE or "
-    "TOPIC is a series of biases, interpolated in time.  [default: none]",
-    "calibration": "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) "
-    "and bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.  [default: none]",
-    "mount": "Sensor axes to body axes: a quaternion, the sensor axes that become x, y and z, or "
-    "those of a frame by the log's own /tf_static.  "
-    "[default: the same]",
-    "start": "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample. "
-    " [default: all]",
-    "end": "Use {log} up to here; as --start.  [default: all]",
+    "bias": "X,Y,Z|static[:DUR]|FILE|TOPIC  Subtracted from the rates; in --rate-unit. static "
+    "takes the mean rate over a rest of at least DUR (1s), found in the whole log by rate, "
+    "accelerometer and orientation; FILE or TOPIC is a series of biases, interpolated in time.  "
+    "[default: none]",
+    "calibration": "FILE  Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix "
+    "(3x3) and bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.  [default: "
+    "none]",
+    "mount": "W,X,Y,Z|x,-y,-z|tf:FRAME  Sensor axes to body axes: a quaternion, the sensor axes "
+    "that become x, y and z, or those of a frame by the log's own /tf_static.  [default: the same]",
+    "start": "TIME  Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last "
+    "sample.  [default: all]",
+    "end": "TIME  Use {log} up to here; as --start.  [default: all]",
     "on_backwards": "Timestamps that go backwards: refuse, drop until the clock has caught up, or "
     "sort (holds the log in memory).  [default: error]",
     "on_nonfinite": "Rates that are NaN or infinite: refuse, drop, or hold the previous rate.  "
     "[default: error]",
-    "max_gap": "Intervals longer than this count as gaps.  [default: 10 median intervals]",
+    "max_gap": "DUR  Intervals longer than this count as gaps.  [default: 10 median intervals]",
     "on_gap": "What to do about gaps: hold propagates across like over any interval, by --method, "
     "and warns; zero takes the rate across as zero; split begins again at --q0; error refuses.  "
     "[default: hold]",
-    "every": "Write every N-th attitude only.  [default: all]",
-    "rate": "Rate of the attitudes: exact at its times under the method.  [default: at "
-    "the samples]",
-    "at": "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
-    "method; times outside the log are left out.  [default: at the samples]",
-    "threads": "Threads that compute at a time; the output is the same for any number.  [default: "
-    "the cores of this machine]",
-    "noise_density": "Noise of the gyroscope (angle random walk), such as 0.2deg/sqrt(h) or "
+    "every": "N  Write every N-th attitude only.  [default: all]",
+    "rate": "HZ  Rate of the attitudes: exact at its times under the method.  [default: at the "
+    "samples]",
+    "at": "FILE  Write attitudes at the stamps of this series of attitudes or rates, exact under "
+    "the method; times outside the log are left out.  [default: at the samples]",
+    "threads": "N  Threads that compute at a time; the output is the same for any number.  "
+    "[default: the cores of this machine]",
+    "noise_density": "X  Noise of the gyroscope (angle random walk), such as 0.2deg/sqrt(h) or "
     "1.7e-4rad/s/sqrt(Hz), for the uncertainty of the result.  [default: by --imu or --bias "
     "static]",
-    "bias_sigma": "Standard deviation of its constant bias, such as 20deg/h; a bias instability "
-    "counts as this.  [default: by --bias static, else 0]",
-    "random_walk": "Rate random walk of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h). "
-    " [default: by --imu, else 0]",
-    "scale_sigma": "Standard deviation of its scale factors, such as 1000ppm or 0.1%.  "
+    "bias_sigma": "X  Standard deviation of its constant bias, such as 20deg/h; a bias "
+    "instability counts as this.  [default: by --bias static, else 0]",
+    "random_walk": "X  Rate random walk of its bias, such as 1e-5rad/s^2/sqrt(Hz) or "
+    "3deg/h/sqrt(h).  [default: by --imu, else 0]",
+    "scale_sigma": "X  Standard deviation of its scale factors, such as 1000ppm or 0.1%.  "
     "[default: 0]",
-    "imu": "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
-    "tool.  [default: none]",
+    "imu": "FILE.yaml  Noise density and random walk from a file: Kalibr's, or that of an Allan "
+    "variance tool.  [default: none]",
     "sigma": "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
     "in rad, covariances in messages that have them.",
     "sigma_axes": "Axes of those columns.  [default: body]",
-    "tol": "Largest error that passes, such as 1e-9rad or 0.1deg, or 3sigma where a series has "
-    "standard deviations; so for the next three.  [default: none, all pass]",
-    "rms_tol": "Largest RMS error that passes.  [default: none]",
-    "final_tol": "Largest final error that passes.  [default: none]",
-    "p95_tol": "Largest 95th percentile of the error that passes.  [default: none]",
-    "window_tol": "Largest error over windows that passes; with --window.  [default: none]",
-    "window_rms_tol": "Largest RMS error over windows that passes; with --window.  [default: none]",
-    "drift_tol": "Largest drift that passes, in either direction, such as 10deg/h.  "
+    "tol": "ANGLE  Largest error that passes, such as 1e-9rad or 0.1deg, or 3sigma where a series "
+    "has standard deviations; so for the next three.  [default: none, all pass]",
+    "rms_tol": "ANGLE  Largest RMS error that passes.  [default: none]",
+    "final_tol": "ANGLE  Largest final error that passes.  [default: none]",
+    "p95_tol": "ANGLE  Largest 95th percentile of the error that passes.  [default: none]",
+    "window_tol": "ANGLE  Largest error over windows that passes; with --window.  [default: none]",
+    "window_rms_tol": "ANGLE  Largest RMS error over windows that passes; with --window.  "
     "[default: none]",
-    "min_coverage": "Least part of {log}, of its time and of its samples, that must be compared.  "
+    "drift_tol": "DRIFT  Largest drift that passes, in either direction, such as 10deg/h.  "
     "[default: none]",
-    "max_sigma": "Largest error that passes, in standard deviations, beside one in rad or deg.  "
-    "[default: none]",
-    "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or by "
-    "the mean of all; or its reference and body frame (mount), from the motion.  [default: none]",
-    "time_offset": "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
-    "angular speeds.  [default: none]",
+    "min_coverage": "PERCENT  Least part of {log}, of its time and of its samples, that must be "
+    "compared.  [default: none]",
+    "max_sigma": "N  Largest error that passes, in standard deviations, beside one in rad or "
+    "deg.  [default: none]",
+    "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or "
+    "by the mean of all; or its reference and body frame (mount), from the motion.  [default: "
+    "none]",
+    "time_offset": "DUR|auto  Added to the stamps of {log}, such as -12ms; auto estimates it from "
+    "the angular speeds.  [default: none]",
     "match": "How attitudes are matched: equal stamps, the nearest, or interpolated ones (slerp), "
     "at the stamps of the series with the longer intervals.  [default: exact where at least half "
     "have equal stamps, else nearest if there is --max-dt, else interpolate]",
-    "max_dt": "Largest distance in time of samples that are matched or interpolated between.  "
-    "[default: half the median interval to the nearest, 10 to interpolate]",
-    "min_matched": "Percentage of the shorter series that must be matched.  [default: 50]",
-    "window": "Also compare the rotations over windows of this length.  [default: none]",
+    "max_dt": "DUR  Largest distance in time of samples that are matched or interpolated "
+    "between.  [default: half the median interval to the nearest, 10 to interpolate]",
+    "min_matched": "PERCENT  Percentage of the shorter series that must be matched.  [default: 50]",
+    "window": "DUR  Also compare the rotations over windows of this length.  [default: none]",
 }
-"""What help says of a setting; ``{log}`` is what the command calls its input, ``{signal}`` rates
-or attitudes."""
+"""What help says of a setting: its value, unless that is a choice or a flag, two spaces, and what
+it does. ``{log}`` is what the command calls its input, ``{signal}`` rates or attitudes."""
 
 
 def setting_options(
@@ -213,21 +173,21 @@ def setting_options(
         Begins the help of each.
     """
     return [
-        _setting_option(name, parser, prefix + HELP[name].format(log=log, signal=signal), side)
+        _setting_option(name, parser, HELP[name].format(log=log, signal=signal), side, prefix)
         for name, parser in parsers.items()
     ]
 
 
-def _setting_option(name: str, parser: Parser, text: str, side: str) -> Option:
+def _setting_option(name: str, parser: Parser, text: str, side: str, prefix: str) -> Option:
     names = [option_name(Setting(name), side), f"{name}_{side}" if side else name]
     if name == "topic" and not side:
         names.insert(0, "-t")
-    option = partial(click.option, *names, help=text)
     if parser is flag:
-        return option(is_flag=True)
+        return click.option(*names, is_flag=True, help=prefix + text)
     if isinstance(parser, Choice):
-        return option(type=OneOf(parser.names))
-    return option(type=Parsed(parser, VALUES[name]), metavar=VALUES[name])
+        return click.option(*names, type=OneOf(parser.names), help=prefix + text)
+    value, _, text = text.partition("  ")
+    return click.option(*names, type=Parsed(parser, value), metavar=value, help=prefix + text)
 
 
 report_option = click.option(

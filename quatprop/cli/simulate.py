@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli.help import Command
 from quatprop.cli.types import PATH, OneOf, Parsed
-from quatprop.settings.parsers import MAX_FREQUENCY, duration, numbers
+from quatprop.errors import UsageError
+from quatprop.settings.parsers import count, duration, frequency, numbers
 from quatprop.writers import GENERAL_KINDS
+
+if TYPE_CHECKING:
+    from quatprop.cli.options import Option
+    from quatprop.cli.types import ParamType
+    from quatprop.settings.parsers import Parser
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -27,26 +33,36 @@ SHAPED_BY = {
 DEFAULT_DURATION_NS = 20_000_000_000
 
 
-def _exact(_context: click.Context, _option: click.Parameter, text: str) -> Fraction:
+def _exact(text: object) -> Fraction:
     """Return an exact number: 0.1 is one tenth."""
     try:
-        return Fraction(text)
+        return Fraction(str(text))
     except (ValueError, ZeroDivisionError):
-        raise click.BadParameter(f"{text!r} is not a number") from None
+        raise UsageError(f"{text!r} is not a number") from None
 
 
-def _moment(_context: click.Context, _option: click.Parameter, text: str) -> int:
+def _moment(text: object) -> int:
     """Return an absolute time in ns."""
-    from quatprop.errors import UsageError
     from quatprop.times import instant
 
-    try:
-        moment = instant(text)
-    except UsageError as error:
-        raise click.BadParameter(str(error)) from None
+    moment = instant(str(text))
     if moment.origin != "clock":
-        raise click.BadParameter(f"{text!r} is not absolute; write RFC 3339 or ns")
+        raise UsageError(f"{text!r} is not absolute; write RFC 3339 or ns")
     return moment.ns
+
+
+def _option(names: str, parser: Parser | ParamType, default: object, text: str) -> Option:
+    """Return an option: its names and what help calls its value, between blanks."""
+    *declared, value = names.split()
+    kind = parser if isinstance(parser, click.ParamType) else Parsed(parser, value)
+    return click.option(
+        *declared,
+        type=kind,
+        metavar=value,
+        default=default,
+        show_default=default is not None,
+        help=text,
+    )
 
 
 EXAMPLES = (
@@ -75,118 +91,61 @@ EXAMPLES = (
     type=OneOf(("none", "lz4", "zstd", "bz2")),
     help="Compression of a message log.  [default: zstd for mcap, else none]",
 )
-@click.option(
-    "--truth",
-    type=PATH,
-    metavar="PATH",
-    help="Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
+@_option(
+    "--truth PATH",
+    PATH,
+    None,
+    "Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
     "Parquet .truth.parquet, beside - none]",
 )
 @click.option(
-    "--motion",
-    type=OneOf(MOTIONS),
-    default="spin",
-    show_default=True,
-    help="What the body does.",
+    "--motion", type=OneOf(MOTIONS), default="spin", show_default=True, help="What the body does."
 )
-@click.option(
-    "--rate",
-    "sample_rate",
-    callback=_exact,
-    metavar="HZ",
-    default="100",
-    show_default=True,
-    help="Samples a second.",
+@_option("--rate sample_rate HZ", frequency, "100", "Samples a second.")
+@_option(
+    "--duration DUR",
+    duration,
+    None,
+    "How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
 )
-@click.option(
-    "--duration",
-    type=Parsed(duration, "DUR"),
-    help="How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
+@_option(
+    "--samples N",
+    count,
+    None,
+    "How many samples, instead of a duration.  [default: by duration]",
 )
-@click.option(
-    "--samples",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="How many samples, instead of a duration.  [default: by the duration]",
+@_option(
+    "--start start_ns TIME",
+    _moment,
+    "2023-11-14T22:13:20Z",
+    "Time of the first sample, RFC 3339 or ns.",
 )
-@click.option(
-    "--start",
-    "start_ns",
-    callback=_moment,
-    metavar="TIME",
-    default="2023-11-14T22:13:20Z",
-    show_default=True,
-    help="Time of the first sample, RFC 3339 or ns.",
+@_option(
+    "--seed N",
+    click.IntRange(min=0),
+    0,
+    "Of noise and random walk: the same seed gives the same log.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    default=0,
-    show_default=True,
-    help="Of noise and random walk: the same seed gives the same log.",
+@_option("--noise X", click.FloatRange(min=0), 0.0, "Angular random walk, rad/s/sqrt(Hz).")
+@_option("--bias X,Y,Z", numbers("X,Y,Z"), "0,0,0", "Constant error of the rates, rad/s.")
+@_option(
+    "--q0 W,X,Y,Z",
+    numbers("W,X,Y,Z"),
+    "1,0,0,0",
+    "True attitude at the first sample, body to reference, scalar first.",
 )
-@click.option(
-    "--noise",
-    type=click.FloatRange(min=0),
-    metavar="X",
-    default=0.0,
-    show_default=True,
-    help="Angular random walk, rad/s/sqrt(Hz).",
+@_option(
+    "--frequency HZ",
+    _exact,
+    "0.5",
+    "Turns a second: of a spin, of coning, of the precession of tumbling.",
 )
-@click.option(
-    "--bias",
-    type=Parsed(numbers("X,Y,Z"), "X,Y,Z"),
-    default="0,0,0",
-    show_default=True,
-    help="Constant error of the rates, rad/s.",
+@_option("--axis X,Y,Z", numbers("X,Y,Z"), "0,0,1", "Axis of a spin in the body.")
+@_option("--angle DEG", _exact, "10", "Half-angle of the cone, or nutation angle of tumbling.")
+@_option(
+    "--spin-frequency HZ", _exact, "0.2", "Turns a second of a tumbling body about its own axis."
 )
-@click.option(
-    "--q0",
-    type=Parsed(numbers("W,X,Y,Z"), "W,X,Y,Z"),
-    default="1,0,0,0",
-    show_default=True,
-    help="True attitude at the first sample, body to reference, scalar first.",
-)
-@click.option(
-    "--frequency",
-    callback=_exact,
-    metavar="HZ",
-    default="0.5",
-    show_default=True,
-    help="Turns a second: of a spin, of coning, of the precession of tumbling.",
-)
-@click.option(
-    "--axis",
-    type=Parsed(numbers("X,Y,Z"), "X,Y,Z"),
-    default="0,0,1",
-    show_default=True,
-    help="Axis of a spin in the body.",
-)
-@click.option(
-    "--angle",
-    callback=_exact,
-    metavar="DEG",
-    default="10",
-    show_default=True,
-    help="Half-angle of the cone, or nutation angle of tumbling.",
-)
-@click.option(
-    "--spin-frequency",
-    callback=_exact,
-    metavar="HZ",
-    default="0.2",
-    show_default=True,
-    help="Turns a second of a tumbling body about its own axis.",
-)
-@click.option(
-    "--walk",
-    type=click.FloatRange(min=0),
-    metavar="X",
-    default=0.1,
-    show_default=True,
-    help="Random walk of the rate, rad/s/sqrt(s).",
-)
+@_option("--walk X", click.FloatRange(min=0), 0.1, "Random walk of the rate, rad/s/sqrt(s).")
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing.  [default: a line on stderr]")
 def command(out: str, **options: Any) -> None:
     """Write a log of a known motion to OUT, and the true attitudes beside it.
@@ -199,8 +158,6 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.run import simulate, truth_beside
 
     _refuse_unused(options["motion"])
-    if not 0 < options["sample_rate"] <= MAX_FREQUENCY:
-        raise click.BadParameter("a rate is above 0 and at most 1e9 Hz", param_hint="'--rate'")
     if options["samples"] is not None and options["duration"] is not None:
         raise click.UsageError("--samples and --duration exclude each other; give one of them")
     samples = options["samples"] or samples_in(
