@@ -9,14 +9,20 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from quatprop import read_rates
 from quatprop.conditioning import Conditioning
+from quatprop.conditioning.time_range import clipped
 from quatprop.containers.mcap import loading
 from quatprop.containers.rosbag1 import log as rosbag1
 from quatprop.errors import NoSamplesError
+from quatprop.formats import open_log
 from quatprop.pipeline import plausibility
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
+from quatprop.selection import RateSelection
+from quatprop.series import GyroSeries
 from quatprop.signals import time_ranges
+from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
@@ -48,7 +54,7 @@ def _narrow(monkeypatch):
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return a folder with a log in many chunks, as MCAP and as a ROS 1 bag."""
+    """Return a folder with a log in many chunks, as MCAP, ROS 1 bag and Parquet."""
     folder = tmp_path_factory.mktemp("logs")
     gyroscope = Gyroscope(RATE, SECONDS * RATE, noise=1e-3, start_ns=T0_NS)
     with pytest.MonkeyPatch.context() as patched:
@@ -57,6 +63,8 @@ def logs(tmp_path_factory):
         for name, kind in {"one.mcap": "mcap", "log.bag": "bag"}.items():
             simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     rewrite(folder / "one.mcap", folder / "log.mcap")
+    table = read_rates(folder / "one.mcap").to_arrow()
+    pyarrow.parquet.write_table(table, folder / "log.parquet", row_group_size=1000)
     return folder
 
 
@@ -98,7 +106,7 @@ def whole(log, folder, start, end):
     return report, table
 
 
-@pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log.parquet"])
 @pytest.mark.parametrize(("start", "end"), RANGES)
 def test_a_range_gives_the_same_attitudes_as_the_whole_log(logs, tmp_path, name, start, end):
     """Relative and absolute ranges, at the ends of the log and within it."""
@@ -213,3 +221,90 @@ def test_a_start_before_the_log_is_remarked_on(logs, tmp_path):
     assert np.array_equal(table["t_ns"], T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
     assert report.conditioning.part is not None
     assert any("leaves nothing out" in str(remark) for remark in report.remarks)
+
+
+def table(tmp_path, t, **options):
+    """Write random rates at some times, in row groups of ten; return what reads them."""
+    random = np.random.default_rng(1)
+    rates = {name: random.normal(size=len(t)) for name in ("wx", "wy", "wz")}
+    path = tmp_path / "table.parquet"
+    pyarrow.parquet.write_table(
+        pyarrow.table({"t": t, **rates}), path, row_group_size=10, **options
+    )
+    return path
+
+
+STAMPS = {
+    "ns": (pyarrow.int64(), 1, "ns"),
+    "ms as 32 bits": (pyarrow.int32(), 10**6, "ms"),
+    "us without a sign": (pyarrow.uint64(), 10**3, "us"),
+    **{
+        f"times in {unit}": (pyarrow.timestamp(unit), scale, None)
+        for unit, scale in {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}.items()
+    },
+}
+"""What a time column may be: its type, its unit in ns, and the unit that is to be declared."""
+
+
+@pytest.mark.parametrize("kind", STAMPS)
+@pytest.mark.parametrize("ordered", [True, False])
+def test_row_groups_are_chosen_by_their_statistics(kind, ordered, tmp_path):
+    """Any range of any stamps, in order or not, has the samples that the whole table has there."""
+    arrow, scale, unit = STAMPS[kind]
+    random = np.random.default_rng(len(kind))
+    t = random.integers(0, 300, 200)
+    # Groups of ten rows overlap.
+    t = np.sort(t) if ordered else t // 9 + np.arange(200)
+    path, parts = table(tmp_path, pyarrow.array(t).cast(arrow)), 0
+    with open_log(path) as log:
+        signal = choose_rates(log, RateSelection(time_unit=unit, rate_unit="rad/s"))
+        reader = signal.part_reader()
+        assert reader.ends() == (t.min() * scale, t.max() * scale)
+        everything = GyroSeries.joined(list(signal.batches()))
+        for _ in range(30):
+            first = int(random.integers(-5, 300))
+            last = first + int(random.integers(0, 40))
+            first_ns = None if first < 0 else first * scale
+            last_ns = None if last > 300 else last * scale
+            found = reader.read(first_ns, last_ns)
+            if found is None:
+                continue
+            part, batches = found
+            parts += 1
+            low, high = first_ns or 0, 10**18 if last_ns is None else last_ns
+            inside = everything[(everything.t_ns >= low) & (everything.t_ns <= high)]
+            joined = GyroSeries.joined([everything[:0], *clipped(batches, first_ns, last_ns)])
+            assert joined.t_ns.tolist() == inside.t_ns.tolist()
+            assert joined.rate.tolist() == inside.rate.tolist()
+            assert part.leaves_out == (
+                low > everything.t_ns.min(),
+                high < everything.t_ns.max(),
+            )
+    assert parts > 3
+
+
+@pytest.mark.parametrize(
+    ("t", "options"),
+    [
+        (np.arange(100), {"write_statistics": False}),
+        (np.arange(100) * 1.0, {}),
+        ([None] * 10 + list(range(90)), {}),
+        (np.full(100, 2**62), {}),
+    ],
+)
+def test_a_table_that_does_not_say_where_its_stamps_are_is_read_whole(t, options, tmp_path):
+    """Statistics may be missing, leave out floats, or not fit."""
+    with open_log(table(tmp_path, t, **options)) as log:
+        selection = RateSelection(time_unit="ms", rate_unit="rad/s")
+        assert choose_rates(log, selection).part_reader() is None
+
+
+def test_rows_outside_of_a_range_keep_their_numbers(tmp_path):
+    """What is lost in a part is located by its rows in the whole table."""
+    t = list(range(100))
+    t[53] = None
+    with open_log(table(tmp_path, t)) as log:
+        signal = choose_rates(log, RateSelection(time_unit="ns", rate_unit="rad/s"))
+        _, batches = signal.part_reader().read(52, 55)
+        assert sum(map(len, batches)) == 9
+        assert [loss.place for loss in log.losses] == ["rows 51 to 60"]

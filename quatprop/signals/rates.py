@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import MessageReader
-    from quatprop.signals.time_ranges import RangeReader
+    from quatprop.signals.time_ranges import RangeReader, TableRangeReader
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
 
@@ -95,13 +96,23 @@ def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
         batches=partial(_table_rates, log, columns),
         unit=columns.unit,
         method=columns.method,
+        part_reader=partial(_table_part_reader, log, columns),
     )
 
 
-def _table_rates(log: TableLog, columns: ColumnMatch) -> Iterator[GyroSeries]:
-    """Yield the rates of a table in rad/s."""
+def _table_part_reader(log: TableLog, columns: ColumnMatch) -> TableRangeReader | None:
+    from quatprop.signals.time_ranges import TableRangeReader
+
+    spans = log.spans(columns.timed)
+    return TableRangeReader(spans, partial(_table_rates, log, columns)) if spans else None
+
+
+def _table_rates(
+    log: TableLog, columns: ColumnMatch, parts: frozenset[int] | None = None
+) -> Iterator[GyroSeries]:
+    """Yield the rates of a table, or of some parts of it, in rad/s."""
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
-    for t_ns, rate in log.metered_rows(columns.timed):
+    for t_ns, rate in log.metered_rows(replace(columns.timed, parts=parts)):
         for factor in factors:
             np.multiply(rate, factor, out=rate)
         yield GyroSeries(t_ns, rate, averages=columns.method == "end")

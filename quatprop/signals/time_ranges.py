@@ -1,11 +1,13 @@
 """Read only the part of a log that a time range needs, by the index of the log.
 
-The index has log times. Stamps of messages differ from them by a delay: the way from the sensor to
-the recorder, or all the time since, where a log was recorded again. So the part that is read is
-wider than the range by the delays at both ends of the log and a margin on either side. It is read
-once beforehand: if a delay in it differs from those at the ends by more than half the margin, or if
-nothing in it is in the range, the whole log is read instead. A sample can be missed only if its
-delay differs by more than the margin from all of those.
+The index of a table has the stamps themselves: only what may have stamps in the range is read.
+
+That of a container has log times. Stamps of messages differ from them by a delay: the way from the
+sensor to the recorder, or all the time since, where a log was recorded again. So the part that is
+read is wider than the range by the delays at both ends of the log and a margin on either side. It
+is read once beforehand: if a delay in it differs from those at the ends by more than half the
+margin, or if nothing in it is in the range, the whole log is read instead. A sample can be missed
+only if its delay differs by more than the margin from all of those.
 """
 
 from __future__ import annotations
@@ -18,12 +20,13 @@ from quatprop.containers.base import LATEST, TimeRange
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.series import GyroSeries
+    from quatprop.tables.base import Span
 
     Int64 = NDArray[np.int64]
 
@@ -31,7 +34,8 @@ MARGIN_NS = 60 * NS_PER_S
 """By how much delays may differ: far more than buffers and networks hold messages back."""
 
 SHARE = 4
-"""Only parts of at most 1/SHARE of the log are read by themselves, since they are read twice."""
+"""Only parts of at most 1/SHARE of the log are read by themselves: messages are read twice, and of
+what is not read no damage is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +46,47 @@ class _Zone:
     last_ns: int
     least_delay_ns: int
     largest_delay_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class TableRangeReader:
+    """Reads ranges of stamps of a table that says which stamps each of its parts has.
+
+    Parameters
+    ----------
+    spans
+        The stamps of the parts, at least one part.
+    batches
+        Reads the samples of some parts.
+    """
+
+    spans: Sequence[Span]
+    batches: Callable[[frozenset[int]], Iterator[GyroSeries]]
+
+    def ends(self) -> tuple[int, int]:
+        """Return the first and the last stamp, ns."""
+        return min(span.first_ns for span in self.spans), max(span.last_ns for span in self.spans)
+
+    def read(
+        self, first_ns: int | None, last_ns: int | None
+    ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
+        """Return the parts with the stamps of a range; see :meth:`RangeReader.read`."""
+        begin, end = self.ends()
+        low, high = begin if first_ns is None else first_ns, end if last_ns is None else last_ns
+        chosen = {
+            number: span
+            for number, span in enumerate(self.spans)
+            if span.last_ns >= low and span.first_ns <= high
+        }
+        rows = [sum(span.rows for span in spans) for spans in (chosen.values(), self.spans)]
+        if not chosen or SHARE * rows[0] > rows[1]:
+            return None
+        part = PartOfLog(
+            min(span.first_ns for span in chosen.values()),
+            max(span.last_ns for span in chosen.values()),
+            (low > begin, high < end),
+        )
+        return part, self.batches(frozenset(chosen))
 
 
 @dataclass(frozen=True, slots=True)

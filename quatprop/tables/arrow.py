@@ -11,6 +11,7 @@ import pyarrow as pa
 from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import JsonObject, provenance_in
+from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, Leaf, RowGroup, TypedTable
 from quatprop.text import plain
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.containers.file_source import FileSource
-    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.base import Span, TimedColumns
 
 
 _PARQUET_TAIL = 8
@@ -154,8 +155,17 @@ class ParquetLog(_ArrowLog):
         names = [leaf.name for leaf in self._wanted(columns)]
         for group in range(self._parquet.num_row_groups):
             rows = self._parquet.metadata.row_group(group).num_rows
-            batches = self._parquet.iter_batches(BATCH_ROWS, [group], names)
+            batches: Iterable[pa.RecordBatch] = ()
+            if columns.parts is None or group in columns.parts:
+                batches = self._parquet.iter_batches(BATCH_ROWS, [group], names)
             yield RowGroup(f"row group {group}", rows, batches)
+
+    def spans(self, columns: TimedColumns) -> list[Span] | None:
+        """Return the stamps of each row group, by the statistics of the time column."""
+        if len(columns.time) != 1:
+            return None
+        leaf = self._leaves[columns.time[0]]
+        return stamp_spans(self._parquet.metadata, leaf, columns.time_unit)
 
 
 class FeatherLog(_ArrowLog):

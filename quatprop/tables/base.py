@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 from quatprop.containers.base import Log
 from quatprop.progress import metered
@@ -42,12 +42,15 @@ class TimedColumns:
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
     sample_rate
         Rows a second, Hz, where there is no time column.
+    parts
+        Which of the parts of :meth:`TableLog.spans` to read; None for all.
     """
 
     numbers: tuple[int, ...]
     time: tuple[int, ...]
     time_unit: str = "ns"
     sample_rate: Fraction | float | None = None
+    parts: frozenset[int] | None = None
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -79,6 +82,22 @@ class TableNotes:
     rate_scale: float = 1.0
     title: str = ""
     mount: str = ""
+
+
+class Span(NamedTuple):
+    """The stamps of a part of a table.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        The earliest and the latest, ns.
+    rows
+        How many rows it has.
+    """
+
+    first_ns: int
+    last_ns: int
+    rows: int
 
 
 class TableLog(Log):
@@ -115,6 +134,10 @@ class TableLog(Log):
 
     def row_count(self) -> int | None:
         """Return about how many rows there are, where that is known without reading them."""
+        return None
+
+    def spans(self, columns: TimedColumns) -> list[Span] | None:  # noqa: ARG002  # of some kinds
+        """Return which stamps each part of the table has; None where nothing says it."""
         return None
 
     def metered_rows(self, columns: TimedColumns) -> Batches:

@@ -193,7 +193,7 @@ class TypedTable(TableLog):
     def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
         try:
             return timestamps.sum_parts(
-                _nanoseconds(_column(batch, self._leaves[k]), unit)
+                nanoseconds(_column(batch, self._leaves[k]), unit)
                 for k, unit in zip(columns.time, columns.units, strict=True)
             )
         except timestamps.TimestampRangeError:
@@ -228,7 +228,7 @@ def _has_value(column: pa.Array) -> NDArray[np.bool_]:
     return values
 
 
-def _nanoseconds(column: pa.Array, unit: str) -> Int64:
+def nanoseconds(column: pa.Array, unit: str) -> Int64:
     """Return a time column without nulls as int64 nanoseconds, shape ``(N,)``."""
     if pa.types.is_decimal128(column.type):
         return timestamps.from_decimals(column, unit)
