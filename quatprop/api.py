@@ -273,20 +273,18 @@ sample_rate, clock
 
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
-        path = "series"
         _refuse_log_settings(options)
         if not len(log):
             raise SeriesError("Expected a series with samples, got an empty one")
-        result = _collect(AttitudeStream(path, signal_of_series(log), settings, None))
-        return _with_warnings(path, result)
+        in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
+        return _propagated("series", in_memory)
     path = _path("log", log)
     with (
         use_threads(settings.threads),
         open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
     ):
         signal = choose_rates(opened, settings.selection)
-        result = _collect(AttitudeStream(path, signal, settings, opened))
-    return _with_warnings(path, result)
+        return _propagated(path, AttitudeStream(path, signal, settings, opened))
 
 
 def compare(
@@ -515,17 +513,11 @@ def _refuse_log_settings(options: Mapping[str, object]) -> None:
             raise UsageError(Setting(name), " is for logs, not for rates in memory", hint)
 
 
-def _with_warnings(path: str, result: PropagatedSeries) -> PropagatedSeries:
-    report = result.report
-    _warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
-    return result
-
-
-def _collect(stream: AttitudeStream) -> PropagatedSeries:
+def _propagated(path: str, stream: AttitudeStream) -> PropagatedSeries:
     series = AttitudeSeries.joined(list(stream))
-    return PropagatedSeries(
-        series.t_ns, series.wxyz, covariance=series.covariance, report=stream.report()
-    )
+    report = stream.report()
+    _warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
+    return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
 
 
 def _warn(

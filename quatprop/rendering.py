@@ -73,7 +73,7 @@ def quaternion_text(wxyz: Iterable[float]) -> str:
     return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
-def count_text(count: int, noun: str, plural: str = "") -> str:
+def count_text(count: int, noun: str) -> str:
     """Return a count with its noun.
 
     Examples
@@ -81,7 +81,7 @@ def count_text(count: int, noun: str, plural: str = "") -> str:
     >>> count_text(1, "sample"), count_text(1200, "sample")
     ('1 sample', '1,200 samples')
     """
-    return f"{count:,} {noun if count == 1 else plural or noun + 's'}"
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def instant_text(t_ns: int) -> str:

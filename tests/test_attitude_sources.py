@@ -571,7 +571,10 @@ def own_orientation(path, topic, t_ns=None):
     """Return the orientation beside the rates of a topic."""
     with open_log(path) as log:
         selection = RateSelection(topic=topic)
-        return first_orientation(log, choose_rates(log, selection), selection, t_ns)
+        rates = choose_rates(log, selection)
+        if t_ns is None:
+            t_ns = next(rates.batches()).t_ns[0]
+        return first_orientation(log, rates, selection, t_ns)
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs):

@@ -15,7 +15,7 @@ from streams import propagated
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.product import PADDING
-from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes, with_next
+from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.series import BLOCK, GyroSeries, reblock
 
@@ -269,11 +269,10 @@ def test_the_final_attitude_alone_is_that_of_the_series(data):
     t_ns, rate = noisy(count, count, data.draw(st.sampled_from([1e-4, 1.0, 30.0])))
     q0 = [0.1, -0.7, 0.3, 0.5]
     final = FinalAttitude(q0, method, rates)
-    blocks = reblock(batches(t_ns, rate, data.draw(cuts(count))))
-    for block, following in with_next(blocks, look_ahead=True):
-        final.advance(block, following)
+    for block in reblock(batches(t_ns, rate, data.draw(cuts(count)))):
+        final.add(block)
     whole = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)[-1]
-    assert np.abs(final.wxyz - whole).max() <= (0 if count % TILE == 0 else 1e-15)
+    assert np.abs(final.end() - whole).max() <= (0 if count % TILE == 0 else 1e-15)
 
 
 def test_what_was_given_is_never_changed():

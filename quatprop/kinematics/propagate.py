@@ -231,19 +231,34 @@ class FinalAttitude(_Composition):
         As for :class:`Propagation`.
     """
 
-    def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> None:
-        """Go on to the last of the next samples: a block, as for :meth:`Propagation.advance`."""
+    def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
+        super().__init__(q0, method, rates)
+        self._held: GyroSeries | None = None
+
+    def add(self, series: GyroSeries) -> None:
+        """Take the next samples: a block, as for :meth:`Propagation.advance`."""
+        if not len(series):
+            return
+        if self._method != "cubic":
+            self._advance(series, None)
+            return
+        if self._held is not None:
+            self._advance(self._held, series)
+        self._held = series
+
+    def end(self) -> Float64:
+        """Return the attitude at the last sample, wxyz, shape ``(4,)``."""
+        if self._held is not None:
+            self._advance(self._held, None)
+        wxyz = self._attitude.view(np.float64)
+        return conjugate(wxyz) if self._inertial else wxyz
+
+    def _advance(self, series: GyroSeries, following: GyroSeries | None) -> None:
         row = np.empty((1, 4))
         with np.errstate(over="ignore", invalid="ignore"):
             for _, steps in self._steps(series, following):
                 write_rows(product(self._attitude, steps), row)
                 self._attitude = row[0].copy().view(np.complex128)
-
-    @property
-    def wxyz(self) -> Float64:
-        """The attitude at the last sample so far, shape ``(4,)``."""
-        wxyz = self._attitude.view(np.float64)
-        return conjugate(wxyz) if self._inertial else wxyz
 
 
 def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:

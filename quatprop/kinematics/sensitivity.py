@@ -52,7 +52,7 @@ class Sensitivity:
     def begin(self, *, restart: bool) -> None:
         """Begin a segment: at q0 again, or at the attitudes reached so far."""
         self._starts = [self._q0, self._q0] if restart else self._ends
-        self._runs: list[_Run] | None = None
+        self._runs: list[FinalAttitude] | None = None
         self._sparse = EverySecond()
 
     def add(self, block: GyroSeries) -> None:
@@ -63,7 +63,7 @@ class Sensitivity:
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
             methods = (self.next_method, self._method)
             self._runs = [
-                _Run(q0, method, self._rates)
+                FinalAttitude(q0, method, self._rates)
                 for q0, method in zip(self._starts, methods, strict=True)
             ]
         other, sparse = self._runs
@@ -91,30 +91,6 @@ class Sensitivity:
         """
         method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
         return method_rad, sampling_rad
-
-
-class _Run:
-    """A final attitude in the making; the method cubic waits for the samples that come next."""
-
-    def __init__(self, q0: Float64, method: str, rates: str) -> None:
-        self._final = FinalAttitude(q0, method, rates)
-        self._waits = method == "cubic"
-        self._held: GyroSeries | None = None
-
-    def add(self, series: GyroSeries) -> None:
-        if not len(series):
-            return
-        if not self._waits:
-            self._final.advance(series)
-            return
-        if self._held is not None:
-            self._final.advance(self._held, series)
-        self._held = series
-
-    def end(self) -> Float64:
-        if self._held is not None:
-            self._final.advance(self._held)
-        return self._final.wxyz
 
 
 class EverySecond:

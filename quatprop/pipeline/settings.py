@@ -25,7 +25,7 @@ from quatprop.timeline import Policy
 from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from fractions import Fraction
     from typing import Any
 
@@ -200,16 +200,8 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         kind=values.get("kind"),
         selection=RateSelection(**{name: values.get(name) for name in SELECT_RATES}),
         policy=Policy(
-            **{
-                name: values[key]
-                for name, key in (
-                    ("on_backwards", "on_backwards"),
-                    ("on_nonfinite", "on_nonfinite"),
-                    ("on_gap", "on_gap"),
-                    ("max_gap_ns", "max_gap"),
-                )
-                if key in values
-            }
+            max_gap_ns=values.get("max_gap"),
+            **_some_of(values, ("on_backwards", "on_nonfinite", "on_gap")),
         ),
         q0=_initial_attitude(values),
         conditioning=Conditioning(
@@ -219,16 +211,15 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
             rates=values.get("rates", "body"),
             **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},
         ),
-        errors=ErrorSettings(
-            **{one.name: values[one.name] for one in fields(ErrorSettings) if one.name in values}
-        ),
+        errors=ErrorSettings(**_some_of(values, [one.name for one in fields(ErrorSettings)])),
         given=given,
-        **{
-            name: values[name]
-            for name in ("method", "rates", "every", "rate", "at", "threads")
-            if name in values
-        },
+        **_some_of(values, ("method", "rates", "every", "rate", "at", "threads")),
     )
+
+
+def _some_of(values: Mapping[str, Any], names: Iterable[str]) -> Mapping[str, Any]:
+    """Return those of some values that are given; the others have defaults."""
+    return {name: values[name] for name in names if name in values}
 
 
 def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:

@@ -179,7 +179,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
     LogError
         As for :func:`load_attitudes`.
     """
-    with _errors_of(wanted.side), ExitStack() as stack:
+    with errors_of(wanted.side), ExitStack() as stack:
         log = stack.enter_context(
             open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
         )
@@ -244,7 +244,7 @@ class AttitudeFile:
         read = signal.covariances or poses or signal.rows
         self._zeros = 0
         ends: list[int] = []
-        with _errors_of(wanted.side):
+        with errors_of(wanted.side):
             for batch in self._check.apply(read()):
                 self._zeros += int(np.count_nonzero(batch.t_ns == 0))
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
@@ -256,8 +256,9 @@ class AttitudeFile:
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory, from its batches."""
         series = AttitudeSeries.joined(list(batches))
-        facts = {name: getattr(self.facts(), name) for name in ReadAttitudes.__slots__}
-        return LoadedAttitudes(**facts, series=series)
+        facts = self.facts()
+        named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
+        return LoadedAttitudes(**named, series=series)
 
     def facts(self) -> ReadAttitudes:
         """Return what is known of the series, once all of it was read."""
@@ -280,8 +281,8 @@ class AttitudeFile:
 
 
 @contextmanager
-def _errors_of(side: str) -> Iterator[None]:
-    """Note in errors which side of a comparison they are about."""
+def errors_of(side: str) -> Iterator[None]:
+    """Note in errors which of several inputs they are about, as ``side`` of QuatpropError."""
     try:
         yield
     except QuatpropError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -14,7 +14,6 @@ from quatprop.errors import (
     NoRatesError,
     NoSamplesError,
     NoSuchTopicError,
-    QuatpropError,
     TimelineError,
     UndeclaredError,
     UsageError,
@@ -22,6 +21,7 @@ from quatprop.errors import (
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.signals.attitude_input import errors_of
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.message_values import channels_of
@@ -32,7 +32,7 @@ from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     from numpy.typing import NDArray
 
@@ -93,22 +93,12 @@ def attitude_at(
                 "is there, and the log has no such topic",
             )
         wanted = AttitudeSelection(topic=topic, clock=clock)
-    with _about("q0"), ExitStack() as stack:
+    with errors_of("q0"), ExitStack() as stack:
         if is_file or log is None:
             log = stack.enter_context(open_log(source))
         # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(log.path, drop=True)
         return attitude_in(check.apply(choose_attitudes(log, wanted).rows()), t_ns, log.path)
-
-
-@contextmanager
-def _about(side: str) -> Iterator[None]:
-    """Mark errors as about attitudes that are only looked up."""
-    try:
-        yield
-    except QuatpropError as error:
-        error.side = side
-        raise
 
 
 def stamps_in(path: Path | str) -> NDArray[np.int64]:
@@ -124,7 +114,7 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
     LogError
         The file cannot be read, or holds neither.
     """
-    with _about("at"), open_log(path) as opened:
+    with errors_of("at"), open_log(path) as opened:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
         except (NoAttitudesError, UndeclaredError) as error:
@@ -136,10 +126,7 @@ def stamps_in(path: Path | str) -> NDArray[np.int64]:
 
 
 def first_orientation(
-    log: MessageLog | TableLog,
-    source: RateSignal,
-    selection: RateSelection,
-    t_ns: int | None = None,
+    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection, t_ns: int
 ) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 
@@ -151,7 +138,7 @@ def first_orientation(
         Its rates, as :func:`quatprop.signals.rates.choose_rates` gives them, and how they were
         chosen: the orientation is that of the same messages or rows, on the same clock.
     t_ns
-        The stamp of the first sample that is used; None for the first of the log.
+        The stamp of the first sample that is used.
 
     Returns
     -------
@@ -168,7 +155,7 @@ def first_orientation(
         The log cannot be used as asked.
     """
     try:
-        with _about("q0"):
+        with errors_of("q0"):
             signal = own_orientation(log, source, selection)
     except NoSuchTopicError:
         raise LogError(
@@ -187,16 +174,11 @@ def first_orientation(
         )
     batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
     try:
-        if t_ns is not None:
-            return attitude_in(batches, t_ns, log.path)
-        for series in batches:
-            first: Float64 = series.wxyz[0]
-            return first
+        return attitude_in(batches, t_ns, log.path)
     except NoSamplesError:
-        pass
-    raise NoAttitudesError(
-        log.path, [f"{source.name} ({source.type_name}), all of them absent or no rotation"]
-    )
+        raise NoAttitudesError(
+            log.path, [f"{source.name} ({source.type_name}), all of them absent or no rotation"]
+        ) from None
 
 
 def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
