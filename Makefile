@@ -8,7 +8,7 @@ READY_BENCH := $(VENV)/.ready-bench
 # Exact versions, so that the sample logs and the test results are the same on every machine.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test lowest dist fuzz lint format bench sample-logs clean help
+.PHONY: demo test lowest dist fuzz lint format documents bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how close they come to the truth'
@@ -18,6 +18,7 @@ help:
 	@echo 'make fuzz         read 10,000 damaged logs, by seed, and tell what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
+	@echo 'make documents    write what commands print into the documents'
 	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
@@ -68,6 +69,9 @@ lint: $(READY)
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+documents: $(READY)
+	$(BIN)/python tests/documents.py
 
 bench: $(READY_BENCH)
 	$(BIN)/python tests/bench
