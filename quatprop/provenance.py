@@ -37,8 +37,9 @@ COMMENT = b"# quatprop "
 def as_json(value: object) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
-    Dataclasses become objects with their fields as keys, arrays and other sequences become lists,
-    paths and sentences become strings; sentences with settings as the library spells them.
+    Dataclasses become objects with their fields as keys (those of a digest among them), arrays and
+    other sequences become lists, paths and sentences become strings; sentences with settings as
+    the library spells them.
 
     Examples
     --------
@@ -51,7 +52,9 @@ def as_json(value: object) -> Any:
     if isinstance(value, Digest):
         return value.as_json()
     if is_dataclass(value):
-        return {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
+        items = {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
+        # A digest says more about the same thing.
+        return {**items, **items.pop("digest")} if isinstance(items.get("digest"), dict) else items
     if isinstance(value, Mapping):
         return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

@@ -103,7 +103,7 @@ RUNS = {
     "bias": ("coning.mcap", "a.mcap", "--bias=0.1,-1e-3,0 --mount y,-x,z --max-gap 0.5s -t /imu"),
     "angles": ("tumbling.bag", "a.csv", "--with euler-zxz --euler-unit deg --header-comment"),
     "messages": ("tumbling.bag", "a.bag", "--message Imu --out-topic /x --frames map,imu"),
-    "suffix": ("tumbling.bag", "a.txt", "--to tum --header-comment --method mean"),
+    "tum": ("tumbling.bag", "a.tum", "--header-comment --method mean"),
     "errors": (
         "tumbling.bag",
         "a.parquet",

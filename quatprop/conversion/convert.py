@@ -23,7 +23,8 @@ from quatprop.writers import keeps_provenance
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from typing import Any
 
     from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.settings import OutputSettings
@@ -107,30 +108,24 @@ def convert(job: Conversion) -> ConversionReport:
         kept = keeps_provenance(output.path, output.to, comment=output.comment)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, log) as (target, write),
+            open_destination(job, log) as target,
             DigestThread(job.log, hashed=kept or output.report is not None) as digest,
         ):
-            singular = 0
             # A reference that is turned into the body is no place for a position.
-            has_room = getattr(target, "holds_positions", False)
-            keeps = has_room and source.meaning.direction == HAMILTON.direction
+            keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
             read = source.poses if keeps and source.poses else source.rows
+            write: Callable[[Any], None] = target.write
             for series in _as_written(job, check.apply(read()), signs):
-                singular += write(series)
+                write(series)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
+            locked, lost = getattr(target, "locked_rows", 0), source.poses is not None and not keeps
             remarks = (
-                *source.remarks,
-                *log.remarks,
-                *remarks_on(job, singular, positions_lost=source.poses is not None and not keeps),
+                *(*source.remarks, *log.remarks),
+                *remarks_on(job, locked, positions_lost=lost),
             )
             report = conversion_report(
-                job,
-                log,
-                source,
-                counts=check.counts,
-                digest=digest.result(),
-                remarks=remarks,
+                job, log, source, counts=check.counts, digest=digest.result(), remarks=remarks
             )
             provenance = report.provenance()
             target.finish(provenance)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +10,11 @@ from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_LOCK_DEG, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.errors import OutputError, UsageError
-from quatprop.into import open_into
+from quatprop.pipeline.job import open_output
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text, listed, quoted
-from quatprop.writers import WRITERS, keeps_provenance, kind_of, layout_of, open_table, open_writer
+from quatprop.writers import WRITERS, keeps_provenance, kind_of, layout_of, open_table
+from quatprop.writers.base import AttitudeWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -23,39 +22,72 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.conventions.representations import Representation
     from quatprop.conversion.convert import Conversion
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import AttitudeWriter, TableWriter, Transaction
+    from quatprop.writers.base import TableWriter
 
-    Write = Callable[[Any], int]
-    """Takes attitudes, or rates where those are written; returns how many rows are not unique."""
+    Float64 = NDArray[np.float64]
 
 
-@contextmanager
-def open_destination(
-    job: Conversion, log: MessageLog | TableLog
-) -> Iterator[tuple[Transaction, Write]]:
-    """Give the file to be committed, and a function that writes attitudes."""
+class ColumnTable(AttitudeWriter):
+    """Series as a table of numbers that are made of them.
+
+    Parameters
+    ----------
+    table
+        The table.
+    values
+        Returns the columns of a series, shape ``(N, k)``.
+    locked
+        Returns in how many rows of columns the angles are not unique.
+
+    Attributes
+    ----------
+    locked_rows
+        How many there were.
+    """
+
+    def __init__(
+        self,
+        table: TableWriter,
+        values: Callable[[Any], Float64],
+        locked: Callable[[Float64], int] = lambda _values: 0,
+    ) -> None:
+        super().__init__(table)
+        self._table, self._values, self._locked = table, values, locked
+        self.locked_rows = 0
+
+    def write(self, series: AttitudeSeries | GyroSeries) -> None:
+        """Append a batch."""
+        values = self._values(series)
+        self._table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
+        self.locked_rows += self._locked(values)
+
+
+def open_destination(job: Conversion, log: MessageLog | TableLog) -> AttitudeWriter:
+    """Return the file to be committed, which takes attitudes, or rates where those are written."""
     output = job.output
-    kind = kind_of(output.path, output.to)
+
+    def table(columns: tuple[str, ...]) -> TableWriter:
+        return open_table(output.path, columns, output.to, comment=output.comment)
+
     if job.representation in REPRESENTATIONS:
         form = REPRESENTATIONS[job.representation]
-        with open_table(output.path, form.columns, output.to, comment=output.comment) as table:
-            yield table, partial(_write_representation, table, form)
-    elif job.representation in RATES:
-        with open_table(output.path, RATE_COLUMNS, output.to, comment=output.comment) as table:
-            yield table, partial(_write_rates, table)
-    elif job.meaning == HAMILTON:
-        with _open_attitudes(job, log, layout_of(kind, output.layout).name) as writer:
-            yield writer, partial(_write_attitudes, writer)
-    else:
-        _refuse_other_conventions(output, kind)
-        layout = layout_of(kind, output.layout)
-        with open_table(output.path, layout.columns, output.to, comment=output.comment) as table:
-            yield table, partial(_write_columns, table, layout.order)
+        return ColumnTable(
+            table(form.columns), lambda series: form.values(series.wxyz), form.locked
+        )
+    if job.representation in RATES:
+        return ColumnTable(table(RATE_COLUMNS), lambda series: series.rate)
+    if job.meaning == HAMILTON:
+        return open_output(
+            output, log, lambda again: choose_attitudes(again, job.selection).stamps()
+        )
+    kind = kind_of(output.path, output.to)
+    _refuse_other_conventions(output, kind)
+    layout = layout_of(kind, output.layout)
+    return ColumnTable(table(layout.columns), lambda series: series.wxyz[:, list(layout.order)])
 
 
 def _refuse_other_conventions(output: OutputSettings, kind: str) -> None:
@@ -77,56 +109,6 @@ def _refuse_other_conventions(output: OutputSettings, kind: str) -> None:
             *(Setting("beside"), " goes with Hamilton quaternions body to reference; leave "),
             *(Setting("convention"), " and ", Setting("direction"), " out"),
         )
-
-
-def _open_attitudes(job: Conversion, log: MessageLog | TableLog, layout: str) -> AttitudeWriter:
-    """Open a file of attitudes, or a copy of the log."""
-    output = job.output
-    if not output.into:
-        return open_writer(
-            output.path,
-            output.to,
-            layout=layout,
-            message=output.message,
-            comment=output.comment,
-            beside=output.beside,
-        )
-
-    def stamps(
-        again: MessageLog | TableLog,
-    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-        return choose_attitudes(again, job.selection).stamps()
-
-    return open_into(
-        log,
-        output.path,
-        stamps,
-        layout=layout,
-        message=output.message,
-        comment=output.comment,
-        beside=output.beside,
-    )
-
-
-def _write_attitudes(writer: AttitudeWriter, series: AttitudeSeries) -> int:
-    writer.write(series)
-    return 0
-
-
-def _write_representation(table: TableWriter, form: Representation, series: AttitudeSeries) -> int:
-    values = form.values(series.wxyz)
-    table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
-    return form.locked(values)
-
-
-def _write_rates(table: TableWriter, series: GyroSeries) -> int:
-    table.write(series.t_ns, [np.ascontiguousarray(column) for column in series.rate.T])
-    return 0
-
-
-def _write_columns(table: TableWriter, order: tuple[int, ...], series: AttitudeSeries) -> int:
-    table.write(series.t_ns, [series.wxyz[:, place] for place in order])
-    return 0
 
 
 def remarks_on(

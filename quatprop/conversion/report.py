@@ -46,17 +46,6 @@ class ConversionSource:
     type: str
     clock: str
 
-    def as_json(self) -> Mapping[str, Any]:
-        """Return it as it stands in the provenance."""
-        return {
-            "path": self.path,
-            "kind": self.kind,
-            **self.digest.as_json(),
-            "name": self.name,
-            "type": self.type,
-            "clock": self.clock,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class AttitudeFormat:
@@ -121,7 +110,7 @@ class ConversionReport:
 
     def provenance(self) -> Mapping[str, Any]:
         """Return the provenance of the output, JSON-ready."""
-        source, stored, written = self.source.as_json(), self.stored, self.written
+        source, stored, written = as_json(self.source), self.stored, self.written
         layout = {"layout": written.layout} if written.layout else {}
         terms = {
             "representation": written.representation,

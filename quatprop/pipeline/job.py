@@ -123,7 +123,12 @@ def run(
         )
         with (
             ReportFile(output.report) as report_file,
-            _open_output(output, settings, log) as writer,
+            open_output(
+                output,
+                log,
+                lambda again: choose_rates(again, settings.selection).stamps(),
+                settings.errors.columns_axes,
+            ) as writer,
             DigestThread(job.log, hashed=kept and stream.reads_all) as digest,
             closing(in_background(stream)) as attitudes,
         ):
@@ -142,23 +147,34 @@ def run(
     return report
 
 
-def _open_output(
-    output: OutputSettings, settings: PropagationSettings, log: MessageLog | TableLog
+def open_output(
+    output: OutputSettings,
+    log: MessageLog | TableLog,
+    stamps: Callable[[MessageLog | TableLog], Stamps],
+    sigma: str | None = None,
 ) -> AttitudeWriter:
-    """Open a file of attitudes, or a copy of the log to which they are added."""
+    """Open a file of attitudes, or a copy of the log to which they are added.
+
+    Parameters
+    ----------
+    output
+        Where and how.
+    log
+        The log that the attitudes come from.
+    stamps
+        As for :func:`quatprop.into.open_into`.
+    sigma
+        As for :func:`quatprop.writers.open_writer`.
+    """
     options: dict[str, Any] = {
         "layout": output.layout,
         "message": output.message,
         "comment": output.comment,
-        "sigma": settings.errors.columns_axes,
+        "sigma": sigma,
         "beside": output.beside,
     }
     if not output.into:
         return open_writer(output.path, output.to, **options)
-
-    def stamps(again: MessageLog | TableLog) -> Stamps:
-        return choose_rates(again, settings.selection).stamps()
-
     from quatprop.into import open_into
 
     return open_into(log, output.path, stamps, **options)

@@ -195,11 +195,9 @@ class RunReport:
 
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""
-        source = as_json(self.source)
-        digest = source.pop("digest")
         report = {
             "quatprop": __version__,
-            "source": {**source, **digest},
+            "source": as_json(self.source),
             "convention": {**as_json(self.convention), "side": self.convention.side},
             "settings": dict(self.settings),
             "policy": as_json(self.policy),

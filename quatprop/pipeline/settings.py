@@ -22,7 +22,6 @@ from quatprop.settings import SELECT_RATES, as_text, parse_all
 from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias
 from quatprop.text import Setting
 from quatprop.timeline import Policy
-from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -156,12 +155,8 @@ class OutputSettings:
 
     @property
     def given(self) -> Mapping[str, str | bool]:
-        """What determines the file but its name, as text, by the names of settings."""
-        by_name = self.to is not None and Path(self.path).suffix in WRITERS[self.to].suffixes
-        values: dict[str, str | bool | None] = {
-            "to": None if by_name else self.to,
-            "layout": self.layout,
-        }
+        """What determines the file but its name and format, as text, by the names of settings."""
+        values: dict[str, str | bool | None] = {"layout": self.layout}
         if self.message is not None:
             values |= {
                 "message": self.message.type,

@@ -106,13 +106,9 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     order = layout_of(kind, layout)
     refuse_columns(kind, message, sigma, beside)
     if not chosen.encodings:
-        form = None if beside is None else REPRESENTATIONS[beside]
-        names = (
-            *order.columns,
-            *(form.columns if form is not None else ()),
-            *(SIGMA_COLUMNS if sigma is not None else ()),
-        )
-        table = _open_columns(target, kind, names, comment=comment)
+        form = REPRESENTATIONS[beside] if beside else None
+        columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
+        table = _open_columns(target, kind, sum(columns, ()), comment=comment)
         return AttitudeTable(table, order, sigma, form)
     from quatprop.writers.messages.encoders import attitude_encoder
     from quatprop.writers.messages.kinds import Message
