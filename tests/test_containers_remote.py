@@ -22,9 +22,9 @@ from pyarrow import feather
 from quatprop.cli import cli
 from quatprop.containers import transfers
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.stores import _with_retry_limit, without_secret
+from quatprop.containers.stores import _with_retry_limit, find, without_secret
 from quatprop.containers.transfers import local_copy, put, upload
-from quatprop.errors import LogError, StoreError
+from quatprop.errors import LogError, OutputError, StoreError
 from quatprop.formats import open_log
 from quatprop.times import NS_PER_S
 
@@ -171,9 +171,31 @@ def test_what_is_not_there_is_said(tmp_path):
 
 def test_a_store_that_is_not_known_is_said():
     """As is one that does not answer."""
-    known = pytest.raises(StoreError, match=r"^nowhere://log.bag: its store cannot be used")
+    known = pytest.raises(StoreError, match=r"^nowhere://log.bag: there is no store of this kind")
     with known, local_copy("nowhere://log.bag"):
         pass
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "Retry policy exhausted, with a last message of Could not create a OAuth2 access token",
+        "Unknown error: N5Azure4Core11Credentials23AuthenticationExceptionE: Failed to get token",
+    ],
+)
+def test_missing_credentials_are_said(monkeypatch, said):
+    """In the words of Google's and of Azure's libraries, none of which is an OSError."""
+
+    def refuse(_address):
+        raise pyarrow.ArrowException(said)
+
+    monkeypatch.setattr("quatprop.containers.stores.locate", refuse)
+    with pytest.raises(StoreError, match="no credentials for its store were found") as caught:
+        find("abfs://container@account.dfs.core.windows.net/a.mcap")
+    assert "abfs://container@account" in str(caught.value)
+    monkeypatch.setattr("quatprop.containers.transfers.locate", refuse)
+    with pytest.raises(OutputError, match=r"found \(.*\); log in with the store's own tools"):
+        put("gs://bucket/a.parquet", b"")
 
 
 def test_errors_name_the_address(tmp_path):

@@ -38,6 +38,14 @@ S3_PARAMETERS = {"endpoint_override", "region", "scheme", "tls_ca_file_path"}
 """Parameters that an address of S3 may have."""
 
 _REASONS = (
+    (
+        r"Unrecognized filesystem type",
+        "there is no store of this kind; addresses begin with s3://, gs://, abfs:// or hdfs://",
+    ),
+    (
+        r"OAuth2 access token|AuthenticationException",
+        "no credentials for its store were found; log in with the store's own tools",
+    ),
     (r"NO_SUCH_BUCKET|Bucket '.*' not found", "there is no such bucket; check the address"),
     (
         r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|\b40[13]\b|[Pp]ermission",
@@ -63,8 +71,13 @@ def without_secret(path: Path | str) -> str:
     --------
     >>> without_secret("s3://key:secret@bucket/log.mcap")
     's3://bucket/log.mcap'
+    >>> without_secret("abfs://container:secret@account.dfs.core.windows.net/log.mcap")
+    'abfs://container@account.dfs.core.windows.net/log.mcap'
     """
-    return re.sub(r"(?<=://)[^/?#]*@", "", str(path)) if is_address(path) else str(path)
+    text = str(path)
+    if text.startswith(("abfs://", "abfss://")):
+        return re.sub(r"(?<=://)([^/?#:@]*):[^/?#]*@", r"\1@", text)
+    return re.sub(r"(?<=://)[^/?#]*@", "", text) if is_address(text) else text
 
 
 def below(address: str, name: str) -> str:
@@ -143,11 +156,13 @@ def store_reason(error: Exception, address: str) -> str:
 @contextmanager
 def reading(address: str) -> Iterator[None]:
     """Turn errors of a store into one that names the object that is read."""
+    from pyarrow import ArrowException
+
     try:
         yield
     except StoreError:
         raise
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ArrowException) as error:
         raise StoreError(without_secret(address), store_reason(error, address)) from error
 
 

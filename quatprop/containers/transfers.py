@@ -147,10 +147,12 @@ def put(address: str, data: Buffer) -> None:
         with store.open_output_stream(place) as stream:
             stream.write(data)
 
+    from pyarrow import ArrowException
+
     try:
         # A stream that an interruption ends would be closed, and half an object visible.
         interruptible(write)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ArrowException) as error:
         raise OutputError(without_secret(address), store_reason(error, address)) from error
 
 
