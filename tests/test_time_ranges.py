@@ -13,7 +13,7 @@ from quatprop import read_rates
 from quatprop.conditioning import Conditioning
 from quatprop.conditioning.time_range import clipped
 from quatprop.containers.mcap import loading
-from quatprop.containers.rosbag1 import log as rosbag1
+from quatprop.containers.rosbag1 import loading as rosbag1
 from quatprop.errors import NoSamplesError
 from quatprop.formats import open_log
 from quatprop.pipeline import plausibility

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.time_range import TimeRange
+
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
@@ -73,29 +75,6 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class TimeRange:
-    """A range of time, ends included.
-
-    Parameters
-    ----------
-    first_ns, last_ns
-        Its ends, ns.
-    """
-
-    first_ns: int
-    last_ns: int
-
-    @property
-    def length_ns(self) -> int:
-        """Its length, ns."""
-        return self.last_ns - self.first_ns
-
-    def overlaps(self, first_ns: int, last_ns: int) -> bool:
-        """Return whether it has a moment in common with another range, given by its ends."""
-        return first_ns <= self.last_ns and self.first_ns <= last_ns
-
-
-@dataclass(frozen=True, slots=True)
 class MessageBlock:
     """Messages of one channel in one buffer, usually a chunk.
 
@@ -131,14 +110,10 @@ class MessageBlock:
 
     def at(self, chosen: NDArray[np.generic]) -> MessageBlock:
         """Return some of the messages, by their positions or a mask."""
-        return MessageBlock(
-            self.data,
-            self.starts[chosen],
-            self.ends[chosen],
-            self.log_ns[chosen],
-            self.publish_ns[chosen],
-            self.not_before_ns,
+        starts, ends, log_ns, publish_ns = (
+            column[chosen] for column in (self.starts, self.ends, self.log_ns, self.publish_ns)
         )
+        return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.not_before_ns)
 
 
 @dataclass(frozen=True, slots=True)

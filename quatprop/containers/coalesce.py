@@ -5,6 +5,7 @@ A topic that is recorded beside images has only a few messages in each chunk.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,9 @@ from quatprop.containers.base import MessageBlock
 from quatprop.containers.byte_ranges import ranges_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import NDArray
 
 
 ENOUGH_MESSAGES = 4096
@@ -77,9 +80,29 @@ def _combined(blocks: list[MessageBlock]) -> Iterator[MessageBlock]:
         yield from blocks
         return
     sizes = np.array([len(block.data) for block in blocks])
-    moved = list(zip(blocks, (np.cumsum(sizes) - sizes).tolist(), strict=True))
-    yield MessageBlock(
-        np.concatenate([block.data for block in blocks]),
+    data = np.concatenate([block.data for block in blocks])
+    yield join_blocks(data, blocks, (np.cumsum(sizes) - sizes).tolist())
+
+
+def join_blocks(
+    data: NDArray[np.uint8], blocks: Sequence[MessageBlock], begins: Sequence[int]
+) -> MessageBlock:
+    """Return blocks, at least one, whose buffers are parts of one as one block.
+
+    Parameters
+    ----------
+    data
+        The buffer of all.
+    blocks
+        The messages of each part.
+    begins
+        Where in the buffer each part begins.
+    """
+    if len(blocks) == 1 and not begins[0]:
+        return replace(blocks[0], data=data)
+    moved = list(zip(blocks, begins, strict=True))
+    return MessageBlock(
+        data,
         np.concatenate([block.starts + by for block, by in moved]),
         np.concatenate([block.ends + by for block, by in moved]),
         np.concatenate([block.log_ns for block in blocks]),

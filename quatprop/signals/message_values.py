@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog, TimeRange
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.time_range import TimeRange
     from quatprop.signals.clock import Clock
 
     Int64 = NDArray[np.int64]

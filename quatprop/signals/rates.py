@@ -22,7 +22,8 @@ from quatprop.text import Setting, quoted
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from quatprop.containers.base import Channel, MessageLog, TimeRange
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.time_range import TimeRange
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.message_values import MessageReader

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning.time_range import PartOfLog
-from quatprop.containers.base import LATEST, TimeRange
+from quatprop.containers.base import LATEST
+from quatprop.containers.time_range import TimeRange
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

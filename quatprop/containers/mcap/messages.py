@@ -6,12 +6,12 @@ disagrees with the records, the records are walked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import LATEST
+from quatprop.containers.base import LATEST, MessageBlock
 from quatprop.containers.mcap.regions import INDEX_ENTRY, INDEX_HEAD, MESSAGE, MESSAGE_INDEX, RECORD
 from quatprop.containers.mcap.walk import MESSAGE_HEAD
 
@@ -68,24 +68,15 @@ class LocatedMessages:
             self.channels if isinstance(self.channels, int) else self.channels[wanted],
         )
 
-    def moved(self, by: int) -> LocatedMessages:
-        """Return the messages in a buffer that has so many more bytes before them."""
-        if not by:
-            return self
-        return replace(self, starts=self.starts + by, ends=self.ends + by)
-
-    @classmethod
-    def joined(cls, parts: Sequence[LocatedMessages]) -> LocatedMessages:
-        """Return messages of one buffer, which may be of several channels, as one."""
-        if len(parts) == 1:
-            return parts[0]
-        none = np.empty(0, np.int64)
-        return cls(
-            np.concatenate([none, *(part.starts for part in parts)]),
-            np.concatenate([none, *(part.ends for part in parts)]),
-            np.concatenate([none, *(part.log_ns for part in parts)]),
-            np.concatenate([none, *(part.publish_ns for part in parts)]),
-            channels=0,
+    def block(self, data: Buffer) -> MessageBlock:
+        """Return the messages as a block of their buffer."""
+        return MessageBlock(
+            np.frombuffer(data, np.uint8),
+            self.starts,
+            self.ends,
+            self.log_ns,
+            self.publish_ns,
+            stride=self.stride,
         )
 
     def __len__(self) -> int:

@@ -8,6 +8,7 @@ are in the chunks themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ from quatprop.containers.rosbag1.records import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
@@ -80,7 +82,7 @@ class BagChunk:
         return {conn - self.first_conn for conn in connections}
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True)
 class ChunkRecords:
     """The decompressed records of a chunk.
 
@@ -88,15 +90,23 @@ class ChunkRecords:
     ----------
     data
         The records, shape ``(B,)``, uint8.
-    entries
-        Index entries of each connection.
+    read_index
+        Reads the index data that follow the chunk.
     damage
         Why `data` ends early, or ``""``.
     """
 
     data: NDArray[np.uint8]
-    entries: dict[int, NDArray[np.void]]
+    read_index: Callable[[], bytes] = bytes
     damage: str = ""
+
+    @cached_property
+    def entries(self) -> dict[int, NDArray[np.void]]:
+        """Index entries of each connection."""
+        try:
+            return index_offsets(self.read_index())
+        except MalformedRecordError:
+            return {}
 
     @property
     def indexed_offsets(self) -> NDArray[np.int64]:
@@ -144,8 +154,19 @@ class BagIndex:
         self.connections.setdefault(number, described | record.fields)
 
 
-def read_chunk(file: RecordFile, chunk: BagChunk) -> ChunkRecords:
+def read_chunk(
+    file: RecordFile, chunk: BagChunk, into: NDArray[np.uint8] | None = None
+) -> ChunkRecords:
     """Read and decompress a chunk.
+
+    Parameters
+    ----------
+    file
+        The bag.
+    chunk
+        Where in it.
+    into
+        Memory for its records; it has their size.
 
     Raises
     ------
@@ -155,30 +176,28 @@ def read_chunk(file: RecordFile, chunk: BagChunk) -> ChunkRecords:
         It cannot be decompressed.
     """
     if chunk.is_unchunked:
-        records = file.at(chunk.start, chunk.end - chunk.start)
-        return ChunkRecords(np.frombuffer(records, np.uint8), {})
+        return ChunkRecords(np.frombuffer(file.at(chunk.start, chunk.end - chunk.start), np.uint8))
     record = file.record(chunk.start)
     if record.op != OP_CHUNK:
         raise MalformedRecordError("there is no chunk")
-    size = record.number(b"size")
+    size, length = record.number(b"size"), record.end - record.data
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
     # The index data after a chunk has 12 bytes a message, less than the chunk itself. Anything
     # longer is damage.
-    end = min(max(chunk.end, record.end), record.end + size)
-    raw = memoryview(file.at(record.data, end - record.data))
-    length = record.end - record.data
-    content = raw[:length]
+    index = partial(file.at, record.end, max(0, min(chunk.end - record.end, size)))
     if compression == "none":
-        data: bytes | bytearray | memoryview = content
-        damage = "its end is cut off" if len(content) < length else ""
-    elif len(content) < length:
-        data, damage = (
-            decompress_prefix(content, compression, size),
-            f"its {compression} data is cut off",
-        )
-    else:
-        data, damage = decompress(content, compression, size), ""
-    return ChunkRecords(np.frombuffer(data, np.uint8), index_offsets(bytes(raw[length:])), damage)
+        records = file.at(record.data, length) if into is None else file.into(record.data, into)
+        damage = "its end is cut off" if len(records) < length else ""
+        return ChunkRecords(np.frombuffer(records, np.uint8), index, damage)
+    content = file.at(record.data, length)
+    if len(content) < length:
+        prefix = decompress_prefix(content, compression, size)
+        if into is not None:
+            into.data[: len(prefix)] = prefix
+        damage = f"its {compression} data is cut off"
+        return ChunkRecords(np.frombuffer(prefix, np.uint8), index, damage)
+    data = decompress(content, compression, size, into)
+    return ChunkRecords(np.frombuffer(data, np.uint8), index)
 
 
 def read_index(file: RecordFile, header: Record) -> BagIndex | None:

@@ -6,34 +6,17 @@ import re
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.concurrency.threads import prefetch
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, TimeRange
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.file_source import source_of
-from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.rosbag1.index import (
-    BagChunk,
-    BagIndex,
-    ChunkRecords,
-    read_chunk,
-    read_index,
-)
-from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages
+from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
+from quatprop.containers.rosbag1.loading import ChunkLoader
 from quatprop.containers.rosbag1.rebuild import rebuild_index
-from quatprop.containers.rosbag1.records import (
-    OP_BAG_HEADER,
-    OP_MESSAGE,
-    MalformedRecordError,
-    RecordFile,
-    surviving_records,
-)
-from quatprop.containers.rosbag1.selected import expected_ranges, selected_messages
+from quatprop.containers.rosbag1.records import OP_BAG_HEADER, MalformedRecordError, RecordFile
+from quatprop.containers.time_range import TimeRange
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
@@ -41,8 +24,6 @@ from quatprop.text import Setting, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from quatprop.containers.file_source import FileSource
 
@@ -196,89 +177,22 @@ class Rosbag1Log(MessageLog):
     def _blocks(
         self, channel: Channel, wanted: set[int], chunks: list[BagChunk]
     ) -> Iterator[MessageBlock]:
-        next_starts = [*(chunk.start_ns for chunk in chunks[1:]), LATEST]
-        load = partial(self._messages, wanted, DecompressionBudget(self.source.size))
-        # Decompression is worth threads; uncompressed chunks are read sooner than handed over.
-        is_compressed = bool(chunks) and self._is_compressed(chunks[0])
-        self.source.expect(*expected_ranges(chunks, wanted, compressed=is_compressed))
-        loaded = prefetch(load, chunks) if is_compressed else (load(chunk) for chunk in chunks)
-        with closing(loaded):
-            for chunk, not_before_ns, (data, messages, damage) in zip(
-                chunks, next_starts, loaded, strict=False
-            ):
-                expected = sum(chunk.counts.get(conn, 0) for conn in chunk.inside(wanted))
-                missing = expected - len(messages.starts)
-                if damage or missing > 0:
-                    reason = damage or "it has fewer messages than it says"
-                    self.losses.note(chunk.place, reason, missing or None, channel.topic)
-                if len(messages.starts):
-                    yield MessageBlock(data, *messages, messages.log_ns, not_before_ns)
+        bounds = [*(chunk.start_ns for chunk in chunks), LATEST]
+        loader = ChunkLoader(self._file, chunks, wanted)
+        done = 0
+        with closing(loader.groups()) as groups:
+            for group in groups:
+                done += len(group.contents)
+                block, losses = loader.block(group)
+                for loss in losses:
+                    self.losses.note(loss.place, loss.reason, loss.messages, channel.topic)
+                if block is not None:
+                    yield replace(block, not_before_ns=bounds[done])
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which its connection may carry, as JSON."""
         return self._recorded
 
-    def _is_compressed(self, chunk: BagChunk) -> bool:
-        try:
-            return self._file.record(chunk.start).fields.get(b"compression", b"none") != b"none"
-        except MalformedRecordError:
-            return False
-
-    def _messages(
-        self, wanted: set[int], budget: DecompressionBudget, chunk: BagChunk
-    ) -> tuple[NDArray[np.uint8], MessageColumns, str]:
-        """Read a chunk and locate the messages of some connections; the string is its damage."""
-        wanted = chunk.inside(wanted)
-        part = selected_messages(self._file, chunk, wanted)
-        if part is not None and (selected := _indexed(part, chunk, wanted)) is not None:
-            return part.data, selected, ""
-        try:
-            budget.check()
-            loaded = read_chunk(self._file, chunk)
-            budget.spend(0 if chunk.is_unchunked else len(loaded.data))
-        except (MalformedRecordError, CompressionError) as error:
-            loaded = ChunkRecords(np.empty(0, np.uint8), {}, str(error))
-        if not loaded.damage:
-            messages = _indexed(loaded, chunk, wanted)
-            if messages is not None:
-                return loaded.data, messages, ""
-        return loaded.data, *_scanned(loaded, wanted)
-
     def close(self) -> None:
         """Close the file."""
         self.source.close()
-
-
-def _indexed(content: ChunkRecords, chunk: BagChunk, wanted: set[int]) -> MessageColumns | None:
-    """Locate messages by the index data; None if it disagrees with the records."""
-    parts = []
-    for conn in wanted & chunk.counts.keys():
-        entries = content.entries.get(conn)
-        if entries is None or len(entries) != chunk.counts[conn]:
-            return None
-        offsets = entries["offset"].astype(np.int64)
-        # Index data is in order of time; records of equal time are in order of writing.
-        if not (offsets[1:] > offsets[:-1]).all():
-            offsets.sort()
-        part = indexed_messages(content.data, offsets, conn)
-        if part is None:
-            return None
-        parts.append(part)
-    if len(parts) == 1:
-        return parts[0]
-    starts, ends, log_ns = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    order = np.argsort(starts)
-    return MessageColumns(starts[order], ends[order], log_ns[order])
-
-
-def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, str]:
-    """Locate messages record by record; the string says why there may be more, or is ``""``."""
-    records, damage = surviving_records(content.data, content.indexed_offsets)
-    rows = [
-        (record.data, record.end, record.time(b"time"))
-        for record in records
-        if record.op == OP_MESSAGE and record.number(b"conn") in wanted
-    ]
-    columns = np.array(rows, np.int64).reshape(-1, 3).T
-    damage = content.damage or damage
-    return MessageColumns(*(np.ascontiguousarray(column) for column in columns)), damage

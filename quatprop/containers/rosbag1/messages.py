@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from quatprop.containers.base import MessageBlock
 from quatprop.containers.rosbag1.records import (
     OP_MESSAGE,
     MalformedRecordError,
@@ -19,11 +20,56 @@ if TYPE_CHECKING:
 
 
 class MessageColumns(NamedTuple):
-    """Where messages lie in a chunk, shapes ``(N,)``, and when they were recorded, ns."""
+    """Where messages lie in a chunk, shapes ``(N,)``, and when they were recorded, ns.
+
+    `stride` is the bytes from each to the next where they are all of one length and distance.
+    """
 
     starts: NDArray[np.int64]
     ends: NDArray[np.int64]
     log_ns: NDArray[np.int64]
+    stride: int = 0
+
+    def block(self, data: NDArray[np.uint8]) -> MessageBlock:
+        """Return the messages as a block of their buffer."""
+        return MessageBlock(
+            data, self.starts, self.ends, self.log_ns, self.log_ns, stride=self.stride
+        )
+
+
+def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageColumns, int] | None:
+    """Locate the messages of records that are all of one length and connection.
+
+    This is the usual chunk, and quick to check: neither its index nor a walk is needed.
+
+    Parameters
+    ----------
+    data
+        The decompressed records of one chunk, or of several that follow each other.
+    begin
+        Where the first message record begins.
+
+    Returns
+    -------
+    tuple or None
+        The messages, and their connection; None where other records follow, or messages that
+        differ in length or connection.
+    """
+    layout = _message_layout(data.data, begin)
+    if layout is None:
+        return None
+    size = layout.itemsize
+    length = int.from_bytes(data[begin + size - 4 : begin + size].tobytes(), "little")
+    stride = size + length
+    count, rest = divmod(len(data) - begin, stride)
+    if rest or not count:
+        return None
+    headers = np.ndarray((count,), f"V{size}", data, begin, (stride,)).copy().view(layout)
+    conn = int(headers["conn"][0])
+    if not _are_of(headers, conn) or np.count_nonzero(headers["size"] != length):
+        return None
+    starts = np.arange(begin + size, begin + size + count * stride, stride)
+    return MessageColumns(starts, starts + length, _log_ns(headers), stride), conn
 
 
 def indexed_messages(
@@ -58,20 +104,25 @@ def indexed_messages(
     size = layout.itemsize
     every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
     headers = every[offsets].view(layout)
-    if not (
-        (headers["length"] == size - 8).all()
-        and (headers["op"] == OP_MESSAGE).all()
-        and (headers["conn"] == conn).all()
-    ):
+    if not _are_of(headers, conn):
         return None
     starts = offsets + size
     ends = starts + headers["size"]
     if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
         return None
-    log_ns = headers["sec"].astype(np.int64)
-    log_ns *= NS_PER_S
+    return MessageColumns(starts, ends, _log_ns(headers))
+
+
+def _are_of(headers: NDArray[np.void], conn: int) -> bool:
+    """Tell whether all headers are those of messages of a connection, and of one layout."""
+    wanted = {"length": headers.dtype.itemsize - 8, "op": OP_MESSAGE, "conn": conn}
+    return not any(np.count_nonzero(headers[name] != value) for name, value in wanted.items())
+
+
+def _log_ns(headers: NDArray[np.void]) -> NDArray[np.int64]:
+    log_ns: NDArray[np.int64] = np.multiply(headers["sec"], NS_PER_S, dtype=np.int64)
     log_ns += headers["nsec"]
-    return MessageColumns(starts, ends, log_ns)
+    return log_ns
 
 
 def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:

@@ -113,6 +113,13 @@ class RecordFile:
             # A worn memory card fails at one place; the rest of the bag is still good.
             raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
 
+    def into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
+        """Fill memory and return it; it ends where the file does."""
+        try:
+            return self.source.read_into(start, into)
+        except OSError as error:
+            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another."""
         try:
@@ -215,6 +222,17 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
         record = _whole_record(data.data, at, len(data))
         yield record
         at = record.end
+
+
+def begin_of_messages(data: NDArray[np.uint8]) -> int | None:
+    """Return where the first message of a decompressed chunk begins; None where none is found."""
+    try:
+        for record in walked_records(data):
+            if record.op == OP_MESSAGE:
+                return record.start
+    except MalformedRecordError:
+        pass
+    return None
 
 
 def surviving_records(

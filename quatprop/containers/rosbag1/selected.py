@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
-from quatprop.containers.rosbag1.index import ChunkRecords
 from quatprop.containers.rosbag1.records import HEAD, OP_CHUNK, MalformedRecordError, index_offsets
 
 if TYPE_CHECKING:
@@ -22,10 +21,12 @@ if TYPE_CHECKING:
     from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.records import RecordFile
 
+    IndexEntries = dict[int, NDArray[np.void]]
+
 
 def selected_messages(
     file: RecordFile, chunk: BagChunk, connections: AbstractSet[int]
-) -> ChunkRecords | None:
+) -> tuple[NDArray[np.uint8], IndexEntries] | None:
     """Return the messages of selected connections, read one byte range after another.
 
     Parameters
@@ -39,7 +40,7 @@ def selected_messages(
 
     Returns
     -------
-    ChunkRecords or None
+    tuple or None
         Records, and the index entries of the selected connections. None where the chunk is better
         read whole: it is compressed, small or mostly selected, or its index data is not what the
         bag says.
@@ -70,7 +71,7 @@ def selected_messages(
         moved = rows.copy()
         moved["offset"] = rows["offset"] - ranges.moved[np.searchsorted(begins, rows["offset"])]
         selected[conn] = moved
-    return ChunkRecords(np.frombuffer(data, np.uint8), selected)
+    return np.frombuffer(data, np.uint8), selected
 
 
 def expected_ranges(
