@@ -6,10 +6,11 @@ the log is refused, and the user names the kind.
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.file_source import os_reason
-from quatprop.errors import UnknownFormatError, UnreadableLogError
+from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,11 +56,16 @@ READERS: dict[str, Reader] = {
     "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
     "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
     "feather": Reader(
-        "quatprop.tables.arrow:FeatherLog", (b"ARROW1", b"FEA1"), (".feather", ".arrow"), True
+        "quatprop.tables.arrow:FeatherLog",
+        (b"ARROW1", b"FEA1", b"\xff\xff\xff\xff"),
+        (".feather", ".arrow", ".arrows"),
+        True,
     ),
     "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
-    "hdf5": Reader("quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5")),
+    "hdf5": Reader(
+        "quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), (".h5", ".hdf5")
+    ),
     "jsonl": Reader(
         "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
     ),
@@ -68,6 +74,17 @@ READERS: dict[str, Reader] = {
     "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
 }
 """Every kind of log, in the order in which errors and help list them."""
+
+OTHER_FORMATS = {
+    rb"version https://git-lfs": "it is a pointer of Git LFS; get the log with git lfs pull",
+    rb"\xfd7zXZ\0|7z\xbc\xaf'\x1c|\x1f\x9d|Rar!": "it is an archive; unpack it",
+    rb"(?s).{257}ustar": "it is a tar archive; unpack it, and name a log in it",
+    rb"MATLAB 5\.0": "it is a MATLAB file before version 7.3; save it again with '-v7.3'",
+    rb"\xa3\x95\x80": "it is an ArduPilot log; convert it with mavlogdump.py --format csv",
+    rb"H Product:Blackbox": "it is a Betaflight log; convert it with blackbox_decode",
+    rb"\s*\[\s*[\[{]": "it is a JSON array; write an element a line, such as with jq -c '.[]'",
+}  # fmt: skip
+"""What the content of formats that are not read begins with, and the way out."""
 
 TEXT_KINDS = ("csv", "tum", "kitti")
 """Kinds that are read as they come, compressed or from a pipe too."""
@@ -78,6 +95,9 @@ def kind_of(path: Path, head: bytes) -> str:
     for kind, reader in READERS.items():
         if head.startswith(reader.magic):
             return kind
+    for pattern, reason in OTHER_FORMATS.items():
+        if re.match(pattern, head):
+            raise UnsupportedLogError(path, reason)
     suffix = path.suffix.lower()
     for kind, reader in READERS.items():
         if suffix in reader.suffixes:

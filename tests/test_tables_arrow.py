@@ -1,5 +1,6 @@
 """Parquet and Feather tables: types, units, nested columns, damage."""
 
+import json
 import re
 from datetime import UTC, datetime
 from decimal import Decimal
@@ -10,6 +11,7 @@ import pytest
 from pyarrow import feather, parquet
 from table_rates import rate_batches
 
+from quatprop import read_rates
 from quatprop.errors import (
     DamagedLogError,
     NoRatesError,
@@ -310,3 +312,50 @@ def test_a_missing_file_is_told(tmp_path):
     """A path that leads nowhere is told in one line."""
     with pytest.raises(UnreadableLogError, match=r"no such file or folder; check the path$"):
         ParquetLog(tmp_path / "none.parquet")
+
+
+AXES = np.random.default_rng(5).normal(size=(50, 3))
+LISTS = {
+    "fixed": pa.FixedSizeListArray.from_arrays(pa.array(AXES.ravel()), 3),
+    "list": pa.array(AXES.tolist()),
+    "large": pa.array(AXES.tolist(), pa.large_list(pa.float64())),
+    "first null": pa.array([None, *AXES[1:].tolist()]),
+    "short": pa.array([[0.0, 0.0, 0.0], [1.0], *AXES[2:].tolist()]),
+    "in a struct": pa.array([{"gyro": rate} for rate in AXES.tolist()]),
+}
+
+
+@pytest.mark.parametrize("lists", LISTS)
+@pytest.mark.parametrize("kind", ["parquet", "feather", "jsonl"])
+def test_lists_of_three_are_three_columns(tmp_path, kind, lists):
+    """Where a list is missing or too short there are no numbers, as in a cell that is empty."""
+    name = "imu" if lists == "in a struct" else "gyro"
+    path = tmp_path / f"log.{kind}"
+    table = pa.table({"t_ns": np.arange(50), name: LISTS[lists]})
+    if kind == "jsonl":
+        path.write_text("\n".join(map(json.dumps, table.to_pylist())))
+    else:
+        (parquet.write_table if kind == "parquet" else feather.write_feather)(table, path)
+    expected = AXES.copy()
+    if lists == "first null":
+        expected[0] = np.nan
+    if lists == "short":
+        expected[:2] = [0, 0, 0], [1, np.nan, np.nan]
+    np.testing.assert_array_equal(read_rates(path, rate_unit="rad/s").rate, expected)
+
+
+def test_long_lists_are_refused(tmp_path):
+    """A file of one object with all columns is no table with a row a sample."""
+    path = tmp_path / "log.json"
+    path.write_text(json.dumps({name: list(range(40)) for name in ("t_ns", "wx", "wy", "wz")}))
+    with pytest.raises(UnsupportedLogError, match="column 'wx' holds lists, not numbers"):
+        read_rates(path)
+
+
+def test_a_stream_of_arrow_is_read(tmp_path):
+    """It is what a file of Arrow is without beginning and end."""
+    path = tmp_path / "log.arrows"
+    table = pa.table({"t_ns": np.arange(50), **dict(zip(("wx", "wy", "wz"), AXES.T, strict=True))})
+    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_stream(file, table.schema) as stream:
+        stream.write_table(table, max_chunksize=20)
+    assert read_rates(path).rate.tolist() == AXES.tolist()

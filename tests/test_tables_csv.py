@@ -4,6 +4,7 @@ import bz2
 import gzip
 import io
 import json
+import lzma
 import math
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from table_rates import rate_batches
 
+from quatprop import read_rates
 from quatprop.cli import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
@@ -420,7 +422,31 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
     assert all(block.count(b'"') % 2 == 0 for block in cut)
 
 
-# Tables of other programs
+# Tables and files of other programs
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:12\n",
+            "get the log with git",
+        ),
+        (lzma.compress(b"t_ns,wx,wy,wz\n"), "it is an archive; unpack it"),
+        (b"log.csv".ljust(257, b"\0") + b"ustar\0", "it is a tar archive; unpack it"),
+        (b"MATLAB 5.0 MAT-file".ljust(128), "save it again with '-v7.3'"),
+        (b"\xa3\x95\x80\x80\x59FMT", "convert it with mavlogdump.py --format csv"),
+        (b"H Product:Blackbox flight data recorder\n", "convert it with blackbox_decode"),
+        (b'[\n {"t_ns": 0, "wx": 1}]\n', r"such as with jq -c '.\[\]'"),
+    ],
+)
+@pytest.mark.parametrize("name", ["log.csv", "log.mcap", "log"])
+def test_other_formats_are_refused_with_the_way_out(tmp_path, name, content, reason):
+    """Whatever the name of the file says."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(UnsupportedLogError, match=reason):
+        read_rates(path)
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,30 @@ def test_a_cut_file_is_refused_in_a_sentence(tmp_path):
     assert error.endswith("; was it closed and copied whole?\n")
 
 
+def test_a_file_of_matlab_is_read_column_by_column(tmp_path):
+    """Its text comes first, and it stores vectors and matrices in columns."""
+    path = tmp_path / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in {"t": SECONDS[None], "gyr": RATES.T}.items():
+            file[name] = values
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Sun Nov 22 08:00:00 2026")
+    rates = read_rates(path, rate_unit="rad/s", time_unit="s")
+    assert rates.rate.tobytes() == RATES.tobytes()
+    assert np.abs(rates.t_ns * 1e-9 - SECONDS).max() < 1e-9
+
+
+def test_the_time_beside_the_rates_is_theirs(tmp_path):
+    """Another group's time is not."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["imu/time_ns"], file["imu/gyr"] = np.arange(COUNT)[:, None], RATES
+        file["camera/time_ns"] = np.zeros(9)
+    rates = read_rates(path, rate_unit="rad/s")
+    assert rates.t_ns.tolist() == list(range(COUNT))
+
+
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 def test_two_files_joined_are_refused(tmp_path, version):
     """HDF5 stops at the end that the first one states, and half the samples would be missing."""

@@ -301,7 +301,11 @@ def test_an_archive_of_something_else_is_refused(tmp_path):
     path = tmp_path / "log.npz"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "nothing")
-    with pytest.raises(UnsupportedLogError, match="it is an archive without arrays of NumPy; name"):
+    with pytest.raises(UnsupportedLogError, match=r"it is a ZIP archive of 'readme.txt'; unpack"):
+        read(path)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("xl/workbook.xml", "")
+    with pytest.raises(UnsupportedLogError, match="a workbook of a spreadsheet; save its table as"):
         read(path)
     path.write_bytes(path.read_bytes()[:-5])
     with pytest.raises(DamagedLogError, match=r"its directory is damaged .* was it written to"):

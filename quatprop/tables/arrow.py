@@ -7,23 +7,34 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import JsonObject, provenance_in
+from quatprop.tables.base import TimedColumns
 from quatprop.tables.row_groups import stamp_spans
-from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, Leaf, RowGroup, TypedTable
+from quatprop.tables.typed_table import (
+    BATCH_ROWS,
+    DAMAGE,
+    DamageError,
+    Leaf,
+    RowGroup,
+    TypedTable,
+    element_leaves,
+    values_of,
+)
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from quatprop.containers.file_source import FileSource
-    from quatprop.tables.base import Span, TimedColumns
-
+    from quatprop.tables.base import Span
 
 _PARQUET_TAIL = 8
+_STREAM = b"\xff\xff\xff\xff"
 _FEATHER_TAIL, _FEATHER_MAGIC, _END_OF_STREAM = 10, b"ARROW1", 8
 _BLOCK = struct.Struct("<qi4xq")
 _WINDOW, _LOST_BYTES = 1 << 24, 1 << 16
@@ -44,7 +55,7 @@ class _ArrowLog(TypedTable):
         try:
             schema = self._schema()
             self._schema_metadata: Mapping[bytes, bytes] = schema.metadata or {}
-            self._leaves = list(_leaves(schema))
+            self._leaves = list(_leaves(schema, self._first_lists))
         except DAMAGE as error:
             size = self._file.size()
             self.close()
@@ -69,6 +80,17 @@ class _ArrowLog(TypedTable):
 
     def _schema(self) -> pa.Schema:
         raise NotImplementedError
+
+    def _first_lists(self, path: tuple[str, ...]) -> pa.Array:
+        """Return a column of lists in the first rows; empty where they cannot be read."""
+        with suppress(*DAMAGE, StopIteration):
+            leaf = Leaf(path, pa.null())
+            self._leaves = [leaf]
+            group = next(self._row_groups(TimedColumns((0,), ())))
+            batch = next(iter(group.batches))
+            if isinstance(batch, pa.RecordBatch):
+                return values_of(batch, leaf)
+        return pa.array([])
 
     def _unreadable(self, size: int, reason: str) -> str:
         """Return why nothing of a file of some bytes can be read."""
@@ -152,7 +174,7 @@ class ParquetLog(_ArrowLog):
         return int(self._parquet.metadata.num_rows)
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
-        names = [leaf.name for leaf in self._wanted(columns)]
+        names = list({leaf.column: None for leaf in self._wanted(columns)})
         for group in range(self._parquet.num_row_groups):
             rows = self._parquet.metadata.row_group(group).num_rows
             batches: Iterable[pa.RecordBatch] = ()
@@ -169,7 +191,7 @@ class ParquetLog(_ArrowLog):
 
 
 class FeatherLog(_ArrowLog):
-    """A Feather file: Arrow's IPC file format.
+    """A Feather file: Arrow's IPC file format; or Arrow's IPC stream format.
 
     Parameters
     ----------
@@ -189,7 +211,9 @@ class FeatherLog(_ArrowLog):
     kind = "feather"
 
     def _schema(self) -> pa.Schema:
-        if self._file.read(4) == b"FEA1":
+        head = self._file.read(len(_FEATHER_MAGIC))
+        self._is_stream = head.startswith(_STREAM)
+        if head.startswith(b"FEA1"):
             self.close()
             raise UnsupportedLogError(
                 self.path, "it is of Feather version 1; save it again as version 2 or as Parquet"
@@ -216,10 +240,12 @@ class FeatherLog(_ArrowLog):
     def _streamed(self) -> Iterator[pa.RecordBatch]:
         """Yield the batches of a file without footer, which ends where nobody knows."""
         yield from self._stream()
+        if self._is_stream:
+            return
         raise DamageError("its footer is damaged or missing, so more batches may have followed")
 
     def _stream(self) -> Any:
-        self._file.seek(len(b"ARROW1\0\0"))
+        self._file.seek(0 if self._is_stream else len(b"ARROW1\0\0"))
         return pa.ipc.open_stream(self._file)
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
@@ -259,11 +285,23 @@ def _batches_end(footer: bytes) -> int:
     return end
 
 
-def _leaves(fields: Iterable[pa.Field], above: tuple[str, ...] = ()) -> Iterator[Leaf]:
+def _leaves(
+    fields: Iterable[pa.Field],
+    first_lists: Callable[[tuple[str, ...]], pa.Array],
+    above: tuple[str, ...] = (),
+) -> Iterator[Leaf]:
+    """Yield the columns of fields; `first_lists` returns the first lists of a path."""
     for field in fields:
         path = (*above, field.name)
         if pa.types.is_struct(field.type):
-            yield from _leaves(field.type.fields, path)
+            yield from _leaves(field.type.fields, first_lists, path)
+        elif pa.types.is_fixed_size_list(field.type):
+            yield from element_leaves(path, field.type.value_type, field.type.list_size)
+        elif pa.types.is_list(field.type) or pa.types.is_large_list(field.type):
+            lengths = pc.list_value_length(first_lists(path)).drop_null()
+            yield from element_leaves(
+                path, field.type.value_type, lengths[0].as_py() if len(lengths) else 0
+            )
         else:
             is_dictionary = pa.types.is_dictionary(field.type)
             yield Leaf(path, field.type.value_type if is_dictionary else field.type)

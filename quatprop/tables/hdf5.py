@@ -34,7 +34,8 @@ class Hdf5Log(NumpyTable):
 
     ``group/gyr`` of shape ``(N, 3)`` becomes ``group.gyr[0]`` to ``group.gyr[2]``, or
     ``group.gyr.x`` where its attribute ``columns`` says so in text of fixed length. The attribute
-    ``sampling_rate`` of the file, Hz, counts the rows where there is no time.
+    ``sampling_rate`` of the file, Hz, counts the rows where there is no time. In files of MATLAB
+    (version 7.3) rows and columns are exchanged.
 
     Parameters
     ----------
@@ -111,7 +112,28 @@ class Hdf5Log(NumpyTable):
             self._add_column(name + dot + inner, path, column)
 
     def _open_rows(self, member: str) -> BinaryIO:
-        return cast("BinaryIO", _DatasetBytes(self._file[member]))
+        dataset = self._file[member]
+        return cast(
+            "BinaryIO", _DatasetBytes(_Rows(dataset) if _is_of_matlab(dataset) else dataset)
+        )
+
+
+def _is_of_matlab(dataset: Any) -> bool:
+    """Whether MATLAB has written it, column after column."""
+    return "MATLAB_class" in dataset.attrs and len(dataset.shape) == 2  # noqa: PLR2004
+
+
+class _Rows:
+    """A matrix of MATLAB by its rows, which are the columns of the dataset."""
+
+    def __init__(self, dataset: Any) -> None:
+        self._dataset = dataset
+        self.dtype = dataset.dtype
+        self.shape = dataset.shape[::-1]
+
+    def __getitem__(self, rows: slice) -> NDArray[Any]:
+        values: NDArray[Any] = self._dataset[:, rows].T
+        return values
 
 
 class _DatasetBytes(io.RawIOBase):
@@ -169,7 +191,8 @@ def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
         raise HeaderError(f"its type is {dataset.dtype}, not numbers")
     if dataset.nbytes > _MOST_UNPACKED * file_size:
         raise HeaderError(f"it claims {dataset.nbytes} bytes, which the file cannot hold")
-    return columns_of(ArrayHeader(dataset.dtype, dataset.shape, is_fortran=False))
+    shape = dataset.shape[::-1] if _is_of_matlab(dataset) else dataset.shape
+    return columns_of(ArrayHeader(dataset.dtype, shape, is_fortran=False))
 
 
 def _second_file(path: Path) -> int | None:

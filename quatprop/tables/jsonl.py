@@ -15,7 +15,7 @@ import pyarrow as pa
 from quatprop.errors import UnreadableLogError, UnsupportedLogError
 from quatprop.tables.jsonl_parser import LineParser
 from quatprop.tables.text_stream import LineCounter, TextStream, note_lines, record_blocks
-from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable
+from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leaves
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ HEAD_BYTES = 1 << 16
 _HEAD_LINES = 100
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
-_TYPES = {bool: pa.bool_(), list: pa.list_(pa.null()), float: pa.float64()}
+_TYPES: dict[type, pa.DataType] = {bool: pa.bool_(), float: pa.float64()}
 
 
 class JsonLinesLog(TypedTable):
@@ -75,6 +75,10 @@ class JsonLinesLog(TypedTable):
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
+        if any(self._leaves[k].element is not None for k in columns.time):
+            raise UnsupportedLogError(
+                self.path, "a time in a list is not read; name another column"
+            )
         for leaf in (self._leaves[k] for k in columns.numbers):
             if leaf.type != pa.float64():
                 raise UnsupportedLogError(
@@ -120,7 +124,16 @@ def _leaves(lines: list[bytes]) -> list[Leaf]:
             continue
     # A name that is a value here and an object there is taken for the object.
     inner = {path[:depth] for path in types for depth in range(1, len(path))}
-    return [Leaf(path, kind or pa.float64()) for path, kind in types.items() if path not in inner]
+    return [
+        leaf
+        for path, kind in types.items()
+        if path not in inner
+        for leaf in (
+            element_leaves(path, kind.value_type, kind.list_size)
+            if kind and pa.types.is_fixed_size_list(kind)
+            else [Leaf(path, kind or pa.float64())]
+        )
+    ]
 
 
 def _any_number(_text: str) -> float:
@@ -143,6 +156,9 @@ def _type(value: object) -> pa.DataType | None:
     """Return the type of a column by one of its values; None for null."""
     if value is None:
         return None
+    if isinstance(value, list):
+        numbers = all(isinstance(element, float) or element is None for element in value)
+        return pa.list_(pa.float64() if numbers else pa.string(), len(value))
     if not isinstance(value, str):
         return _TYPES[type(value)]
     date = _DATE.fullmatch(value)

@@ -68,7 +68,10 @@ class LineParser:
         self._set_types()
 
     def _set_types(self) -> None:
-        fields = dict(self._numbers)
+        fields = {
+            leaf.path: leaf.type if leaf.element is None else pa.list_(leaf.type)
+            for leaf in self._numbers
+        }
         for leaf, unit in self._time:
             is_date = pa.types.is_timestamp(leaf.type)
             fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, self._spare)

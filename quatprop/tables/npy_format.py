@@ -131,6 +131,7 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
 
     An array of records has one for each field, those of nested fields as ``field.part``, those of
     fields that are arrays as ``field[0]``; a plain array of two dimensions has ``[0]``, ``[1]``...
+    where there are several.
 
     Raises
     ------
@@ -144,7 +145,8 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
         rows, width = shape
         # Where columns follow one another, each is an array by itself.
         step = dtype.itemsize * (1 if is_fortran else width)
-        fields = ((f"[{k}]", dtype, k * dtype.itemsize) for k in range(width))
+        names = (f"[{k}]" if width > 1 else "" for k in range(width))
+        fields = ((name, dtype, k * dtype.itemsize) for k, name in enumerate(names))
     else:
         raise HeaderError(
             f"its array of shape {shape} is no table; save one row a sample, in two dimensions or "

@@ -13,7 +13,7 @@ from quatprop.tables.cut_archive import CutArchive
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
 from quatprop.tables.typed_table import DamageError
-from quatprop.text import plain, quoted
+from quatprop.text import listed, plain, quoted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -109,6 +109,13 @@ class NpzLog(NumpyTable):
         if at >= 0 and end < size:
             self.losses.note(f"byte {end}", f"{size - end} bytes follow the archive")
 
+    def _other_content(self) -> str:
+        """Return what an archive without arrays of NumPy is."""
+        names = self._archive.namelist()
+        if "xl/workbook.xml" in names or "content.xml" in names:
+            return "it is a workbook of a spreadsheet; save its table as CSV"
+        return f"it is a ZIP archive of {listed(names)}; unpack it, and name a log of them"
+
     def _open_array(self, member: str) -> BinaryIO:
         return cast("BinaryIO", self._archive.open(member))
 
@@ -145,6 +152,4 @@ class NpzLog(NumpyTable):
                     self._add_column(column.name if len(arrays) == 1 else f"{name}.{column.name}",
                                member, column)  # fmt: skip
         if not self._leaves:
-            raise UnsupportedLogError(
-                self.path, refused or "it is an archive without arrays of NumPy; name a log"
-            )
+            raise UnsupportedLogError(self.path, refused or self._other_content())

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
+_LONGEST_LIST = 16
 BATCH_ROWS = 1 << 16
 """Rows that are read together."""
 
@@ -50,15 +51,30 @@ class Leaf(NamedTuple):
         Its name; below it the names of the fields that lead to the values, where it is a struct.
     type
         Their type.
+    element
+        Which element of a list they are, from 0; None where they are no lists.
     """
 
     path: tuple[str, ...]
     type: pa.DataType
+    element: int | None = None
+
+    @property
+    def column(self) -> str:
+        """The name of the column with its fields."""
+        return ".".join(self.path)
 
     @property
     def name(self) -> str:
         """How the user names it."""
-        return ".".join(self.path)
+        return self.column if self.element is None else f"{self.column}[{self.element}]"
+
+
+def element_leaves(path: tuple[str, ...], kind: pa.DataType, length: int) -> list[Leaf]:
+    """Return a column of lists as one column for each element, where lists are that short."""
+    if _is_number(kind) and 1 < length <= _LONGEST_LIST:
+        return [Leaf(path, kind, index) for index in range(length)]
+    return [Leaf(path, pa.list_(kind))]
 
 
 class RowGroup(NamedTuple):
@@ -164,8 +180,9 @@ class TypedTable(TableLog):
                 )
             is_stamp = k in columns.time and k in declared
             if not is_stamp and not _is_number(leaf.type):
+                held = "lists" if pa.types.is_list(leaf.type) else leaf.type
                 raise UnsupportedLogError(
-                    self.path, f"column {quoted(leaf.name)} holds {leaf.type}, not numbers"
+                    self.path, f"column {quoted(leaf.name)} holds {held}, not numbers"
                 )
 
     def _values(
@@ -173,7 +190,7 @@ class TypedTable(TableLog):
     ) -> tuple[Int64, Float64]:
         numbers = np.empty((batch.num_rows, len(columns.numbers)))
         for axis, k in enumerate(columns.numbers):
-            values = _column(batch, self._leaves[k])
+            values = values_of(batch, self._leaves[k])
             if pa.types.is_decimal128(values.type):
                 values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
             numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
@@ -182,7 +199,7 @@ class TypedTable(TableLog):
             return t_ns, numbers
         timed = np.ones(batch.num_rows, np.bool_)
         for k in columns.time:
-            timed &= _has_value(_column(batch, self._leaves[k]))
+            timed &= _has_value(values_of(batch, self._leaves[k]))
         if not timed.all():
             untimed = int(np.count_nonzero(~timed))
             place = f"rows {first + 1} to {first + batch.num_rows}"
@@ -193,7 +210,7 @@ class TypedTable(TableLog):
     def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
         try:
             return timestamps.sum_parts(
-                nanoseconds(_column(batch, self._leaves[k]), unit)
+                nanoseconds(values_of(batch, self._leaves[k]), unit)
                 for k, unit in zip(columns.time, columns.units, strict=True)
             )
         except timestamps.TimestampRangeError:
@@ -206,10 +223,14 @@ class TypedTable(TableLog):
             ) from None
 
 
-def _column(batch: pa.RecordBatch, leaf: Leaf) -> pa.Array:
+def values_of(batch: pa.RecordBatch, leaf: Leaf) -> pa.Array:
+    """Return the values of a column; null where a list is too short."""
     column = batch.column(leaf.path[0])
     if leaf.path[1:]:
         column = pc.struct_field(column, list(leaf.path[1:]))
+    if leaf.element is not None:
+        is_short = pc.less_equal(pc.list_value_length(column), leaf.element)
+        column = pc.list_element(pc.if_else(is_short, None, column), leaf.element)
     return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
 
 

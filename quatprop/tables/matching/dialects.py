@@ -65,7 +65,7 @@ _ROS_RATE = r"(?:.*\.)?(?:angular_velocity|twist\.angular)\." + _XYZ
 _ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + COMPONENT
 _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
-TIME_NAMES = r"_*(?:t|time|timestamp|time_?stamp|stamp)"
+TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 _NOT_RATE = r"(?!.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = r"(?:gyroscope|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
 GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"

@@ -161,7 +161,7 @@ class ColumnMatcher(TableColumns):
         UsageError
             The time is one of the columns.
         """
-        time, sample_rate = self._time(dialect)
+        time, sample_rate = self._time(dialect, numbers)
         if both := set(numbers) & set(time):
             raise UsageError(
                 f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of ",
@@ -196,13 +196,15 @@ class ColumnMatcher(TableColumns):
             return ()
         selection, self.selection = self.selection, replace(self.selection, sample_rate=None)
         try:
-            return self._time(dialect)[0]
+            return self._time(dialect, ())[0]
         except UndeclaredError:
             return ()
         finally:
             self.selection = selection
 
-    def _time(self, dialect: Dialect) -> tuple[Positions, Fraction | float | None]:
+    def _time(
+        self, dialect: Dialect, numbers: Positions
+    ) -> tuple[Positions, Fraction | float | None]:
         """Return the columns of the time, or none and the sample rate, Hz."""
         name, sample_rate = self.selection.time_col, self.selection.sample_rate
         if name is not None and sample_rate is not None:
@@ -216,7 +218,9 @@ class ColumnMatcher(TableColumns):
             if not (math.isfinite(sample_rate) and sample_rate > 0):
                 raise UsageError(Setting("sample_rate"), f" {sample_rate} is not a rate above 0 Hz")
             return (), sample_rate
-        for pattern in self._clock(dialect):
+        groups = {self.columns[k].key.rpartition(".")[0] for k in numbers} - {""}
+        beside = (rf"{re.escape(group)}\.(?:{TIME_NAMES})" for group in groups)
+        for pattern in (*self._clock(dialect), *beside):
             positions = self.matching(pattern)
             if len(positions) == 1:
                 return self._with_nanoseconds(positions[0]), None
