@@ -98,7 +98,7 @@ def test_the_only_timestamps_are_the_time(open_table):
 def test_a_time_unit_against_the_type_is_refused(open_table):
     """A timestamp's unit is part of its type and is not overruled by an option alone."""
     log = open_table({"time": pa.array([1, 2], pa.timestamp("ns")), **RATES})
-    with log, pytest.raises(UsageError, match=r"time_unit says s, but .* 'time' are in ns"):
+    with log, pytest.raises(UsageError, match=r"time_unit says s, but .* 'time' is in ns"):
         rate_batches(log, rate_unit="rad/s", time_unit="s")
 
 
