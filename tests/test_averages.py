@@ -14,7 +14,8 @@ from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import BLOCK, GyroSeries
-from quatprop.timeline import Policy, Timeline
+from quatprop.timeline import Timeline
+from quatprop.timeline.policy import Policy
 
 RATES_HZ = (50, 100, 200, 400)
 KINDS = ("averages", "increments")

@@ -13,7 +13,8 @@ from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multi
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import BLOCK, GyroSeries
-from quatprop.timeline import Policy, Timeline
+from quatprop.timeline import Timeline
+from quatprop.timeline.policy import Policy
 
 SECOND = 1_000_000_000
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])

@@ -14,7 +14,8 @@ from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.segments import Segments
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import BLOCK, GyroSeries
-from quatprop.timeline import Policy, Timeline
+from quatprop.timeline import Timeline
+from quatprop.timeline.policy import Policy
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 

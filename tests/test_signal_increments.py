@@ -9,8 +9,9 @@ from quatprop.errors import SeriesError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
-from quatprop.timeline import OBSERVE, Policy, Timeline
+from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
+from quatprop.timeline.policy import OBSERVE, Policy
 
 
 def tumbling(count):

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
-from quatprop.timeline import OBSERVE, Policy, StampChecks, Timeline
+from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts, remarks
-from quatprop.timeline.stamps import LONGEST_NS
+from quatprop.timeline.policy import OBSERVE, Policy
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 MS = 1_000_000
 

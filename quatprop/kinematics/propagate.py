@@ -209,8 +209,9 @@ class Propagation(_Composition):
     def _fill_tile(self, steps: Pairs, rows: Float64) -> None:
         write_rows(product_scan(self._attitude, steps)[:, 1 : len(rows) + 1], rows)
         self._attitude = rows[-1].copy().view(np.complex128)
-        if not np.isfinite(rows[-1]).all():
-            first = self._count + int(np.isfinite(rows).all(axis=1).argmin())
+        # What is not finite spreads to all components, and to all attitudes that follow.
+        if not np.isfinite(rows[-1, 0]):
+            first = self._count + int(np.isfinite(rows[:, 0]).argmin())
             raise SeriesError(
                 f"The attitude of sample {first} is not finite; rates must be finite, and their "
                 "squares too"

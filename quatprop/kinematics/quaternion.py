@@ -144,7 +144,7 @@ def log(q: ArrayLike) -> Float64:
     q = _array(q)
     w, vector = q[..., :1], q[..., 1:]
     sine = _length(vector)[..., None]
-    ratio = np.full_like(sine, 2.0)
+    ratio = np.zeros_like(sine)
     np.divide(2 * np.arctan2(sine, w), sine, out=ratio, where=sine != 0)
     return vector * ratio
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Loss
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.text import Text
-    from quatprop.timeline import Policy
     from quatprop.timeline.counts import Counts
+    from quatprop.timeline.policy import Policy
 
 CONVENTION = {
     "product": "Hamilton, ij = k",

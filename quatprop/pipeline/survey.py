@@ -32,8 +32,10 @@ from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
 from quatprop.text import Text, plain
-from quatprop.timeline import OBSERVE, StampChecks, Timeline
+from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.policy import OBSERVE
+from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -30,8 +30,10 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.signals.signal import RateSignal
 from quatprop.text import Setting, plain
-from quatprop.timeline import OBSERVE, StampChecks, Timeline
+from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts
+from quatprop.timeline.policy import OBSERVE
+from quatprop.timeline.stamps import StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

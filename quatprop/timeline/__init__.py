@@ -17,7 +17,6 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
 from quatprop.text import Setting
 from quatprop.timeline.counts import Counts
-from quatprop.timeline.policy import OBSERVE, Policy
 from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
@@ -26,11 +25,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.timeline.policy import Policy
+
     Places: TypeAlias = NDArray[np.intp]
     Kept: TypeAlias = tuple[GyroSeries, Places | None]
     """A batch, and which samples of what was read it holds; None: all."""
-
-__all__ = ["OBSERVE", "Policy", "StampChecks", "Timeline"]
 
 
 class Timeline:
@@ -150,19 +149,19 @@ class Timeline:
 
     def _hold(self, batch: GyroSeries, good: NDArray[np.bool_]) -> GyroSeries:
         """Replace each rate that is not finite by the last one before it that is."""
-        if self._last_finite is None and not good[0]:
-            raise TimelineError(
-                self.path,
-                f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not finite and "
-                "there is none before it to hold; choose ",
-                Setting("on_nonfinite", "drop"),
-                ", or begin later with ",
-                Setting("start"),
-            )
-        before = batch.rate[0] if self._last_finite is None else self._last_finite
-        rows = np.concatenate([before[None], batch.rate])
-        latest_good = np.maximum.accumulate(np.where(good, np.arange(1, len(rows)), 0))
-        rate = rows[latest_good]
+        latest_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
+        rate = batch.rate[latest_good]
+        if not good[0]:
+            if self._last_finite is None:
+                raise TimelineError(
+                    self.path,
+                    f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not finite "
+                    "and there is none before it to hold; choose ",
+                    Setting("on_nonfinite", "drop"),
+                    ", or begin later with ",
+                    Setting("start"),
+                )
+            rate[latest_good < 0] = self._last_finite
         self._last_finite = rate[-1]
         return batch.with_rate(rate)
 
@@ -186,7 +185,9 @@ class Timeline:
     def _measure(self, batch: GyroSeries, intervals: NDArray[np.int64]) -> None:
         """Measure the rates of a batch; the intervals end at its last samples."""
         counts = self.counts
-        magnitude = np.sqrt(np.einsum("ij,ij->i", batch.rate, batch.rate))
+        # Not by einsum, which rounds in another way where the processor fuses multiply and add.
+        x, y, z = batch.rate.T
+        magnitude = np.sqrt(x * x + y * y + z * z)
         if not np.isfinite(magnitude.sum()):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))

@@ -186,8 +186,7 @@ class StampChecks:
         counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
         counts.max_dt_ns = max(longest, longest if counts.max_dt_ns is None else counts.max_dt_ns)
         start = max(counts.used, 1)
-        if shortest <= 0:
-            counts.duplicates.add(np.flatnonzero(intervals == 0), start, ends)
+        counts.duplicates.add(np.flatnonzero(intervals == 0), start, ends)
         limit = counts.gap_limit_ns
         if limit is None or longest <= limit:
             return

@@ -15,7 +15,8 @@ from quatprop.provenance import digest_of
 from quatprop.selection import RateSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
-from quatprop.timeline import Policy, Timeline
+from quatprop.timeline import Timeline
+from quatprop.timeline.policy import Policy
 from quatprop.writers import open_writer
 
 
