@@ -100,6 +100,26 @@ def test_the_static_bias_is_that_of_the_rest(tmp_path):
     ) in result.stderr
 
 
+@pytest.mark.parametrize("sensors", ["rate", "accelerometer", "orientation"])
+def test_rest_that_only_the_rates_show_is_remarked_on(sensors, tmp_path):
+    """A body that turns steadily all along has the same rates."""
+    motion, known = Motion((20, [0.0, 0.0, 0.0])), {}
+    if sensors == "accelerometer":
+        known = {"force": motion.gravity}
+    if sensors == "orientation":
+        known = {"orientation": motion.wxyz}
+    log = motion.write(tmp_path, **known)
+    result, told = static(log)
+    remark = (
+        "no accelerometer and no orientation confirms the rest from which the bias is taken: a "
+        f"steady rotation at {np.degrees(np.linalg.norm(BIAS)):.2f} deg/s would look the same"
+    )
+    is_alone = sensors == "rate"
+    assert told["rest"]["steady"] == ["rate"] if is_alone else ["rate", sensors]
+    assert (f"warning: {remark}\n" in result.stderr) == is_alone
+    assert (remark in told["remarks"]) == is_alone
+
+
 def test_motion_is_not_taken_for_rest(tmp_path):
     """A log that moves throughout has no bias to give, and says how far it is from rest."""
     path = tmp_path / "log.csv"

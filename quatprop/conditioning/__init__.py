@@ -173,7 +173,7 @@ def condition(
     first_ns, last_ns, rest = _look_ahead(read, settings, inputs, parts)
     start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
     if rest is not None:
-        bias = rest.mean_rad_s
+        bias, remarks = rest.mean_rad_s, (*remarks, *rest.remarks)
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
     part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)

@@ -83,6 +83,18 @@ class Rest:
     searched_first_ns: int
     searched_last_ns: int
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know."""
+        if self.steady != ("rate",):
+            return ()
+        degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
+        remark = (
+            "no accelerometer and no orientation confirms the rest from which the bias is taken: "
+            f"a steady rotation at {degrees:.3g} deg/s would look the same"
+        )
+        return (remark,)
+
 
 @dataclass(frozen=True, slots=True)
 class _Steadiness:
