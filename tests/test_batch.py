@@ -670,6 +670,19 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
             list(results)
 
 
+def test_files_of_settings_are_the_same_from_every_folder(tmp_path, monkeypatch):
+    """A relative name is of the folder of the command, not of that of a worker."""
+    for place in (tmp_path / "here", tmp_path / "there"):
+        log(place / "a.csv")
+        log(place / "times.csv")
+    monkeypatch.chdir(tmp_path / "here")
+    assert run("a.csv", "--at", "times.csv", "-o", "out", "-j", "1").exit_code == 0
+    monkeypatch.chdir(tmp_path / "there")
+    again = ["-o", tmp_path / "here" / "out", "--skip-existing", "-j", "1"]
+    named = [tmp_path / "here" / "a.csv", "--at", tmp_path / "here" / "times.csv"]
+    assert run(*named, *again).stderr == "nothing to do: its output is up to date\n"
+
+
 def test_a_worker_of_another_version_is_refused(tmp_path):
     """Its outputs would be those of another version."""
     result = propagate_on_worker(task("a.csv", tmp_path / "a.csv", "a.csv"), "0.0.1")

@@ -14,7 +14,6 @@ from quatprop import __version__
 from quatprop.batch.run import failed, propagate_log
 from quatprop.containers.stores import is_address, without_secret
 from quatprop.errors import QuatpropError, UsageError
-from quatprop.pipeline.job import Job
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
@@ -175,27 +174,10 @@ def _freed_memory_kept() -> Iterator[None]:
 
 
 def _absolute(task: BatchTask) -> BatchTask:
-    """Return a task whose paths do not depend on the current folder."""
-    job, settings = task.job, task.job.settings
-    if settings.q0.source in settings.inputs:
-        source = _absolute_path(settings.q0.source)
-        settings = replace(settings, q0=replace(settings.q0, source=source))
-    known, errors = settings.conditioning, settings.errors
-    biases = known.bias_from
-    if biases is not None and biases in settings.inputs:
-        biases = _absolute_path(biases)
-    settings = replace(
-        settings,
-        at=settings.at and _absolute_path(settings.at),
-        conditioning=replace(
-            known,
-            bias_from=biases,
-            calibration=known.calibration and _absolute_path(known.calibration),
-        ),
-        errors=replace(errors, imu=errors.imu and _absolute_path(errors.imu)),
-    )
-    output = replace(job.output, path=_absolute_path(job.output.path))
-    return replace(task, job=Job(_absolute_path(job.log), output, settings))
+    """Return a task whose log and output do not depend on the current folder."""
+    log, output = task.job.log, task.job.output
+    output = replace(output, path=_absolute_path(output.path))
+    return replace(task, job=replace(task.job, log=_absolute_path(log), output=output))
 
 
 def _absolute_path(path: str) -> str:

@@ -129,7 +129,8 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     manifest = manifest_in(folder)
     suffix = next((s for s in WRITERS[options["to"]].suffixes if s), "")
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
-    job = propagate.job_of({**options, **paths})
+    # Whoever propagates a log may do so in another folder.
+    job = propagate.job_of({**options, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
     tasks = outdated(planned, manifest) if batch["skip_existing"] else planned
     if tasks:

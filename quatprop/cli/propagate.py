@@ -19,10 +19,12 @@ from quatprop.cli.options import (
 from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
+from quatprop.settings.parsers import file_beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from contextlib import AbstractContextManager
+    from pathlib import Path
 
     from quatprop.pipeline.job import Job
     from quatprop.plot.propagation import PropagationPicture
@@ -92,14 +94,19 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
     return PropagationPicture(plot, inputs, outputs, resampled=resampled, spell=spelled)
 
 
-def job_of(chosen: Mapping[str, Any]) -> Job:
-    """Return what the options ask for, with typed values."""
+def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
+    """Return what the options ask for, with typed values; files lie beside a folder, if given."""
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings
 
     texts = click.get_current_context().meta.get(TEXTS, {})
+    values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}
+    if folder is not None:
+        named = {name: value for name, value in values.items() if isinstance(value, str)}
+        files = {name: file_beside(name, value, folder) for name, value in named.items()}
+        values |= {name: str(file) for name, file in files.items() if file is not None}
     return Job(
         log=chosen["log"],
         output=output_settings(chosen),
-        settings=propagation_settings({name: texts.get(name, chosen[name]) for name in PROPAGATE}),
+        settings=propagation_settings(values),
     )

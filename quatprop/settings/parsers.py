@@ -230,7 +230,7 @@ def moment(value: object) -> Instant:
 def file_beside(name: str, text: str, folder: Path) -> Path | None:
     """Return the file that a setting names, relative to a folder; None where it names none."""
     path = folder / text
-    if name not in FILE_SETTINGS or (name == "q0" and text in FROM_THE_LOG):
+    if name not in FILE_SETTINGS or "://" in text or (name == "q0" and text in FROM_THE_LOG):
         return None
     if name in {"bias", "q0"}:
         # It may as well be a topic, static, or numbers.
