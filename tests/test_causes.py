@@ -1,5 +1,6 @@
 """Mistakes put into recordings are named; where there is none, or none can be seen, none is."""
 
+import re
 import warnings
 
 import numpy as np
@@ -143,6 +144,41 @@ def test_an_offset_is_an_interval_only_within_its_uncertainty(noisy):
     late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
     assert "interval" not in late.sentence
     assert spelled(late.remedy) == "--time-offset auto takes the offset out"
+
+
+def ppm_named(cause):
+    """Return the drift of B's clock and its standard deviation as a sentence has them, ppm."""
+    found = re.match(r"B's clock is (slow|fast) by ([\d.]+) \+- ([\d.]+) ppm", cause.sentence)
+    return (-1 if found[1] == "slow" else 1) * float(found[2]), float(found[3])
+
+
+@pytest.mark.parametrize("ppm", [-1000, 300, 1000])
+def test_a_clock_that_drifts_is_named_with_its_uncertainty(noisy, ppm):
+    """Within three standard deviations; the offset changes by 18 or 60 ms in a minute."""
+    a, b = noisy
+    drifting = AttitudeSeries(T_NS + T_NS * ppm // 1_000_000, b.wxyz)
+    cause = quatprop.compare(a, drifting, align="mean").likely_cause
+    drift = next(one for one in (cause, cause.also) if one and one.name == "clock drift")
+    found, std = ppm_named(drift)
+    assert std < 0.1 * abs(ppm)
+    assert found == pytest.approx(ppm, abs=3 * std)
+    assert spelled(drift.remedy) == "correct the stamps; --time-offset auto leaves the change in"
+
+
+def test_a_clock_that_drifts_is_named_in_a_recording(shared_logs):
+    """What the clocks of EuRoC differ by already, some 65 ppm, is below one interval: not named."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        recording = Recording(shared_logs, "euroc")
+        a, b = recording.propagated(), recording.reference
+        named = {}
+        for ppm in (-800, 800):
+            t_ns = b.t_ns + (b.t_ns - b.t_ns[0]) * ppm // 1_000_000
+            causes = named_causes(a, AttitudeSeries(t_ns, b.wxyz))
+            named[ppm] = ppm_named(next(one for one in causes if one.name == "clock drift"))
+    (low, low_std), (high, high_std) = named[-800], named[800]
+    assert high - low == pytest.approx(1600, abs=3 * np.hypot(low_std, high_std))
+    assert abs(low + high) / 2 < 100
 
 
 def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting():

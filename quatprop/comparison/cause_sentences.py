@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.trials import MethodPair, RateRatio, TimeOffset
+from quatprop.comparison.trials import ClockDrift, MethodPair, RateRatio, TimeOffset
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, Text
@@ -103,6 +104,8 @@ def _alternative(trial: Trial) -> str:
     match trial.value:
         case TimeOffset(seconds):
             return f"a time offset of {duration_text(round(abs(seconds) * NS_PER_S))}"
+        case ClockDrift(ratio):
+            return f"clocks that differ by {abs(ratio) * 1e6:.3g} ppm"
         case RateRatio(value):
             return f"rates that differ by a factor of {max(value, 1 / value):.6g}"
         case np.ndarray() if trial.name == "body frame":
@@ -115,21 +118,25 @@ def _alternative(trial: Trial) -> str:
 def _sentence_and_remedy(
     trial: Trial, intervals: Sequence[float]
 ) -> tuple[str, Setting | Text | None]:
+    found: tuple[str, Setting | Text | None]
     match trial.value:
         case TimeOffset():
-            return _offset(trial.value, intervals)
+            found = _offset(trial.value, intervals)
         case RateRatio(value):
-            return f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
+            found = f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
+        case ClockDrift():
+            found = _drift(trial.value), DRIFT_REMEDY
         case MethodPair():
-            return _methods(trial.value, intervals[0])
+            found = _methods(trial.value, intervals[0])
         case np.ndarray() if trial.name == "axes":
-            return _axes(trial.value)
+            found = _axes(trial.value)
         case np.ndarray():
             turn = float(geodesic_angle(IDENTITY, trial.value))
             sentence = f"the body frames differ by {degrees_text(turn)}"
-            return sentence, Text(Setting("align", "mount"), " takes it out")
+            found = sentence, Text(Setting("align", "mount"), " takes it out")
         case _:
-            return _misreading(trial)
+            found = _misreading(trial)
+    return found
 
 
 def _misreading(trial: Trial) -> tuple[str, Text | None]:
@@ -176,6 +183,23 @@ def _offset(offset: TimeOffset, intervals: Sequence[float]) -> tuple[str, Settin
                 sentence += f" ({text} of {name}): a clock offset, or another integration rule"
                 return sentence, Text(remedy, ", ", Setting("method"), " changes the rule")
     return sentence, remedy
+
+
+DRIFT_REMEDY = Text("correct the stamps; ", Setting("time_offset", "auto"), " leaves the change in")
+
+
+def _drift(drift: ClockDrift) -> str:
+    ppm, std = abs(drift.ratio) * 1e6, max(drift.std * 1e6, 0.01)
+    digits = max(1 - math.floor(math.log10(std)), 0)
+    pace = "slow" if drift.ratio > 0 else "fast"
+    moved, span = (
+        duration_text(round(value * NS_PER_S))
+        for value in (round(abs(drift.ratio) * drift.span, 4), round(drift.span, 1))
+    )
+    return (
+        f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
+        f"between their timestamps changes by {moved} in {span}"
+    )
 
 
 def _rounded(amount_ns: int, std_ns: int) -> str:

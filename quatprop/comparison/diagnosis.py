@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.association import shifted
 from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
@@ -26,7 +25,7 @@ from quatprop.comparison.hypotheses import (
 )
 from quatprop.comparison.rule_trials import method_trials
 from quatprop.comparison.statistics import NS_PER_S, rms
-from quatprop.comparison.trials import TimeOffset, trials
+from quatprop.comparison.trials import ClockDrift, TimeOffset, trials
 from quatprop.comparison.window_trials import WindowTrials
 from quatprop.comparison.windows import undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
@@ -63,6 +62,9 @@ MAX_REMAINING_METHOD = 0.02
 
 GROSS = 0.5
 """A mistake that leaves less than this comes before causes found in the errors themselves."""
+
+CLOCKS = ("time offset", "clock drift")
+"""Mistakes in timestamps, which matter more the faster rates change."""
 
 SMALL = {"method", "scale"}
 """Mistakes that turn no reference frame: where frames differ too, that comes first."""
@@ -141,10 +143,16 @@ def likely_cause(
     if len(a) < MIN_PAIRS or len(b) < MIN_PAIRS:
         return None
 
-    def total(seconds: float) -> float | None:
-        """Return the RMS error with B at a later time."""
+    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0])) if len(a) and len(b) else 0
+
+    def total(clock: TimeOffset | ClockDrift | None) -> float | None:
+        """Return the RMS error with what a clock is off by added to B's stamps."""
+        moved = b
+        if clock is not None:
+            seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
+            moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
         try:
-            pairs = match(a, shifted(b, round(seconds * NS_PER_S)))
+            pairs = match(a, moved)
         except ComparisonError:
             return None
         errors = remaining_errors(pairs, alignment, pairs.b)
@@ -170,7 +178,7 @@ def _is_minor(cause: Cause) -> bool:
 def _cause_over_windows(
     a: AttitudeSeries,
     b: AttitudeSeries,
-    total: Callable[[float], float | None],
+    total: Callable[[TimeOffset | ClockDrift | None], float | None],
     *,
     turned: bool,
 ) -> Cause | None:
@@ -190,16 +198,15 @@ def _cause_over_windows(
     if found is None:
         # A time offset stands out most clearly elsewhere: it matters more the faster rates change.
         clearest = min(lengths, key=lambda windows: windows.offset_std)
-        found = clearest.found(min(intervals), turned=turned, only="time offset")
+        found = clearest.found(min(intervals), turned=turned, only=CLOCKS)
     if found is None:
         return None
     trial, alternatives = found
     name, sentence, remedy = described(trial, alternatives, intervals)
     window_ns = round(clearest.length * NS_PER_S)
     cause = Cause(name, sentence, clearest.before.rms, trial.rms, remedy, window_ns)
-    if isinstance(trial.value, TimeOffset):
-        seconds = trial.value.seconds
-        cause = replace(cause, total_before=total(0.0), total_after=total(seconds))
+    if isinstance(trial.value, TimeOffset | ClockDrift):
+        cause = replace(cause, total_before=total(None), total_after=total(trial.value))
     return cause
 
 

@@ -73,6 +73,39 @@ class TimeOffset:
     std: float
     white_std: float
 
+    def at(self, _seconds: Float64) -> float:
+        """Return what is to be added to B's stamps at some times, s."""
+        return self.seconds
+
+
+@dataclass(frozen=True, slots=True)
+class ClockDrift:
+    """An offset of B's clock that changes steadily.
+
+    Parameters
+    ----------
+    ratio
+        What is to be added to B's stamps, as a share of the time that passes.
+    std
+        Its standard deviation.
+    seconds
+        What is to be added in the middle, s.
+    middle
+        When that is, s.
+    span
+        Time over which it was found, s.
+    """
+
+    ratio: float
+    std: float
+    seconds: float
+    middle: float
+    span: float
+
+    def at(self, seconds: Float64) -> Float64:
+        """Return what is to be added to B's stamps at some times, s."""
+        return self.seconds + self.ratio * (seconds - self.middle)
+
 
 @dataclass(frozen=True, slots=True)
 class RateRatio:
@@ -110,7 +143,7 @@ class Trial:
     name: str
     remaining: Float64
     side: str = ""
-    value: TimeOffset | RateRatio | MethodPair | Float64 | None = None
+    value: TimeOffset | ClockDrift | RateRatio | MethodPair | Float64 | None = None
 
     @property
     def rms(self) -> float:
@@ -144,7 +177,7 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
         yield Trial("scale", (y - ratio * x) / min(ratio, 1.0), value=limits)
     turn, _ = kabsch(x, y)
     yield Trial("body frame", y - rotate(turn, x), value=turn)
-    yield offset_trial(angles[0], starts, length)
+    yield from clock_trials(angles[0], starts, length)
 
 
 def _closest_axes(common: Float64, handed: float) -> Float64:
@@ -154,11 +187,14 @@ def _closest_axes(common: Float64, handed: float) -> Float64:
     return kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
 
 
-def offset_trial(pair: Angles, starts: Float64, length: float) -> Trial:
-    """Move B by the offset at which it turns as A does."""
+def clock_trials(pair: Angles, starts: Float64, length: float) -> Iterator[Trial]:
+    """Move B by the offset at which it turns as A does, and by one that changes steadily."""
+    y = centred(pair.a.over(starts, length))
     offset = time_offset(pair, starts, length)
-    moved = centred(pair.b.over(starts - offset.seconds, length))
-    return Trial("time offset", centred(pair.a.over(starts, length)) - moved, value=offset)
+    drift = clock_drift(pair, starts, length, offset.seconds)
+    for name, value in (("time offset", offset), ("clock drift", drift)):
+        moved = centred(pair.b.over(starts - value.at(starts), length))
+        yield Trial(name, y - moved, value=value)
 
 
 def time_offset(
@@ -182,31 +218,73 @@ def time_offset(
     Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
     """
     offset = _on_grid(pair, starts, length) if begin is None else begin
+    one = np.ones((1, len(starts)))
+    (seconds,), (std,), white_std = _fitted(pair, starts, length, one, np.array([offset]))
+    return TimeOffset(float(seconds), float(std), white_std)
+
+
+def clock_drift(pair: Angles, starts: Float64, length: float, begin: float) -> ClockDrift:
+    """Find the steadily changing offset of B's clock at which B turns as A does.
+
+    As :func:`time_offset`, with two parameters, from an offset to begin with, s.
+    """
+    middle = float(starts.mean())
+    since = np.stack([np.ones_like(starts), starts - middle])
+    (seconds, ratio), (_, std), _ = _fitted(pair, starts, length, since, np.array([begin, 0.0]))
+    span = float(starts[-1] - starts[0])
+    return ClockDrift(float(ratio), float(std), float(seconds), middle, span)
+
+
+def _fitted(
+    pair: Angles, starts: Float64, length: float, terms: Float64, found: Float64
+) -> tuple[Float64, Float64, float]:
+    """Return the offset of B's clock as a sum of terms, by least squares.
+
+    Parameters
+    ----------
+    pair, starts, length
+        As for :func:`time_offset`.
+    terms
+        What is added up, at each window, shape ``(k, N)``; the first is 1.
+    found
+        So much of each to begin with, shape ``(k,)``.
+
+    Returns
+    -------
+    found, std : ndarray
+        So much of each, and its standard deviation; that is infinite where windows do not show it.
+    white_std : float
+        As for :class:`TimeOffset`.
+    """
     step = length / 8
+    largest = np.abs(terms).max(axis=1)
+    unknown = np.full(len(found), np.inf), float("inf")
     y, slope_a = centred(pair.a.over(starts, length)), _slope(pair.a, starts, length, step)
     for _ in range(MAX_ROUNDS):
-        error = y - centred(pair.b.over(starts - offset, length))
-        slope = _slope(pair.b, starts - offset, length, step)
-        power = float((slope_a * slope).sum())
-        if power <= 0:
-            return TimeOffset(offset, np.inf, np.inf)
-        move = float((slope * error).sum()) / power
-        offset += float(np.clip(move, -step, step))
-        if abs(move) * NS_PER_S < 1:
+        moved = starts - found @ terms
+        error = y - centred(pair.b.over(moved, length))
+        slope = _slope(pair.b, moved, length, step)
+        scores = terms * (slope * error).sum(axis=1)
+        powers = terms[:, None] * terms * (slope_a * slope).sum(axis=1)
+        power = powers.sum(axis=2)
+        if power[0, 0] <= 0 or np.linalg.det(power) <= 0:
+            return found, *unknown
+        move = np.linalg.solve(power, scores.sum(axis=1))
+        found = found + np.clip(move, -step / largest, step / largest)
+        if (np.abs(move * largest) * NS_PER_S < 1).all():
             break
-    std = _left_out((slope * error).sum(axis=1), (slope_a * slope).sum(axis=1), starts, length)
-    white_std = float(np.sqrt((error**2).mean() * PER_WINDOW / power))
-    return TimeOffset(offset, std, white_std)
-
-
-def _left_out(score: Float64, power: Float64, starts: Float64, length: float) -> float:
-    """Return how much an estimate changes when one block of windows after the other is left out."""
+    white_std = float(np.sqrt((error**2).mean() * PER_WINDOW / power[0, 0]))
+    # How much the result changes when one block of windows after the other is left out.
     block = _blocks(starts, length)
-    moved = np.bincount(block, score)
-    rest = power.sum() - np.bincount(block, power)
-    if (rest <= 0).any():
-        return np.inf
-    return float(np.sqrt(((moved / rest) ** 2).sum()))
+    by_block = [
+        np.stack([np.bincount(block, row) for row in rows], axis=1)
+        for rows in (scores, powers.reshape(-1, len(starts)))
+    ]
+    left = power - by_block[1].reshape(-1, *power.shape)
+    if (np.linalg.det(left) <= 0).any():
+        return found, *unknown
+    changes = np.linalg.solve(left, by_block[0][..., None])[..., 0]
+    return found, np.sqrt((changes**2).sum(axis=0)), white_std
 
 
 def _on_grid(pair: Angles, starts: Float64, length: float) -> float:

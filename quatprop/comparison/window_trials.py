@@ -8,10 +8,12 @@ import numpy as np
 
 from quatprop.comparison.cause_sentences import MISREADINGS
 from quatprop.comparison.hypotheses import EXACT
-from quatprop.comparison.trials import RateRatio, TimeOffset, Trial, size
+from quatprop.comparison.trials import ClockDrift, RateRatio, TimeOffset, Trial, size
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from quatprop.comparison.windows import Angles
@@ -45,8 +47,14 @@ MIN_TURN = np.radians(1.0)
 MIN_OFFSET = 0.4
 """Least time offset, in intervals: half of one is what integration rules differ by."""
 
+MIN_DRIFT = 1.0
+"""Least change of a time offset, in intervals: clocks that are kept together differ by less."""
+
 SIGNIFICANT = 5.0
 """An offset is real if it is this many standard deviations from none."""
+
+SIGNIFICANT_DRIFT = 7.0
+"""The same for an offset that changes: noise that wanders looks like one."""
 
 MUCH_BETTER = 0.7
 """A mistake with free parameters is preferred to one without only where less than this remains."""
@@ -57,8 +65,8 @@ NEGLIGIBLE = 1e-4
 DISCRETE = {*MISREADINGS, "side", "rate sign", "axes"}
 """Mistakes without free parameters."""
 
-FITTED = {"scale", "time offset"}
-"""Mistakes with one."""
+FITTED = {"scale", "time offset", "clock drift"}
+"""Mistakes with one or two."""
 
 TIE = 1.02
 """Trials within this factor of the best explain the windows as well."""
@@ -74,6 +82,7 @@ class WindowTrials:
         # Overlapping windows repeat each other.
         self._freedom = 3 * min(len(starts), float(starts[-1] - starts[0]) / length)
         self._offset = next(trial for trial in tried if trial.name == "time offset")
+        self._less_offset = min(self.before, self._offset, key=lambda trial: trial.rms)
 
     @property
     def unexplained(self) -> float:
@@ -88,7 +97,7 @@ class WindowTrials:
         return offset.white_std if isinstance(offset, TimeOffset) else np.inf
 
     def found(
-        self, interval: float, *, turned: bool, only: str = ""
+        self, interval: float, *, turned: bool, only: Collection[str] = ()
     ) -> tuple[Trial, list[Trial]] | None:
         """Return the trial that explains the differences, and what explains them as well."""
         if self.before.rms <= NO_DIFFERENCE or self.unexplained > MAX_UNEXPLAINED:
@@ -96,11 +105,14 @@ class WindowTrials:
         accepted = [
             trial
             for trial in self._tried
-            if only in ("", trial.name)
+            if (not only or trial.name in only)
             and (turned or trial.name != "body frame")
-            and self._gain(self.before, trial) >= MIN_GAIN
+            and self._gain(self._compared_with(trial), trial) >= MIN_GAIN
             and _is_material(trial, self.before, interval)
         ]
+        if any(trial.name == "clock drift" for trial in accepted):
+            # It contains the offset.
+            accepted = [trial for trial in accepted if trial.name != "time offset"]
         for kind in (DISCRETE, FITTED, {"body frame"}):
             some = [trial for trial in accepted if trial.name in kind]
             if not some:
@@ -121,6 +133,10 @@ class WindowTrials:
             ]
             return chosen, sorted(also, key=lambda trial: trial.name)
         return None
+
+    def _compared_with(self, trial: Trial) -> Trial:
+        """Return what a trial must be better than."""
+        return self._less_offset if trial.name == "clock drift" else self.before
 
     def _gain(self, worse: Trial, better: Trial) -> float:
         """Return by how much the likelihood of the better trial is greater, as a logarithm."""
@@ -143,6 +159,9 @@ def _is_material(trial: Trial, before: Trial, interval: float) -> bool:
     match trial.value:
         case TimeOffset(seconds, std, _):
             large = abs(seconds) > max(SIGNIFICANT * std, MIN_OFFSET * interval)
+            return large and remaining <= MAX_REMAINING_OFFSET
+        case ClockDrift(ratio, std, _, _, span):
+            large = abs(ratio) > max(SIGNIFICANT_DRIFT * std, MIN_DRIFT * interval / span)
             return large and remaining <= MAX_REMAINING_OFFSET
         case RateRatio(value, least, most):
             outside = not least <= 1 <= most and abs(np.log(value)) > MIN_SCALE
