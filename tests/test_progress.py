@@ -2,6 +2,7 @@
 
 import os
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -79,3 +80,27 @@ def test_nothing_is_shown_where_stderr_is_no_terminal(monkeypatch, capsys):
     with shown.progress():
         assert metered(batches, 3) is batches
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "indent"),
+    [
+        (("propagate", SAMPLES / "tumbling.bag", "-o", "a.csv"), 12),
+        (("compare", SAMPLES / "tumbling.truth.csv", SAMPLES / "tumbling.truth.csv"), 10),
+        (("convert", SAMPLES / "tumbling.truth.csv", "a.tum"), 5),
+    ],
+)
+def test_long_lines_go_on_below_their_text_on_a_narrow_terminal(tmp_path, arguments, indent):
+    """Words are not broken, and what is no terminal gets each line whole."""
+    text = pexpect.run(
+        f"{sys.executable} -m quatprop {' '.join(map(str, arguments))}",
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "COLUMNS": "60"},
+        timeout=60,
+    )
+    lines = text.decode().splitlines()
+    assert any(line.startswith(" " * indent) and line[indent] != " " for line in lines)
+    assert all(len(line) <= 60 or " " not in line.strip() for line in lines)
+    command = [sys.executable, "-m", "quatprop", *arguments]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
+    assert max(map(len, (done.stdout + done.stderr).splitlines())) > 60

@@ -54,6 +54,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     from quatprop import __version__
     from quatprop.cli.progress import progress
     from quatprop.cli.spelling import spelled
+    from quatprop.cli.summary import show
     from quatprop.comparison.files import compare_files
     from quatprop.comparison.summary import comparison_rows
     from quatprop.provenance import as_json as to_json
@@ -77,7 +78,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
         click.echo(json.dumps(report, indent=2))
     elif not quiet:
         rows = comparison_rows(first, second, comparison, spelled)
-        click.echo("\n".join(lines_of(rows)))
+        show(lines_of(rows), indent=10, err=False)
     if not comparison.passed:
         raise click.exceptions.Exit(1)
     if first.data_lost or second.data_lost:

@@ -89,6 +89,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     for stdout. With --into instead, a copy of IN that holds them too.
     """
     from quatprop.cli.progress import progress
+    from quatprop.cli.summary import show
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import Conversion, convert
 
@@ -107,7 +108,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     with progress(quiet=quiet):
         report = convert(job)
     if not quiet:
-        click.echo("\n".join(_summary(job.output.path, report)), err=True)
+        show(_summary(job.output.path, report), indent=5)
     if report.data_lost:
         raise click.exceptions.Exit(3)
 

@@ -64,7 +64,7 @@ def command(**chosen: Any) -> None:
     LOG (--into).
     """
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import summary
+    from quatprop.cli.summary import INDENT, show, summary
     from quatprop.pipeline.job import run
 
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
@@ -75,7 +75,7 @@ def command(**chosen: Any) -> None:
         else:
             report = run(job, picture, summary=not quiet, before_publish=picture.commit)
     if not quiet:
-        click.echo(summary(report, verbose=verbose), err=True)
+        show(summary(report, verbose=verbose), INDENT)
     if report.data_lost:
         raise click.exceptions.Exit(3)
 

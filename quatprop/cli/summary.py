@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import TYPE_CHECKING
+
+import click
 
 from quatprop.cli.spelling import spelled
 from quatprop.provenance import as_json
@@ -23,7 +26,38 @@ if TYPE_CHECKING:
     from quatprop.rendering import Row
 
 
-def summary(report: RunReport, *, verbose: bool) -> str:
+INDENT = 12
+"""Where the text of a summary begins."""
+
+
+def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
+    """Print lines; on a terminal those that are too long go on below their text.
+
+    Parameters
+    ----------
+    lines
+        The lines.
+    indent
+        Where the text begins.
+    err
+        Whether to stderr rather than stdout.
+    """
+    stream = sys.stderr if err else sys.stdout
+    if stream is not None and stream.isatty():
+        from shutil import get_terminal_size
+        from textwrap import TextWrapper
+
+        wrapper = TextWrapper(
+            width=get_terminal_size().columns,
+            subsequent_indent=" " * indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        lines = [wrapper.fill(line) for line in lines]
+    click.echo("\n".join(lines), err=err)
+
+
+def summary(report: RunReport, *, verbose: bool) -> list[str]:
     """Return what a run did in a few lines.
 
     Parameters
@@ -34,9 +68,9 @@ def summary(report: RunReport, *, verbose: bool) -> str:
         Also state conventions, policies and timings.
     """
     rows = [*_facts(report), *(_conventions(report) if verbose else ())]
-    lines = lines_of(rows, width=11)
+    lines = lines_of(rows, width=INDENT - 1)
     lines += [f"warning: {spelled(remark)}" for remark in report.remarks]
-    return "\n".join(lines + loss_lines(report.losses))
+    return lines + loss_lines(report.losses)
 
 
 def _facts(report: RunReport) -> Iterator[Row]:
