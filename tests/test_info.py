@@ -9,10 +9,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from click.testing import CliRunner
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
 from quatprop.cli import cli
 from quatprop.cli.spelling import spelled
+from quatprop.containers.mcap.log import McapLog
+from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text
 from quatprop.writers import WRITERS, open_writer
@@ -256,3 +260,39 @@ def test_a_binary_log_on_stdin_is_listed_whole():
         "text on stdin is read only once: attitudes were not looked for"
         in (copied["sources"][0]["remarks"])
     )
+
+
+def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch):
+    """A long log is read once, and what is said of it is what reading each by itself shows."""
+    monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
+    log = tmp_path / "log.mcap"
+    with log.open("wb") as file, (SAMPLES / "coning.mcap").open("rb") as stream:
+        (schema, channel, message), *_ = make_reader(stream).iter_messages()
+        writer = Writer(file, chunk_size=20_000, compression=CompressionType.ZSTD)
+        writer.start("ros2")
+        own = writer.register_schema(schema.name, schema.encoding, schema.data)
+        ids = writer.register_channel(channel.topic, channel.message_encoding, own)
+        for k in range(8000):
+            t_ns = (k + 1) * 10_000_000
+            stamp = np.array(divmod(t_ns, 10**9), "<i4").tobytes()
+            data = message.data[:4] + stamp + message.data[12:]
+            writer.add_message(ids, t_ns, data, t_ns)
+        writer.finish()
+    read, original = [], McapLog.blocks
+
+    def blocks(self, channel):
+        count = 0
+        for block in original(self, channel):
+            count += len(block)
+            yield block
+        read.append(count)
+
+    monkeypatch.setattr(McapLog, "blocks", blocks)
+    (surveyed,), _ = info(log)
+    assert read == [8000]
+    (rates,) = surveyed["sources"]
+    assert (rates["samples"], rates["gaps"], rates["backwards"]) == (8000, 0, 0)
+    monkeypatch.setattr(survey, "_reading_beside", lambda *_: None)
+    (apart,), _ = info(log)
+    assert read == [8000] * 3
+    assert apart == surveyed

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Loss
+    from quatprop.provenance import JsonObject
     from quatprop.text import Text
+    from quatprop.timeline.counts import StampCounts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,3 +125,35 @@ class LogSurvey:
     sources: tuple[RateSurvey, ...]
     attitudes: tuple[AttitudeSurvey, ...]
     losses: tuple[Loss, ...]
+
+
+def timing(counts: StampCounts) -> dict[str, Any]:
+    """Return what a survey says of stamps, by name."""
+    span_s = counts.span_ns * 1e-9
+    return {
+        "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
+        "span_s": span_s,
+        "first_ns": counts.first_ns,
+        "last_ns": counts.last_ns,
+        "median_dt_ns": counts.median_dt_ns,
+        "min_dt_ns": counts.min_dt_ns,
+        "max_dt_ns": counts.max_dt_ns,
+        "gaps": counts.gaps.count,
+        "duplicates": counts.duplicates.count,
+        "backwards": counts.backwards.count,
+    }
+
+
+def making(provenance: JsonObject) -> dict[str, Any]:
+    """Return how attitudes were made; what is not as this package writes it is left out."""
+    convention, source = (
+        part if isinstance(part := provenance.get(key), dict) else {}
+        for key in ("convention", "source")
+    )
+    method, path, q0 = convention.get("method"), source.get("path"), convention.get("q0_wxyz")
+    known_q0 = isinstance(q0, list) and [type(x) for x in q0] == [float] * 4
+    return {
+        "method": method if isinstance(method, str) else None,
+        "made_from": path if isinstance(path, str) else None,
+        "q0_wxyz": tuple(q0 or ()) if known_q0 else None,
+    }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
@@ -23,11 +24,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.formats import open_log
-from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey
+from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import attitude_candidates
+from quatprop.signals.message_values import blocks_shared
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
@@ -44,14 +46,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.provenance import JsonObject
     from quatprop.selection import RateSelection
+    from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import TableLog
-    from quatprop.timeline.counts import StampCounts
 
     Log = MessageLog | TableLog
+    Seen = dict[tuple[str, str], "_AttitudeReading"]
     Int64 = NDArray[np.int64]
 
 READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
@@ -95,20 +97,53 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
         read_once = str(log.path) == "-"
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
+        seen: Seen | None = None if only_rates or is_table(log) else {}
         rates: tuple[RateSurvey, ...] = ()
         try:
-            rates = tuple(_rates(log, selection, read_once=read_once))
+            rates = tuple(_rates(log, selection, seen, read_once=read_once))
         except (NoRatesError, NoSuchTopicError) as error:
             no_rates = error
         attitudes: tuple[AttitudeSurvey, ...] = ()
         if not (only_rates or (read_once and rates)):
-            attitudes = tuple(_attitudes(log, selection))
+            attitudes = tuple(_attitudes(log, selection, seen or {}))
         if no_rates is not None and not attitudes:
             raise no_rates
         return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
 
 
-def _rates(log: Log, selection: RateSelection, *, read_once: bool) -> Iterator[RateSurvey]:
+class _AttitudeReading:
+    """Attitudes of a log, and what is found in them while they are read."""
+
+    def __init__(self, log: Log, signal: AttitudeSignal) -> None:
+        self.signal = signal
+        self.check = QuaternionCheck(log.path, drop=True)
+        self.stamps = StampChecks(log.path)
+
+    def __iter__(self) -> Iterator[Int64]:
+        """Read the attitudes, and yield their stamps; invalid quaternions have stamps too."""
+        for t_ns, wxyz in self.signal.rows():
+            deque(self.check.apply([(t_ns, wxyz)]), maxlen=0)
+            yield t_ns
+
+
+def _reading_beside(
+    log: Log, selection: RateSelection, rates: RateSignal, seen: Seen
+) -> _AttitudeReading | None:
+    """Return and note the only attitudes in the messages of rates, if they can be read as is."""
+    try:
+        wanted = replace(AttitudeSelection.like(selection), topic=rates.name)
+        (candidate,) = attitude_candidates(log, wanted)
+        reading = _AttitudeReading(log, candidate.signal())
+    except (LogError, UsageError, ValueError):
+        return None
+    name = reading.signal.name, reading.signal.field
+    return None if name in seen else seen.setdefault(name, reading)
+
+
+def _rates(
+    log: Log, selection: RateSelection, seen: Seen | None, *, read_once: bool
+) -> Iterator[RateSurvey]:
+    """Yield the rates of a log; attitudes in the same messages are read with them, and noted."""
     list_again = partial(rate_candidates, log)
     for candidate in rate_candidates(log, selection):
         try:
@@ -116,7 +151,8 @@ def _rates(log: Log, selection: RateSelection, *, read_once: bool) -> Iterator[R
         except (TimelineError, UndeclaredError) as error:
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        surveyed = _survey_rates(signal, str(log.path))
+        beside = None if seen is None else _reading_beside(log, selection, signal, seen)
+        surveyed = _survey_rates(signal, log, beside)
         if missing is not None:
             known = replace(surveyed, missing=missing, remarks=())
             yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
@@ -159,9 +195,23 @@ def _declared(
         raise
 
 
-def _survey_rates(signal: RateSignal, path: str) -> RateSurvey:
-    timeline, checks = Timeline(OBSERVE, path), RateChecks()
-    deque(timeline.apply(checks.observe(signal.batches())), maxlen=0)
+def _in_step(batches: Iterator[GyroSeries], other: Iterator[Int64]) -> Iterator[GyroSeries]:
+    """Yield batches, and let another reading of the same messages go on beside them."""
+    for batch in batches:
+        next(other, None)
+        yield batch
+    deque(other, maxlen=0)
+
+
+def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
+    timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
+    batches = signal.batches()
+    if beside is not None:
+        batches = _in_step(batches, beside.stamps.observe(beside))
+    samples = timeline.apply(checks.observe(batches))
+    with nullcontext() if beside is None else blocks_shared(cast("MessageLog", log), signal.name):
+        next(samples, None)
+    deque(samples, maxlen=0)
     counts = timeline.counts
     return RateSurvey(
         source=signal.name,
@@ -170,7 +220,7 @@ def _survey_rates(signal: RateSignal, path: str) -> RateSurvey:
         rate_unit=signal.unit,
         clock=signal.clock,
         samples=counts.used,
-        **_timing(counts),
+        **timing(counts),
         nonfinite=counts.nonfinite.count,
         max_rate_rad_s=counts.max_rate,
         max_rate_deg_s=math.degrees(counts.max_rate),
@@ -182,23 +232,7 @@ def _survey_rates(signal: RateSignal, path: str) -> RateSurvey:
     )
 
 
-def _timing(counts: StampCounts) -> dict[str, Any]:
-    span_s = counts.span_ns * 1e-9
-    return {
-        "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
-        "span_s": span_s,
-        "first_ns": counts.first_ns,
-        "last_ns": counts.last_ns,
-        "median_dt_ns": counts.median_dt_ns,
-        "min_dt_ns": counts.min_dt_ns,
-        "max_dt_ns": counts.max_dt_ns,
-        "gaps": counts.gaps.count,
-        "duplicates": counts.duplicates.count,
-        "backwards": counts.backwards.count,
-    }
-
-
-def _attitudes(log: Log, selection: RateSelection) -> Iterator[AttitudeSurvey]:
+def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[AttitudeSurvey]:
     wanted = AttitudeSelection.like(selection)
     try:
         candidates = attitude_candidates(log, wanted)
@@ -211,13 +245,13 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[AttitudeSurvey]:
             yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
             return
         for topic in topics:
-            yield from _attitudes(log, replace(selection, topic=topic))
+            yield from _attitudes(log, replace(selection, topic=topic), seen)
         return
     assumed, list_again = _ASSUMED[1:2], partial(attitude_candidates, log)
     for candidate in candidates:
         try:
             signal, unknown, missing = _declared(candidate, list_again, wanted, assumed)
-            surveyed = _survey_attitudes(signal, log)
+            surveyed = _survey_attitudes(signal, log, seen)
         except NoAttitudesError:
             continue
         except LogError as error:
@@ -234,7 +268,7 @@ def _attitudes(log: Log, selection: RateSelection) -> Iterator[AttitudeSurvey]:
             yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
 
 
-def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
+def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeSurvey:
     """Return the survey of a signal of attitudes.
 
     Raises
@@ -242,16 +276,11 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
     NoAttitudesError
         Every row is marked as absent, as gyroscopes without an estimate do.
     """
-    check, stamps = QuaternionCheck(log.path, drop=True), StampChecks(log.path)
-
-    def checked() -> Iterator[Int64]:
-        # Invalid quaternions have stamps too.
-        for t_ns, wxyz in signal.rows():
-            deque(check.apply([(t_ns, wxyz)]), maxlen=0)
-            yield t_ns
-
-    deque(stamps.observe(checked()), maxlen=0)
-    counts = check.counts
+    reading = seen.get((signal.name, signal.field))
+    if reading is None:
+        reading = _AttitudeReading(log, signal)
+        deque(reading.stamps.observe(reading), maxlen=0)
+    counts, stamps = reading.check.counts, reading.stamps.counts
     if counts.not_finite == counts.read > 0:
         raise NoAttitudesError(log.path, [signal.name])
     return AttitudeSurvey(
@@ -262,28 +291,13 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log) -> AttitudeSurvey:
         convention=signal.meaning.convention,
         direction=signal.meaning.direction,
         clock=signal.clock,
-        samples=stamps.counts.used,
-        **_timing(stamps.counts),
+        samples=stamps.used,
+        **timing(stamps),
         invalid=counts.invalid,
-        **_making(signal.provenance),
+        **making(signal.provenance),
         remarks=(
             *signal.remarks,
             *((counts.summary,) if counts.invalid else ()),
             *log.remarks,
         ),
     )
-
-
-def _making(provenance: JsonObject) -> dict[str, Any]:
-    """Return how attitudes were made; what is not as this package writes it is left out."""
-    convention, source = (
-        part if isinstance(part := provenance.get(key), dict) else {}
-        for key in ("convention", "source")
-    )
-    method, path, q0 = convention.get("method"), source.get("path"), convention.get("q0_wxyz")
-    known_q0 = isinstance(q0, list) and [type(x) for x in q0] == [float] * 4
-    return {
-        "method": method if isinstance(method, str) else None,
-        "made_from": path if isinstance(path, str) else None,
-        "q0_wxyz": tuple(q0 or ()) if known_q0 else None,
-    }

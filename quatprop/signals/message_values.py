@@ -82,6 +82,16 @@ def beginning_kept(log: MessageLog) -> Iterator[None]:
         log.kept = None
 
 
+@contextmanager
+def blocks_shared(log: MessageLog, topic: str) -> Iterator[None]:
+    """Let those who begin in this block to read a topic share its blocks, and go on in step."""
+    log.kept = {channel: log.blocks(channel) for channel in channels_of(log, topic)}
+    try:
+        yield
+    finally:
+        log.kept = None
+
+
 def blocks_of(log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:
     """Return the blocks of a channel; those that are kept are not read again."""
     if log.kept is None:
