@@ -59,7 +59,7 @@ class Buffers:
 
 
 @dataclass(frozen=True, slots=True)
-class Group(Generic[Chunk]):
+class ChunkGroup(Generic[Chunk]):
     """Chunks that are loaded together, in one thread.
 
     Parameters
@@ -101,7 +101,7 @@ class LoadedGroup(Generic[Chunk, Content]):
         What loading each of them gave.
     """
 
-    group: Group[Chunk]
+    group: ChunkGroup[Chunk]
     contents: list[Content]
 
 
@@ -125,11 +125,11 @@ def load_in_groups(
         Chunks that follow each other.
     """
 
-    def loaded(group: Group[Chunk]) -> LoadedGroup[Chunk, Content]:
+    def loaded(group: ChunkGroup[Chunk]) -> LoadedGroup[Chunk, Content]:
         return LoadedGroup(group, [load(*part) for part in group.parts()])
 
     def load_group(
-        group: Group[Chunk],
+        group: ChunkGroup[Chunk],
     ) -> LoadedGroup[Chunk, Content] | Deferred[LoadedGroup[Chunk, Content]]:
         return Deferred(lambda: loaded(group)) if group.is_large else loaded(group)
 
@@ -137,7 +137,7 @@ def load_in_groups(
         yield from groups
 
 
-def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[Group[Chunk]]:
+def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[ChunkGroup[Chunk]]:
     """Yield chunks in groups: handing over each by itself would cost as much as decompressing it.
 
     Memory is given to them in their order, whichever of them is loaded first.
@@ -152,8 +152,8 @@ def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[Group[Chunk
     sizes: list[int] = []
     limit = min(FIRST, BUFFER)
 
-    def group() -> Group[Chunk]:
-        return Group(chunks, buffers.take(sum(sizes)), list(accumulate(sizes, initial=0))[:-1])
+    def group() -> ChunkGroup[Chunk]:
+        return ChunkGroup(chunks, buffers.take(sum(sizes)), list(accumulate(sizes, initial=0))[:-1])
 
     for chunk, size in sized:
         alone = size is None or size > LARGE
@@ -161,7 +161,7 @@ def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[Group[Chunk
             yield group()
             chunks, sizes, limit = [], [], min(BUFFER, 2 * limit)
         if size is None or alone:
-            yield Group([chunk], None, [0], is_large=size is not None)
+            yield ChunkGroup([chunk], None, [0], is_large=size is not None)
         else:
             chunks.append(chunk)
             sizes.append(size)
