@@ -80,7 +80,7 @@ class BagCopy:
         """Copy the chunks before the first that begins after `first_ns`; with None all."""
         while self._next < len(self._chunks):
             chunk = self._chunks[self._next]
-            if first_ns is not None and chunk.start_ns > first_ns:
+            if first_ns is not None and chunk.first_ns > first_ns:
                 return
             self._next += 1
             self._copy(chunk, bag)

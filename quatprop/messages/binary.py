@@ -11,7 +11,7 @@ from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, f
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1, XCDR2
-from quatprop.messages.schema import at, numbers
+from quatprop.messages.schema import numbers_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -80,15 +80,7 @@ class BinaryDecoder:
         self._ways = []
         self._empty: list[NDArray[Any]] = []
         for field_path in field_paths:
-            way, kind = at(self._root, field_path, path)
-            shape = numbers(kind)
-            if shape is None:
-                raise SchemaError(
-                    path,
-                    f"field {quoted(field_path)} of {quoted(channel.type_name)} is not made of "
-                    "equal numbers; name a number, or a struct or fixed array of them",
-                )
-            number, count = shape
+            way, kind, number, count = numbers_at(channel, self._root, field_path, path)
             self._ways.append(way)
             empty_shape = (0,) if way and kind is number else (0, count)
             self._empty.append(np.empty(empty_shape, number.code))

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from quatprop.containers.base import Channel
+
 MAX_DEPTH = 50
 """Definitions nested deeper than this are refused: none are in practice, and searches recurse."""
 
@@ -195,6 +197,27 @@ def numbers(kind: Type) -> tuple[Primitive, int] | None:
     every encoding, so they are fetched as one.
     """
     return _numbers(kind, {})
+
+
+def numbers_at(
+    channel: Channel, root: Struct, field_path: str, path: Path | str
+) -> tuple[Steps, Type, Primitive, int]:
+    """Return where a dotted path leads, the field there, and the equal numbers it is made of.
+
+    Raises
+    ------
+    SchemaError
+        As for :func:`at`, and where the field is not made of equal numbers.
+    """
+    way, kind = at(root, field_path, path)
+    shape = numbers(kind)
+    if shape is None:
+        raise SchemaError(
+            path,
+            f"field {quoted(field_path)} of {quoted(channel.type_name)} is not made of equal "
+            "numbers; name a number, or a struct or fixed array of them",
+        )
+    return way, kind, *shape
 
 
 def _numbers(

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import MessageError, SchemaError
+from quatprop.errors import MessageError
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Array, Primitive, Struct, at, numbers
+from quatprop.messages.schema import Array, Primitive, Struct, numbers_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -67,15 +67,8 @@ class ValueDecoder(ABC):
         self.wanted = [self._wanted(root, field_path) for field_path in field_paths]
 
     def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
-        way, kind = at(root, field_path, self.path)
-        shape = numbers(kind)
-        if shape is None:
-            raise SchemaError(
-                self.path,
-                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} is not made of "
-                "equal numbers; name a number, or a struct or array of them",
-            )
-        return WantedColumn(tuple(_leaves(way, kind)), shape[0], isinstance(kind, Primitive))
+        way, kind, number, _ = numbers_at(self.channel, root, field_path, self.path)
+        return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
 
     def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
         """Return the wanted fields of all messages of a block.

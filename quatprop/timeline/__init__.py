@@ -187,7 +187,8 @@ class Timeline:
         counts = self.counts
         # Not by einsum, which rounds in another way where the processor fuses multiply and add.
         x, y, z = batch.rate.T
-        magnitude = np.sqrt(x * x + y * y + z * z)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a damaged log
+            magnitude = np.sqrt(x * x + y * y + z * z)
         if not np.isfinite(magnitude.sum()):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))

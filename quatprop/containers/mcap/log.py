@@ -14,7 +14,7 @@ from quatprop.containers.mcap.loading import load_regions
 from quatprop.containers.mcap.locating import MessageLocator, message_count
 from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.summary import MAGIC
-from quatprop.containers.time_range import TimeRange
+from quatprop.containers.time_range import TimeRange, parts_within, span_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
@@ -101,8 +101,8 @@ class McapLog(MessageLog):
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
-        Compressed chunks are read and decompressed ahead, in threads. Only chunks that hold the
-        channel are read, and none is kept, so memory use does not grow with the file.
+        Chunks are read and decompressed ahead, in threads. Only chunks that hold the channel are
+        read, and none is kept, so memory use does not grow with the file.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class McapLog(MessageLog):
         Yields
         ------
         MessageBlock
-            The messages of one chunk in the order of the chunk.
+            The messages of one chunk or several, in the order of the chunks.
         """
         ids, regions = self._regions_of(channel)
         count = yield from self._blocks(channel, ids, regions)
@@ -121,19 +121,12 @@ class McapLog(MessageLog):
     def recorded_span(self, channel: Channel) -> TimeRange | None:
         """Return when a channel was recorded; None where the file has no chunk index."""
         _, regions = self._regions_of(channel)
-        last = [region.last_ns for region in regions if region.last_ns is not None]
-        if not regions or len(last) < len(regions):
-            return None
-        return TimeRange(regions[0].first_ns, max(last))
+        return span_of(regions)
 
     def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
         """Yield the messages of the chunks that overlap a range of log times."""
         ids, regions = self._regions_of(channel)
-        yield from self._blocks(
-            channel,
-            ids,
-            [r for r in regions if r.last_ns is None or within.overlaps(r.first_ns, r.last_ns)],
-        )
+        yield from self._blocks(channel, ids, parts_within(regions, within))
 
     def _regions_of(self, channel: Channel) -> tuple[list[int], list[Region]]:
         """Return the ids of a channel, and the regions that may hold it, in order of time."""

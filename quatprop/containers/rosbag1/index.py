@@ -51,7 +51,7 @@ class BagChunk:
         Where its record begins.
     end
         Where its index data ends at the latest.
-    start_ns
+    first_ns
         Log time of its earliest message.
     counts
         Number of messages of each connection.
@@ -60,17 +60,17 @@ class BagChunk:
     first_conn
         What is added to the numbers of its connections: bags that were put one behind another
         have numbers of their own, each counted from 0.
-    end_ns
+    last_ns
         Log time of its latest message; None if it is unknown.
     """
 
     start: int
     end: int
-    start_ns: int = 0
+    first_ns: int = 0
     counts: dict[int, int] = field(default_factory=dict)
     is_unchunked: bool = False
     first_conn: int = 0
-    end_ns: int | None = None
+    last_ns: int | None = None
 
     @property
     def place(self) -> str:
@@ -256,6 +256,6 @@ def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
         raise MalformedRecordError("its chunk info is damaged")
     counts = np.frombuffer(data, "<u4").reshape(-1, 2)
     start = record.number(b"chunk_pos", 8)
-    start_ns = record.time(b"start_time") if len(counts) else 0
-    end_ns = record.time(b"end_time") if len(counts) else 0
-    return BagChunk(start, start, start_ns, dict(counts.tolist()), end_ns=end_ns)
+    first_ns = record.time(b"start_time") if len(counts) else 0
+    last_ns = record.time(b"end_time") if len(counts) else 0
+    return BagChunk(start, start, first_ns, dict(counts.tolist()), last_ns=last_ns)

@@ -16,7 +16,7 @@ from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import ChunkLoader
 from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import OP_BAG_HEADER, MalformedRecordError, RecordFile
-from quatprop.containers.time_range import TimeRange
+from quatprop.containers.time_range import TimeRange, parts_within, span_of
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
@@ -68,7 +68,7 @@ class Rosbag1Log(MessageLog):
             self.close()
             raise
         self.losses = index.losses
-        self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start_ns)
+        self._chunks = sorted(index.chunks, key=lambda chunk: chunk.first_ns)
         self._channels = self._channels_of(index)
         self._recorded = {
             fields[b"topic"].decode(errors="replace"): fields[METADATA_KEY].decode(errors="replace")
@@ -156,16 +156,12 @@ class Rosbag1Log(MessageLog):
     def recorded_span(self, channel: Channel) -> TimeRange | None:
         """Return when a channel was recorded; None where the bag has no index."""
         _, chunks = self._chunks_of(channel)
-        ends = [chunk.end_ns for chunk in chunks if chunk.end_ns is not None]
-        if not chunks or len(ends) < len(chunks):
-            return None
-        return TimeRange(chunks[0].start_ns, max(ends))
+        return span_of(chunks)
 
     def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
         """Yield the messages of the chunks that overlap a range of log times."""
         wanted, chunks = self._chunks_of(channel)
-        chunks = [c for c in chunks if c.end_ns is None or within.overlaps(c.start_ns, c.end_ns)]
-        return self._blocks(channel, wanted, chunks)
+        return self._blocks(channel, wanted, parts_within(chunks, within))
 
     def _chunks_of(self, channel: Channel) -> tuple[set[int], list[BagChunk]]:
         """Return the connections of a channel, and the chunks that hold it, in order of time."""
@@ -177,7 +173,7 @@ class Rosbag1Log(MessageLog):
     def _blocks(
         self, channel: Channel, wanted: set[int], chunks: list[BagChunk]
     ) -> Iterator[MessageBlock]:
-        bounds = [*(chunk.start_ns for chunk in chunks), LATEST]
+        bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
         loader = ChunkLoader(self._file, chunks, wanted)
         done = 0
         with closing(loader.groups()) as groups:

@@ -118,7 +118,7 @@ def _add_times(chunk: BagChunk, record: bytes) -> None:
         if len(entries):
             sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
             earliest = int((sec * NS_PER_S + nsec).min())
-            chunk.start_ns = min(chunk.start_ns, earliest) if chunk.counts else earliest
+            chunk.first_ns = min(chunk.first_ns, earliest) if chunk.counts else earliest
             chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
 
 
@@ -144,4 +144,4 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
     if loaded.damage or damage:
         index.losses.note(chunk.place, loaded.damage or damage)
     if times:
-        chunk.counts, chunk.start_ns = counts, min(times)
+        chunk.counts, chunk.first_ns = counts, min(times)
