@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
+from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.message_values import beginning_kept
 from quatprop.signals.quaternion_check import QuaternionCheck
@@ -29,13 +30,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
+
+Series = TypeVar("Series", GyroSeries, AttitudeSeries)
 
 COMPARED_SAMPLES = 20_000
 """Rates are compared with the log's own orientation over so many samples from its beginning."""
@@ -98,8 +100,8 @@ def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
-        rows = _beginning(own.rows(), COMPARED_SAMPLES, check.counts)
-        remark = against_orientation(source.batches(), check.apply(rows))
+        rows = check.apply(_beginning(own.rows(), check.counts))
+        remark = against_orientation(source.batches(), rows)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
@@ -133,20 +135,18 @@ def against_orientation(
     Text or None
         None where they agree, where nothing moves, or where there is too little to compare.
     """
-    gyro = ((batch.t_ns, batch.rate) for batch in rates)
-    own = ((batch.t_ns, batch.wxyz) for batch in orientations)
-    gyro_read: list[tuple[Int64, Float64]] = []
-    own_read: list[tuple[Int64, Float64]] = []
+    gyro: list[GyroSeries] = []
+    own: list[AttitudeSeries] = []
+    rates, orientations = iter(rates), iter(orientations)
     for samples in (AGREEING_SAMPLES, COMPARED_SAMPLES):
-        own_read += _beginning(own, samples - _rows(own_read))
-        if own_read:
-            gyro_read += _beginning(gyro, samples - _rows(gyro_read))
-        if not gyro_read:
+        _extend(own, orientations, samples)
+        if own:
+            _extend(gyro, rates, samples)
+        if not gyro:
             return None
-        by_rates, by_orientation = _rotations(gyro_read, own_read)
-        if min(by_rates, by_orientation) > MOVING and (
-            1 / OFF_SCALE < by_rates / by_orientation < OFF_SCALE
-        ):
+        moved = _rotations(GyroSeries.joined(gyro), AttitudeSeries.joined(own))
+        by_rates, by_orientation = moved
+        if min(moved) > MOVING and max(moved) < OFF_SCALE * min(moved):
             return None
     if by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
         return Text(
@@ -163,39 +163,32 @@ def against_orientation(
     return None
 
 
-def _rotations(
-    rates: list[tuple[Int64, Float64]], orientations: list[tuple[Int64, Float64]]
-) -> tuple[float, float]:
+def _rotations(gyro: GyroSeries, own: AttitudeSeries) -> tuple[float, float]:
     """Return how far rates and orientations rotate in the time compared, RMS, rad; 0 if unknown."""
-    gyro_ns, rate = map(np.concatenate, zip(*rates, strict=True))
-    own_ns, own = map(np.concatenate, zip(*orientations, strict=True))
-    stamps, places, own_places = np.intersect1d(gyro_ns, own_ns, return_indices=True)
-    if len(stamps) < 2 or not np.isfinite(rate).all() or (np.diff(gyro_ns) < 0).any():  # noqa: PLR2004  # two ends
+    stamps, places, own_places = np.intersect1d(gyro.t_ns, own.t_ns, return_indices=True)
+    if not np.isfinite(gyro.rate).all() or (np.diff(gyro.t_ns) < 0).any():
         return 0.0, 0.0
     after = np.searchsorted(stamps, stamps + COMPARED_SPAN_NS)
     begins = np.flatnonzero(after < len(stamps))
     ends = after[begins]
-    propagated, own = attitudes(gyro_ns, rate)[places], own[own_places]
-    return (
-        _rms(geodesic_angle(propagated[begins], propagated[ends])),
-        _rms(geodesic_angle(own[begins], own[ends])),
-    )
+    turns = attitudes(gyro.t_ns, gyro.rate)[places], own.wxyz[own_places]
+    by_rates, by_orientation = (_rms(geodesic_angle(q[begins], q[ends])) for q in turns)
+    return by_rates, by_orientation
 
 
-def _rows(batches: list[tuple[Int64, Float64]]) -> int:
-    return sum(len(t_ns) for t_ns, _ in batches)
+def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None:
+    """Read batches until there are so many samples."""
+    while sum(map(len, read)) < samples and (batch := next(batches, None)) is not None:
+        read.append(batch)
 
 
 def _beginning(
-    batches: Iterable[tuple[Int64, Float64]], rows: int, checked: QuaternionCounts | None = None
+    batches: Iterable[tuple[Int64, Float64]], checked: QuaternionCounts
 ) -> Iterator[tuple[Int64, Float64]]:
-    """Yield batches until they hold so many rows, or a few of which none is valid."""
-    left = rows
-    for batch in batches if rows > 0 else ():
+    """Yield the rows that are compared: few where none of them is valid."""
+    for batch in batches:
         yield batch
-        left -= len(batch[0])
-        none_valid = checked is not None and not checked.used
-        if left <= (rows - AGREEING_SAMPLES if none_valid else 0):
+        if checked.read >= (COMPARED_SAMPLES if checked.used else AGREEING_SAMPLES):
             return
 
 
