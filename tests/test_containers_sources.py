@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import sys
 import threading
 from collections import Counter
@@ -14,9 +15,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from test_containers_ulog import added, gyro, write
 
+from quatprop import read_rates
 from quatprop.cli import cli
 from quatprop.containers.file_source import FileSource
-from quatprop.errors import UnreadableLogError
+from quatprop.errors import RemarkWarning, UnreadableLogError
 from quatprop.formats import open_log
 
 OPENED: Counter[str] | None = None
@@ -138,31 +140,39 @@ def test_a_topic_of_two_types_is_remarked_on(tmp_path):
     )
 
 
-def test_a_topic_with_two_definitions_is_refused_with_a_way_out(tmp_path):
-    """Neither --topic nor --rate-field could tell one from the other."""
+def test_a_topic_with_two_definitions_is_read_by_both(tmp_path):
+    """Each recorder writes the definition that it has; messages come in order of their times."""
     log, other = write_mcap(tmp_path / "log.mcap", count=40), tmp_path / "other.mcap"
+    expected = read_rates(log, topic="/imu")
     with log.open("rb") as file:
         messages = list(make_reader(file).iter_messages(topics=["/imu"]))
     schema = messages[0][0]
-    assert b"float64[9] orientation_covariance" in schema.data
-    changed = schema.data.replace(b"float64[9] orientation_cov", b"float32[18] orientation_cov")
+    longer = schema.data.replace(b"float64[9] orientation_cov", b"float64[10] orientation_cov")
+    assert longer != schema.data
+    at = messages[0][2].data.index(struct.pack("<d", expected.rate[0, 0]))
     with other.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", "")
-        id_ = writer.register_schema(schema.name, schema.encoding, changed)
-        channel = writer.register_channel("/imu", "cdr", id_)
-        for _, _, message in messages:
-            writer.add_message(channel, message.log_time, message.data, message.publish_time)
+        ids = []
+        for text in (schema.data, longer):
+            id_ = writer.register_schema(schema.name, "ros2msg", text)
+            ids.append(writer.register_channel("/imu", "cdr", id_))
+        for k, (_, _, message) in enumerate(messages):
+            data = message.data[:at] + k % 2 * bytes(8) + message.data[at:]
+            writer.add_message(ids[k % 2], message.log_time, data, message.publish_time)
         writer.finish()
-    log.write_bytes(log.read_bytes() + other.read_bytes())
-    for options in ([], ["-t", "/imu"], ["-t", "/imu", "--rate-field", "angular_velocity"]):
-        result = CliRunner().invoke(cli, ["propagate", str(log), "-o", "-", *options])
-        assert result.exit_code == 2
-        assert result.stderr == (
-            f"Error: {log}: topic '/imu' was recorded with 2 different message definitions, which "
-            "are not read together; write the messages of each to a log of its own, by their times "
-            "with `mcap filter`, or with `rosbag filter`\n"
-        )
+    recorded = "topic '/imu' was recorded with 2 different message definitions, "
+    with pytest.warns(RemarkWarning, match=recorded + "each of which was read by its own"):
+        found = read_rates(other)
+    assert found.t_ns.tolist() == expected.t_ns.tolist()
+    assert found.rate.tolist() == expected.rate.tolist()
+    # Of attitudes neither --topic nor --quat-field could tell one from the other.
+    result = CliRunner().invoke(cli, ["convert", str(other), str(tmp_path / "out.csv")])
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {other}: {recorded}which are not read together; write the messages of each to a "
+        "log of its own, by their times with `mcap filter`, or with `rosbag filter`\n"
+    )
 
 
 def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):

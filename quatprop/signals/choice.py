@@ -7,10 +7,10 @@ the remarks of the signal, what is ambiguous is refused with the setting that se
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -20,12 +20,13 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.messages.definitions import message_type
+from quatprop.series import GyroSeries
 from quatprop.signals.message_values import channels_of
-from quatprop.signals.signal import Signal
+from quatprop.signals.signal import RateSignal, Signal, no_parts
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
@@ -104,7 +105,7 @@ def choose(
     UsageError
         Several fields of one topic remain.
     UnsupportedLogError
-        One topic has several message definitions.
+        One topic has several message definitions, and their samples are not alike.
     LogError
         Something about the signal is not declared.
     """
@@ -112,26 +113,65 @@ def choose(
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
         raise AmbiguousTopicError(log.path, topics, kind.name)
-    definitions = max(Counter(candidate.field for candidate in preferred).values())
-    if definitions > 1:
-        raise UnsupportedLogError(
-            log.path,
-            f"topic {quoted(topics[0])} was recorded with {definitions} different message "
-            "definitions, which are not read together; write the messages of each to a log of its "
-            "own, by their times with `mcap filter`, or with `rosbag filter`",
-        )
-    if len(preferred) > 1:
+    fields = list(dict.fromkeys(candidate.field for candidate in preferred))
+    if len(fields) > 1:
         raise UsageError(
             f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
-            f"{listed(candidate.field for candidate in preferred)}; choose one with ",
+            f"{listed(fields)}; choose one with ",
             Setting(kind.field),
         )
     signal = preferred[0].signal()
+    if len(preferred) > 1:
+        signal = _joined(log, [signal, *(candidate.signal() for candidate in preferred[1:])])
     ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
     if not ignored:
         return signal
     remark = f"ignored {kind.secondary}: {listed(ignored)}"
     return replace(signal, remarks=(*signal.remarks, remark))
+
+
+def _joined(log: MessageLog | TableLog, signals: list[SignalT]) -> SignalT:
+    """Return the rates of a topic that was recorded with several message definitions.
+
+    Each is read by its own; samples come in the order of their log times.
+    """
+    first = signals[0]
+    kinds = {(s.method, s.increments) if isinstance(s, RateSignal) else id(s) for s in signals}
+    if not isinstance(first, RateSignal) or len(kinds) > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
+            "definitions, which are not read together; write the messages of each to a log of its "
+            "own, by their times with `mcap filter`, or with `rosbag filter`",
+        )
+    averages = first.method == "end"
+
+    def merged() -> Iterator[Columns]:
+        return merge_by_time([_logged(s) for s in signals if isinstance(s, RateSignal)])
+
+    def batches() -> Iterator[GyroSeries]:
+        for columns in merged():
+            t_ns, rate, *spans = columns.values
+            yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
+
+    remark = (
+        f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
+        "definitions, each of which was read by its own"
+    )
+    return replace(
+        first,
+        stamps=lambda: ((columns.values[0], columns.log_ns) for columns in merged()),
+        batches=batches,
+        part_reader=no_parts,
+        remarks=(*first.remarks, remark),
+    )
+
+
+def _logged(signal: RateSignal) -> Iterator[Columns]:
+    """Yield the samples of a signal with their log times."""
+    for (_, log_ns), series in zip(signal.stamps(), signal.batches(), strict=True):
+        spans = () if series.span_ns is None else (series.span_ns,)
+        yield Columns(log_ns, (series.t_ns, series.rate, *spans))
 
 
 def message_candidates(
