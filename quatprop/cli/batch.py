@@ -13,7 +13,7 @@ import click
 
 from quatprop.cli import propagate
 from quatprop.cli.help import Command
-from quatprop.cli.options import quiet_option
+from quatprop.cli.options import named_option, quiet_option
 from quatprop.cli.types import PATH, OneOf
 from quatprop.writers import WRITERS
 
@@ -49,26 +49,16 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
     help="Where the attitude series go: each under the name of its log, and the manifest; a "
     "folder, or a prefix such as s3://bucket/runs.",
 )
-@click.option(
-    "--to",
-    type=OneOf(tuple(WRITERS)),
-    metavar="FORMAT",
-    default="parquet",
-    show_default=True,
-    help=f"{', '.join(WRITERS)}.",
+@named_option("--to FORMAT", OneOf(tuple(WRITERS)), f"{', '.join(WRITERS)}.", "parquet")
+@named_option(
+    "--list list_file FILE|-",
+    PATH,
+    "Also take names from FILE or stdin, one a line.  [default: none]",
 )
-@click.option(
-    "--list",
-    "list_file",
-    type=PATH,
-    metavar="FILE|-",
-    help="Also take names from FILE or stdin, one a line.  [default: none]",
-)
-@click.option(
-    "--root",
-    type=PATH,
-    metavar="DIR",
-    help="Outputs keep the path of their log below DIR.  [default: the folder that is searched, "
+@named_option(
+    "--root DIR",
+    PATH,
+    "Outputs keep the path of their log below DIR.  [default: the folder that is searched, "
     "the fixed part of a GLOB, and for a LOG its own folder]",
 )
 @click.option(
@@ -77,12 +67,10 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
     help="Only the I-th of N parts of the logs, I from 1, as for array jobs; every part must be "
     "given the same names.  [default: all]",
 )
-@click.option(
-    "-j",
-    "processes",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Logs at a time: each in a process of its own.  [default: the cores]",
+@named_option(
+    "-j processes N",
+    click.IntRange(min=1),
+    "Logs at a time: each in a process of its own.  [default: the cores]",
 )
 @click.option(
     "--dask",
@@ -96,13 +84,11 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
     help="Leave out logs whose output is up to date: made by the same version, with the same "
     "options, from the log as it is (size and time).",
 )
-@click.option(
-    "--retries",
-    type=click.IntRange(min=0),
-    metavar="N",
-    default=0,
-    show_default=True,
-    help="Try a log again, up to N times, whose process was killed.",
+@named_option(
+    "--retries N",
+    click.IntRange(min=0),
+    "Try a log again, up to N times, whose process was killed.",
+    0,
 )
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout: the report of each log.")
 @quiet_option

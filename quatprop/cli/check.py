@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
+from quatprop.cli.options import named_option
 from quatprop.cli.types import PATH
 
 if TYPE_CHECKING:
@@ -42,14 +43,11 @@ EXAMPLES = (
     help="Only cases whose names contain EXPR, or match it where it has *, ? or [...]; can be "
     "repeated.  [default: all]",
 )
-@click.option(
-    "-j",
-    "processes",
-    type=click.IntRange(min=1),
-    metavar="N",
-    default=1,
-    show_default=True,
-    help="Cases at a time, each in a process of its own; the output is the same for any N.",
+@named_option(
+    "-j processes N",
+    click.IntRange(min=1),
+    "Cases at a time, each in a process of its own; the output is the same for any N.",
+    1,
 )
 @click.option(
     "--update",
@@ -67,11 +65,10 @@ EXAMPLES = (
     is_flag=True,
     help="Show what the cases depend on, what is pinned, and how they are judged; run nothing.",
 )
-@click.option(
-    "--artifacts",
-    type=PATH,
-    metavar="DIR",
-    help="Keep the attitudes, a page with the error, and the commands of each case that fails in "
+@named_option(
+    "--artifacts DIR",
+    PATH,
+    "Keep the attitudes, a page with the error, and the commands of each case that fails in "
     "DIR/CASE.  [default: none]",
 )
 @click.option(
@@ -80,12 +77,7 @@ EXAMPLES = (
     help="Fail, too, if a case that is pinned is no longer in the suite, or if one passes that is "
     "known to fail.",
 )
-@click.option(
-    "--junit",
-    type=PATH,
-    metavar="FILE",
-    help="Also write the results as JUnit XML.  [default: none]",
-)
+@named_option("--junit FILE", PATH, "Also write the results as JUnit XML.  [default: none]")
 @click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
 @click.option("-q", "--quiet", is_flag=True, help="Only failures and the totals.")
 @click.option("-v", "--verbose", is_flag=True, help="A line for every case that passes.")

@@ -9,6 +9,7 @@ import click
 from quatprop.cli.help import Command
 from quatprop.cli.options import (
     input_of,
+    named_option,
     quiet_option,
     report_option,
     setting_options,
@@ -68,17 +69,14 @@ EXAMPLES = (
     "row before, or the one with w >= 0 (of half turns, w = 0, the one whose first component that "
     "is not zero is positive).",
 )
-@click.option(
-    "--as",
-    "representation",
-    type=OneOf(("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")),
-    metavar="quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates",
-    default="quaternion",
-    show_default=True,
-    help="What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
+@named_option(
+    "--as representation quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates",
+    OneOf(("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")),
+    "What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
     "and x'' (or angles of another sequence, such as euler-xyz or euler-zxz), matrices row by row, "
     "or the rates in rad/s that lead from each attitude to the next: propagated with --method "
     "start, they give the attitudes back.",
+    "quaternion",
 )
 @report_option
 @quiet_option

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import click
 
 from quatprop.cli.spelling import option as option_name
-from quatprop.cli.types import PATH, OneOf, Parsed
+from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
 from quatprop.settings.parsers import Choice, flag
 from quatprop.text import Setting
 
@@ -187,20 +187,43 @@ def _setting_option(name: str, parser: Parser, text: str, side: str, prefix: str
     if isinstance(parser, Choice):
         return click.option(*names, type=OneOf(parser.names), help=prefix + text)
     value, _, text = text.partition("  ")
-    return click.option(*names, type=Parsed(parser, value), metavar=value, help=prefix + text)
+    return named_option(" ".join((*names, value)), parser, prefix + text)
 
 
-report_option = click.option(
-    "--report",
-    type=PATH,
-    metavar="PATH|-",
-    help="Write a JSON report: source, conventions, counts, policies, version.  [default: none]",
+def named_option(names: str, kind: Parser | ParamType, text: str, default: object = None) -> Option:
+    """Return an option with a value.
+
+    Parameters
+    ----------
+    names
+        Its names, and last what help calls the value, between blanks.
+    kind
+        The type of the value, or its parser.
+    text
+        What help says.
+    default
+        None is none, or said in the text.
+    """
+    *declared, value = names.split()
+    return click.option(
+        *declared,
+        type=kind if isinstance(kind, click.ParamType) else Parsed(kind, value),
+        metavar=value,
+        default=default,
+        show_default=default is not None,
+        help=text,
+    )
+
+
+report_option = named_option(
+    "--report PATH|-",
+    PATH,
+    "Write a JSON report: source, conventions, counts, policies, version.  [default: none]",
 )
-plot_option = click.option(
-    "--plot",
-    type=PATH,
-    metavar="PIC",
-    help="Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.  "
+plot_option = named_option(
+    "--plot PIC",
+    PATH,
+    "Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.  "
     "[default: none]",
 )
 quiet_option = click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")

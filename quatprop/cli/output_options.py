@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.options import named_option
 from quatprop.cli.types import PATH, OneOf
 from quatprop.settings import EULER_SEQUENCES, LAYOUTS
 from quatprop.writers import WRITERS
@@ -20,11 +21,10 @@ if TYPE_CHECKING:
 EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 """Representations by Euler angles."""
 
-output_kind_option = click.option(
-    "--to",
-    type=OneOf(tuple(WRITERS)),
-    metavar="FORMAT",
-    help=f"{', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag folder]",
+output_kind_option = named_option(
+    "--to FORMAT",
+    OneOf(tuple(WRITERS)),
+    f"{', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag folder]",
 )
 layout_option = click.option(
     "--layout",
@@ -38,11 +38,10 @@ comment_option = click.option(
     is_flag=True,
     help="Begin csv, tsv, tum or euroc with the report in a # comment.",
 )
-into_option = click.option(
-    "--into",
-    type=PATH,
-    metavar="PATH",
-    help="Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
+into_option = named_option(
+    "--into PATH",
+    PATH,
+    "Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
     "else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
     "[default: off]",
 )
@@ -64,12 +63,10 @@ MESSAGE_OPTIONS = (
         help="Names of the two frames in the messages.  [default: reference,body]",
     ),
 )
-with_option = click.option(
-    "--with",
-    "beside",
-    type=OneOf(("rotvec", *EULER, "matrix")),
-    metavar="euler-zyx|...",
-    help="Also write angles, a rotation vector or a matrix; in further columns of a table: "
+with_option = named_option(
+    "--with beside euler-zyx|...",
+    OneOf(("rotvec", *EULER, "matrix")),
+    "Also write angles, a rotation vector or a matrix; in further columns of a table: "
     "euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; rotvec; matrix.  "
     "[default: none]",
 )

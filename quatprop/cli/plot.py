@@ -10,6 +10,7 @@ from quatprop.cli.compare import settings_of
 from quatprop.cli.help import Command
 from quatprop.cli.options import (
     input_of,
+    named_option,
     quiet_option,
     refuse_stdin_twice,
     setting_options,
@@ -62,31 +63,23 @@ EXAMPLES = (
     is_flag=True,
     help="Draw the four components of the quaternion.  [default: yaw, pitch and roll]",
 )
-@click.option(
-    "--size",
-    type=Parsed(picture_size, "SIZE"),
-    metavar="W[xH]UNIT",
-    help="Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: 7.5in wide]",
+@named_option(
+    "--size W[xH]UNIT",
+    Parsed(picture_size, "SIZE"),
+    "Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: 7.5in wide]",
 )
-@click.option(
-    "--dpi",
-    type=click.IntRange(min=10, max=2400),
-    metavar="N",
-    help="Dots an inch of a PNG.  [default: 200]",
-)
-@click.option(
-    "--font-size",
-    type=click.FloatRange(min=2, max=72),
-    metavar="PT",
-    help="Size of the letters in points.  [default: 8.5]",
+@named_option("--dpi N", click.IntRange(min=10, max=2400), "Dots an inch of a PNG.  [default: 200]")
+@named_option(
+    "--font-size PT",
+    click.FloatRange(min=2, max=72),
+    "Size of the letters in points.  [default: 8.5]",
 )
 @click.option("--no-title", is_flag=True, help="Leave out the lines above and below the panels.")
 @with_options(setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"))
-@click.option(
-    "--reference",
-    type=PATH,
-    metavar="REF",
-    help="Draw the geodesic error of each FILE against this attitude series; holds both in "
+@named_option(
+    "--reference REF",
+    PATH,
+    "Draw the geodesic error of each FILE against this attitude series; holds both in "
     "memory.  [default: what is in FILE]",
 )
 @with_options(

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.types import PATH, OneOf, Parsed
+from quatprop.cli.options import named_option
+from quatprop.cli.types import PATH, OneOf
 from quatprop.errors import UsageError
 from quatprop.settings.parsers import count, duration, frequency, numbers
 from quatprop.writers import GENERAL_KINDS
-
-if TYPE_CHECKING:
-    from quatprop.cli.options import Option
-    from quatprop.cli.types import ParamType
-    from quatprop.settings.parsers import Parser
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -51,20 +47,6 @@ def _moment(text: object) -> int:
     return moment.ns
 
 
-def _option(names: str, parser: Parser | ParamType, default: object, text: str) -> Option:
-    """Return an option: its names and what help calls its value, between blanks."""
-    *declared, value = names.split()
-    kind = parser if isinstance(parser, click.ParamType) else Parsed(parser, value)
-    return click.option(
-        *declared,
-        type=kind,
-        metavar=value,
-        default=default,
-        show_default=default is not None,
-        help=text,
-    )
-
-
 EXAMPLES = (
     "quatprop simulate spin.csv --frequency 0.25",
     "quatprop simulate coning.mcap --motion coning --rate 200 --duration 1m",
@@ -91,61 +73,56 @@ EXAMPLES = (
     type=OneOf(("none", "lz4", "zstd", "bz2")),
     help="Compression of a message log.  [default: zstd for mcap, else none]",
 )
-@_option(
+@named_option(
     "--truth PATH",
     PATH,
-    None,
     "Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
     "Parquet .truth.parquet, beside - none]",
 )
 @click.option(
     "--motion", type=OneOf(MOTIONS), default="spin", show_default=True, help="What the body does."
 )
-@_option("--rate sample_rate HZ", frequency, "100", "Samples a second.")
-@_option(
+@named_option("--rate sample_rate HZ", frequency, "Samples a second.", "100")
+@named_option(
     "--duration DUR",
     duration,
-    None,
     "How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
 )
-@_option(
-    "--samples N",
-    count,
-    None,
-    "How many samples, instead of a duration.  [default: by duration]",
+@named_option(
+    "--samples N", count, "How many samples, instead of a duration.  [default: by duration]"
 )
-@_option(
+@named_option(
     "--start start_ns TIME",
     _moment,
-    "2023-11-14T22:13:20Z",
     "Time of the first sample, RFC 3339 or ns.",
+    "2023-11-14T22:13:20Z",
 )
-@_option(
+@named_option(
     "--seed N",
     click.IntRange(min=0),
-    0,
     "Of noise and random walk: the same seed gives the same log.",
+    0,
 )
-@_option("--noise X", click.FloatRange(min=0), 0.0, "Angular random walk, rad/s/sqrt(Hz).")
-@_option("--bias X,Y,Z", numbers("X,Y,Z"), "0,0,0", "Constant error of the rates, rad/s.")
-@_option(
+@named_option("--noise X", click.FloatRange(min=0), "Angular random walk, rad/s/sqrt(Hz).", 0.0)
+@named_option("--bias X,Y,Z", numbers("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0")
+@named_option(
     "--q0 W,X,Y,Z",
     numbers("W,X,Y,Z"),
-    "1,0,0,0",
     "True attitude at the first sample, body to reference, scalar first.",
+    "1,0,0,0",
 )
-@_option(
+@named_option(
     "--frequency HZ",
     _exact,
-    "0.5",
     "Turns a second: of a spin, of coning, of the precession of tumbling.",
+    "0.5",
 )
-@_option("--axis X,Y,Z", numbers("X,Y,Z"), "0,0,1", "Axis of a spin in the body.")
-@_option("--angle DEG", _exact, "10", "Half-angle of the cone, or nutation angle of tumbling.")
-@_option(
-    "--spin-frequency HZ", _exact, "0.2", "Turns a second of a tumbling body about its own axis."
+@named_option("--axis X,Y,Z", numbers("X,Y,Z"), "Axis of a spin in the body.", "0,0,1")
+@named_option("--angle DEG", _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10")
+@named_option(
+    "--spin-frequency HZ", _exact, "Turns a second of a tumbling body about its own axis.", "0.2"
 )
-@_option("--walk X", click.FloatRange(min=0), 0.1, "Random walk of the rate, rad/s/sqrt(s).")
+@named_option("--walk X", click.FloatRange(min=0), "Random walk of the rate, rad/s/sqrt(s).", 0.1)
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing.  [default: a line on stderr]")
 def command(out: str, **options: Any) -> None:
     """Write a log of a known motion to OUT, and the true attitudes beside it.
