@@ -532,7 +532,7 @@ reference-log = "out.csv"
 
 
 def test_the_picture_of_an_error_shows_what_was_expected(tmp_path):
-    """A second line, with its name in the legend; none where nothing is known."""
+    """A band below a second line, with its name in the legend; none where nothing is known."""
     out, _, _ = run(tmp_path, "out.csv")
     for name, other in (("known.svg", out), ("unknown.svg", tmp_path / "bare.csv")):
         rows = (row.rsplit(",", 3)[0] for row in out.read_text().splitlines())
@@ -540,5 +540,6 @@ def test_the_picture_of_an_error_shows_what_was_expected(tmp_path):
         arguments = ["compare", str(other), str(tmp_path / "bare.csv"), "--plot"]
         result = CliRunner().invoke(cli, [*arguments, str(tmp_path / name)])
         assert result.exit_code == 0, result.output
-        shown = "expected (1 sigma)" in (tmp_path / name).read_text()
-        assert shown == (name == "known.svg")
+        picture = (tmp_path / name).read_text()
+        assert ("expected (1 sigma)" in picture) == (name == "known.svg")
+        assert ("FillBetweenPolyCollection" in picture) == (name == "known.svg")

@@ -17,7 +17,13 @@ from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import interpolate, interval_ns, shifted
 from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.trials import TimeOffset, time_offset
-from quatprop.comparison.windows import Angles, centred, undone_misreadings, window_grids
+from quatprop.comparison.windows import (
+    Angles,
+    centred,
+    common_beginning,
+    undone_misreadings,
+    window_grids,
+)
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting, Text
@@ -34,9 +40,6 @@ MIN_POINTS = 16
 
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
-
-MAX_FITTED = 100_000
-"""Samples of the fit at most: with more, the clocks' own drift outweighs the noise."""
 
 MAX_FITS = 30
 """Fits at most; each is closer to the offset."""
@@ -206,7 +209,7 @@ def _runner_up(correlation: Float64, peak: int) -> float:
 
 def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
     """Return what is still to be added to an offset, from windows of the length that shows most."""
-    a, b = _common_beginning(a, shifted(b, offset))
+    a, b = common_beginning(a, shifted(b, offset))
     first = next(undone_misreadings(a, b))
     best: TimeOffset | None = None
     for length, starts in window_grids(first.a.seconds, first.b.seconds):
@@ -218,15 +221,6 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
             "A and B have too few windows of common motion to estimate a time offset; ", GIVE_OFFSET
         )
     return best
-
-
-def _common_beginning(
-    a: AttitudeSeries, b: AttitudeSeries
-) -> tuple[AttitudeSeries, AttitudeSeries]:
-    """Return both from where the later one begins to where the first has enough samples."""
-    start = max(a.t_ns[0], b.t_ns[0])
-    begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
-    return a[begins[0] :][:MAX_FITTED], b[begins[1] :][:MAX_FITTED]
 
 
 def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> TimeOffset:

@@ -27,9 +27,8 @@ from quatprop.comparison.rule_trials import method_trials
 from quatprop.comparison.statistics import NS_PER_S, rms
 from quatprop.comparison.trials import ClockDrift, TimeOffset, trials
 from quatprop.comparison.window_trials import WindowTrials
-from quatprop.comparison.windows import undone_misreadings, window_grids
+from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
-from quatprop.series import AttitudeSeries
 from quatprop.text import Text
 
 if TYPE_CHECKING:
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.comparison.association import Pairs
+    from quatprop.series import AttitudeSeries
     from quatprop.text import Setting
 
     Float64 = NDArray[np.float64]
@@ -50,9 +50,6 @@ AS_GOOD = 3.0
 
 NO_ERROR = 1e-9
 """RMS error, rad, that needs no explanation."""
-
-MAX_SAMPLES = 100_000
-"""Samples of either series, from the start, in which causes are looked for."""
 
 MIN_PAIRS = 10
 """Fewer pairs can be explained by almost anything."""
@@ -139,11 +136,11 @@ def likely_cause(
     for outliers in isolated_samples(error):
         if rms(outliers.remaining) <= rms(error) / FACTOR:
             return Cause(outliers.name, outliers.sentence, rms(error), rms(outliers.remaining))
-    a, b = (_first_samples(series) for series in _from_common_start(a, b))
+    a, b = common_beginning(a, b)
     if len(a) < MIN_PAIRS or len(b) < MIN_PAIRS:
         return None
 
-    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0])) if len(a) and len(b) else 0
+    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
 
     def total(clock: TimeOffset | ClockDrift | None) -> float | None:
         """Return the RMS error with what a clock is off by added to B's stamps."""
@@ -254,20 +251,3 @@ def _cause_of_errors(
     what = "the frames" if cause.name == FRAME_AND_BIAS else "it"
     remedy = cause.remedy and Text(cause.remedy, f" takes {what} out")
     return Cause(cause.name, cause.sentence, before, after[chosen], remedy)
-
-
-def _from_common_start(
-    a: AttitudeSeries, b: AttitudeSeries
-) -> tuple[AttitudeSeries, AttitudeSeries]:
-    """Return both series without what one of them has before the other one begins."""
-    start = max(a.t_ns[0], b.t_ns[0])
-    first_a, first_b = (max(int(np.searchsorted(s.t_ns, start)) - 1, 0) for s in (a, b))
-    return _part(a, slice(first_a, None)), _part(b, slice(first_b, None))
-
-
-def _first_samples(series: AttitudeSeries) -> AttitudeSeries:
-    return _part(series, slice(MAX_SAMPLES))
-
-
-def _part(series: AttitudeSeries, rows: slice) -> AttitudeSeries:
-    return AttitudeSeries(series.t_ns[rows], series.wxyz[rows])

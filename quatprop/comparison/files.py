@@ -18,9 +18,10 @@ from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, associate, equal_stamps, require_enough
 from quatprop.comparison.compare import compare, conclude, unit
 from quatprop.comparison.criteria import Coverage
-from quatprop.comparison.diagnosis import MAX_SAMPLES, likely_cause
+from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset
+from quatprop.comparison.windows import MAX_SAMPLES
 from quatprop.concurrency.threads import in_background
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.series import AttitudeSeries

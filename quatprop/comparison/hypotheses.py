@@ -11,6 +11,7 @@ from quatprop.comparison.statistics import NS_PER_S, S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
+from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting
 
@@ -107,8 +108,7 @@ def rate_biases(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
             b = align(alignment, pairs.a, b).apply(b)
         except ComparisonError:
             return
-    of_b = log(_short(multiply(conjugate(b[:-1]), b[1:])))
-    of_a = log(_short(multiply(conjugate(pairs.a[:-1]), pairs.a[1:])))
+    of_a, of_b = rotation_vectors_between(pairs.a), rotation_vectors_between(b)
     seconds = np.diff(pairs.t_ns) / NS_PER_S
     bias = (of_b - of_a).sum(axis=0) / seconds.sum()
     x, y, z = np.degrees(bias) * S_PER_H

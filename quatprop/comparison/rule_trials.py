@@ -10,7 +10,7 @@ import numpy as np
 from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.trials import MethodPair, Trial, size
 from quatprop.kinematics.increments import METHODS, rotation_vectors
-from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.kinematics.rates import rotation_vectors_between
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,7 +54,7 @@ def method_trials(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Trial]:
     t_ns = a.t_ns[:count]
     if count < MIN_METHOD_SAMPLES or not np.array_equal(t_ns, b.t_ns[:count]):
         return
-    of_a, of_b = (_intervals(series.wxyz[:count]) for series in (a, b))
+    of_a, of_b = (rotation_vectors_between(series.wxyz[:count]) for series in (a, b))
     yield Trial("", (of_a - of_b)[INNER])
     for rule_a, rule_b in permutations(METHODS, 2):
         # Rules come in the order in which their rates are found more and more indirectly.
@@ -85,11 +85,6 @@ def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other:
             break
         zigzag, best = zigzag + step, moved
     return best
-
-
-def _intervals(wxyz: Float64) -> Float64:
-    step = multiply(conjugate(wxyz[:-1]), wxyz[1:])
-    return log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
 
 
 def _rates(t_ns: Int64, steps: Float64, rule: str, zigzag: Float64) -> Float64:

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 LENGTHS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 """Lengths of windows: the one in which the motion stands out most clearly is used."""
 
+MAX_SAMPLES = 100_000
+"""Samples of either series, from the start, that are looked at: clocks drift over more."""
+
 MAX_WINDOWS = 20_000
 """Windows that are compared at most."""
 
@@ -86,6 +89,13 @@ class BodyAngle:
     def turned(self, wxyz: Float64) -> BodyAngle:
         """Return the angle in other body axes: q v q*."""
         return BodyAngle(self.seconds, rotate(wxyz, self.angle))
+
+
+def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeries, AttitudeSeries]:
+    """Return both from where the later one begins, up to :data:`MAX_SAMPLES` of each."""
+    start = max(a.t_ns[0], b.t_ns[0])
+    begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
+    return a[begins[0] :][:MAX_SAMPLES], b[begins[1] :][:MAX_SAMPLES]
 
 
 def body_angle(t_ns: Int64, wxyz: Float64, first_ns: int, *, inertial: bool = False) -> BodyAngle:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.errors import UsageError
-
     Float64 = NDArray[np.float64]
+
+_unusable = partial(unusable, "calibration")
 
 LARGEST_CONDITION = 1e3
 """A matrix with a larger condition number is no calibration: it loses a direction."""
@@ -139,7 +140,3 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
         what = "three rows of three numbers" if len(shape) > 1 else "three numbers"
         raise _unusable(path, f"{name} is not {what}")
     return numbers
-
-
-def _unusable(path: Path | str, reason: str) -> UsageError:
-    return unusable("calibration", path, reason)

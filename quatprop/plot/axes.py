@@ -70,6 +70,8 @@ def _draw_curve(axes: Axes, curve: Curve, width: float) -> None:
     colour, points = colour_of(curve.colour), lone_points(curve.drawn)
     stroke = stroke_of(curve.colour)
     axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width)
+    if curve.band:
+        axes.fill_between(*curve.drawn, color=colour, alpha=0.2, linewidth=0, zorder=1)
     if len(points.seconds):
         axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
 

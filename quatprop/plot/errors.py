@@ -124,7 +124,8 @@ def _expected(comparison: Comparison) -> Iterator[PlottedFile]:
     """Yield the size that the series themselves expect of the error, if they have any."""
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigmas.final:.3g} sigma"
-        yield _line("expected (1 sigma)", comparison.t_ns, sigmas.expected_rad, text)
+        line = _line("expected (1 sigma)", comparison.t_ns, sigmas.expected_rad, text)
+        yield replace(line, band=True)
 
 
 def _line(

@@ -39,10 +39,13 @@ class Curve:
         Its points, seconds and values.
     colour
         A key of :data:`quatprop.plot.palette.AXES`, or the number of the file.
+    band
+        Whether the area below it is filled.
     """
 
     drawn: Line
     colour: str | int
+    band: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +120,14 @@ class PlottedFile:
         What is drawn of it; the gaps are those of the first.
     detail
         What else stands in the legend.
+    band
+        Whether the areas below its lines are filled.
     """
 
     label: str
     groups: tuple[Group, ...]
     detail: str = ""
+    band: bool = False
 
     @property
     def name(self) -> str:
@@ -212,7 +218,11 @@ def picture(
     for group, index in _places(first):
         quantity = first.groups[group].quantities[index]
         curves = tuple(
-            Curve(_line(file.groups[group], index, start), number if several else quantity.axis)
+            Curve(
+                _line(file.groups[group], index, start),
+                number if several else quantity.axis,
+                file.band,
+            )
             for number, (file, start) in enumerate(zip(files, starts, strict=True))
         )
         if quantity is not NORM_ERROR or _is_off(curves):
