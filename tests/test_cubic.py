@@ -186,6 +186,19 @@ def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
     assert (found.a[0, 2] != 0) == is_there
 
 
+def test_increments_have_gaps_and_lost_messages():
+    """No parabola passes through either: a long integration is a gap, and no message is lost."""
+    t_ns = np.array([0, 10, 20, 40, 50, 60]) * 1_000_000
+    span_ns = np.array([10, 10, 10, 20, 10, 10]) * 1_000_000
+    rate = np.random.default_rng(5).normal(size=(3, 6))
+    free, limited = (
+        curvature_of_averages(t_ns, rate, span_ns, gap_ns=gap_ns) for gap_ns in (None, 15_000_000)
+    )
+    assert free.a[:, 2].all()
+    # Only the ends, each with a parabola on its own side, are left.
+    assert limited.a.any(axis=0).tolist() == [True, True, False, True, True]
+
+
 def gapped(on_gap, times=None, size=1000):
     """Return samples with gaps of 2.5 intervals, and the series that Segments makes of them."""
     random = np.random.default_rng(5)
