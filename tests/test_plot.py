@@ -193,6 +193,22 @@ def test_attitudes_are_angles(turning):
     assert np.abs(axes[1].get_lines()[0].get_ydata()).max() == 0
 
 
+def test_angles_are_drawn_beyond_half_a_turn_where_that_is_asked_for(turning, tmp_path):
+    """Yaw goes on to five turns in one line; missing attitudes in between change nothing."""
+    _, axes, _ = figure_of(turning, unwrap=True)
+    yaw = axes[0].get_lines()[0].get_ydata()
+    np.testing.assert_allclose(yaw, np.degrees(np.pi * np.arange(1000) * 0.01), atol=1e-9)
+    t_ns, wxyz = spin(1000, np.pi)
+    wxyz[95:99] = 0
+    _, axes, _ = figure_of(write_attitudes(tmp_path / "a.csv", t_ns, wxyz), unwrap=True)
+    again = axes[0].get_lines()[0].get_ydata()
+    np.testing.assert_allclose(again[-800:], yaw[-800:], atol=1e-9)
+    code, _, said = run("plot", turning, "--components", "--unwrap", "-o", tmp_path / "a.png")
+    assert (code, said.splitlines()[-1]) == (
+        2, "Error: --unwrap does not go with --components, which have no turns"
+    )  # fmt: skip
+
+
 def test_a_picture_has_the_size_that_is_asked_for(turning, tmp_path):
     """In mm, cm or inches, at the dots an inch; without a title there is no text but the axes'."""
     out = tmp_path / "a.png"

@@ -36,14 +36,6 @@ def test_angles_are_continued_as_numpy_does_it(steps, cuts):
     np.testing.assert_allclose(got, want, atol=1e-9)
 
 
-def test_missing_angles_are_passed_over():
-    """An angle after missing ones is continued from the last that is known, in batches too."""
-    continuous = Unwrap(1)
-    first = continuous.applied(np.array([[np.nan, 170.0, np.nan]]))
-    second = continuous.applied(np.array([[np.nan, -170.0]]))
-    assert np.concatenate([first, second], axis=1)[0].tolist()[1::3] == [170.0, 190.0]
-
-
 def test_a_long_spin_is_counted_without_rounding():
     """After a million turns an angle is what it was, to the last bit."""
     angle = np.tile([0.1, 120.1, -119.9], 1_000_000)

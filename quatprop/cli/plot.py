@@ -32,6 +32,7 @@ ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in 
 """Settings about attitudes alone."""
 
 PART = ("start", "end")
+NOT_OF_ERROR = {"--show", "--components", "--unwrap", "--start", "--end"}
 ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt")}
 
 
@@ -62,6 +63,11 @@ EXAMPLES = (
     "--components",
     is_flag=True,
     help="Draw the four components of the quaternion.  [default: yaw, pitch and roll]",
+)
+@click.option(
+    "--unwrap",
+    is_flag=True,
+    help="Draw yaw and roll beyond half a turn.  [default: from -180 to 180 deg]",
 )
 @named_option(
     "--size W[xH]UNIT",
@@ -104,6 +110,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
 
     reference = chosen["reference"]
     _refuse_idle(reference)
+    if chosen["components"] and chosen["unwrap"]:
+        raise click.UsageError("--unwrap does not go with --components, which have no turns")
     refuse_stdin_twice(*files, reference)
     against = None
     if reference is not None:
@@ -117,6 +125,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
             rates=RateSelection(**{name: chosen[name] for name in SELECT_RATES}),
             attitudes=input_of("", chosen).selection,
             components=chosen["components"],
+            unwrap=chosen["unwrap"],
             start=chosen["start"],
             end=chosen["end"],
         ),
@@ -148,7 +157,7 @@ def _style(chosen: Mapping[str, Any]) -> Style:
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     """Return what to draw: an option about attitudes asks for attitudes."""
     show: Literal["rates", "attitude"] | None = chosen["show"]
-    for name in ("components", *ATTITUDES):
+    for name in ("components", "unwrap", *ATTITUDES):
         if chosen[name]:
             if show == "rates":
                 raise click.UsageError(f"{option(Setting(name))} goes with --show attitude")
@@ -169,5 +178,5 @@ def _refuse_idle(reference: str | None) -> None:
     for name in given:
         if reference is None and (name in of_error or name.endswith("-ref")):
             raise click.UsageError(f"{name} goes with --reference")
-        if reference is not None and name in {"--show", "--components", "--start", "--end"}:
+        if reference is not None and name in NOT_OF_ERROR:
             raise click.UsageError(f"{name} does not go with --reference, which draws an error")

@@ -73,7 +73,7 @@ def command(**chosen: Any) -> None:
         if picture is None:
             report = run(job, summary=not quiet)
         else:
-            report = run(job, picture, summary=not quiet, before_publish=picture.commit)
+            report = run(job, picture, summary=not quiet, before_publish=picture.draw)
     if not quiet:
         show(summary(report, verbose=verbose), INDENT)
     if report.data_lost:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -133,6 +133,8 @@ class AttitudeAccumulator(Accumulator):
     components
         Draw the components of the quaternion, of q and -q the one nearer to the one before,
         instead of yaw, pitch and roll.
+    unwrap
+        Draw yaw and roll beyond half a turn, instead of cut there.
 
     Attributes
     ----------
@@ -142,8 +144,11 @@ class AttitudeAccumulator(Accumulator):
         Largest difference from unit length.
     """
 
-    def __init__(self, *, components: bool = False) -> None:
-        super().__init__(COMPONENTS if components else ANGLES)
+    def __init__(self, *, components: bool = False, unwrap: bool = False) -> None:
+        angles: tuple[Quantity, ...] = ANGLES
+        if unwrap:
+            angles = (*(replace(angle, wraps=False) for angle in ANGLES[:-1]), NORM_ERROR)
+        super().__init__(COMPONENTS if components else angles)
         self._signs = Signs("continuous") if components else None
         self._unwrap = Unwrap(2)
         self.invalid = 0
@@ -163,8 +168,9 @@ class AttitudeAccumulator(Accumulator):
         if self._signs is not None:
             values[:-1, good] = self._signs.applied(wxyz[good]).T
         else:
-            values[:-1, good] = np.degrees(euler_angles("zyx", wxyz[good])).T
-            values[[0, 2]] = self._unwrap.applied(values[[0, 2]])
+            angles = np.degrees(euler_angles("zyx", wxyz[good])).T
+            angles[[0, 2]] = self._unwrap.applied(angles[[0, 2]])
+            values[:-1, good] = angles
         self.add(t_ns, values)
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:

@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 
     from quatprop.plot.picture import Curve, Mark, Panel, Picture
 
-THIN, THICKER, WIDEST = 0.8, 0.6, 3
+THIN, THICKER, WIDEST = 0.8, 1.2, 3
 """Points: a line, and what each line below another has more, so many times at most."""
 
 LATE, LATE_FIRST = 0.5, 0.65
 """Share of the time after which labels stand to the left of a mark."""
+
+LOW = 0.1
+"""Share of the range from below in which labels stand above a mark: below are the ticks."""
 
 FLAT = 1e-9
 """Share of its size below which a series counts as constant: its rounding is not drawn large."""
@@ -109,11 +112,13 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
         clip_on=False,
     )
     start, end = axes.dataLim.intervalx
+    low, high = axes.get_ylim()
+    above = axes.get_yscale() == "linear" and mark.value < low + LOW * (high - low)
     left = mark.seconds > start + (LATE_FIRST if first else LATE) * (end - start)
     axes.annotate(
         mark.label,
         (mark.seconds, mark.value),
-        xytext=(-7 if left else 7, -13 if first and not left else 5),
+        xytext=(-7 if left else 7, -13 if first and not left and not above else 7),
         textcoords="offset points",
         horizontalalignment="right" if left else "left",
         bbox=_BACKGROUND,

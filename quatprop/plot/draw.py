@@ -154,6 +154,8 @@ def inline_svg(picture: Picture) -> str:
     text = text[text.index("<svg") :]
     # A page needs no namespaces, and they look like addresses.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
+    # A rule for all elements would be one for all of the page.
+    text = text.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
 
 

@@ -157,7 +157,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
 
 def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
     drawn, outside, stamps = (
-        AttitudeAccumulator(components=view.components),
+        AttitudeAccumulator(components=view.components, unwrap=view.unwrap),
         [0, 0],
         StampChecks(path),
     )

@@ -49,27 +49,18 @@ class Unwrap:
 
     def __init__(self, traces: int) -> None:
         self._turns = np.zeros((traces, 1), dtype=np.int64)
-        self._last = np.full((traces, 1), np.nan)
+        self._last: Float64 | None = None
 
     def applied(self, degrees: Float64) -> Float64:
-        """Return the next angles, shape ``(traces, N)``, deg; NaN are skipped."""
+        """Return the next angles, shape ``(traces, N)``, deg."""
         if not degrees.shape[1]:
             return degrees
-        filled = _forward_fill(np.concatenate([self._last, degrees], axis=1))
-        steps = np.nan_to_num(np.diff(filled, axis=1))
+        before = degrees[:, :1] if self._last is None else self._last
+        steps = np.diff(degrees, axis=1, prepend=before)
         turns = self._turns - np.cumsum(np.rint(steps / TURN).astype(np.int64), axis=1)
-        self._turns, self._last = turns[:, -1:].copy(), filled[:, -1:].copy()
+        self._turns, self._last = turns[:, -1:].copy(), degrees[:, -1:].copy()
         continued: Float64 = degrees + TURN * turns
         return continued
-
-
-def _forward_fill(values: Float64) -> Float64:
-    """Return values ``(traces, N)`` with each NaN replaced by the value before it, if any."""
-    missing = np.isnan(values)
-    if not missing.any():
-        return values
-    latest = np.maximum.accumulate(np.where(missing, 0, np.arange(values.shape[1])), axis=1)
-    return np.take_along_axis(values, latest, axis=1)
 
 
 def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.plot.draw import inline_svg
-from quatprop.plot.palette import BLACK, DARK
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -59,16 +57,6 @@ class Page(NamedTuple):
     made_by: str
 
 
-def _style() -> str:
-    """Return the style sheet: that of the package, and the colours of the picture."""
-    css = files("quatprop.plot").joinpath("page.css").read_text(encoding="utf-8")
-    light, dark = _colours()
-    return (
-        f"\n{css}:root {{ {light} }}\n"
-        f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n"
-    )
-
-
 def html(page: Page) -> str:
     """Return a report as the text of an HTML file.
 
@@ -81,7 +69,7 @@ def html(page: Page) -> str:
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{_text(page.heading)}</title>",
-        f"<style>{_style()}</style>",
+        f"<style>\n{files('quatprop.plot').joinpath('page.css').read_text('utf-8')}</style>",
         "</head>",
         "<body>",
         "<main>",
@@ -90,7 +78,7 @@ def html(page: Page) -> str:
         *_warnings(page.warnings),
         f'<figure role="img" tabindex="0" aria-label="{_text(_description(page.picture))}">',
         # Title, facts and notes stand on the page already.
-        _with_variables(inline_svg(replace(page.picture, title="", facts=(), notes=()))),
+        inline_svg(replace(page.picture, title="", facts=(), notes=())),
         "</figure>",
         *(line for table in page.tables for line in _table(table)),
         "</main>",
@@ -125,26 +113,3 @@ def _description(picture: Picture) -> str:
     """Return what the picture shows, for screen readers."""
     names = ", ".join(panel.quantity.name for panel in picture.panels)
     return f"{picture.title}: {names} against time"
-
-
-def _variable(colour: str) -> str:
-    return f"--c{colour[1:].lower()}"
-
-
-def _colours() -> tuple[str, str]:
-    """Return what the colours of the picture are in light and in dark."""
-    light = " ".join(f"{_variable(colour)}: {colour};" for colour in DARK)
-    dark = " ".join(f"{_variable(colour)}: {other};" for colour, other in DARK.items())
-    return light, dark
-
-
-def _with_variables(svg: str) -> str:
-    """Replace the colours of a picture by variables that the page sets."""
-    for colour in DARK:
-        used = f"var({_variable(colour)})"
-        svg = re.sub(rf"(?<=: ){colour}\b", used, svg, flags=re.IGNORECASE)
-    # A rule for all elements would be one for all of the page.
-    svg = svg.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
-    # Text without a colour is black by default.
-    black = f"var({_variable(BLACK)})"
-    return svg.replace("<svg ", f'<svg style="fill: {black}" ', 1)

@@ -34,27 +34,14 @@ INK = "#222222"
 
 GRID = "#DDDDDD"
 
-PAPER = "#FEFEFE"
-"""Behind text; not quite white, so that the page can replace it by itself."""
+PAPER = "#FFFFFF"
+"""Behind text."""
 
 SHADE = "#BBBBBB"
 """Gaps."""
 
 ALARM = VERMILION
 """Tolerances and what is above them."""
-
-DARK = {
-    BLACK: "#F0F0F0",
-    BLUE: "#4AA8E0",
-    GREEN: "#2FC79B",
-    SKY_BLUE: "#8ECBF2",
-    VERMILION: "#FF8A3D",
-    INK: "#E6E6E6",
-    GRID: "#3A3A3A",
-    SHADE: "#5A5A5A",
-    PAPER: "#16181B",
-}
-"""Colours that are too dark for a dark page -> those used there."""
 
 
 def colour_of(key: str | int) -> str:

@@ -21,7 +21,6 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from typing import Self
 
     from quatprop.pipeline.report import ConventionReport, RunReport
     from quatprop.rendering import Row, Spell
@@ -38,7 +37,7 @@ CONDITIONING = {
 """Key of what was done to the rates -> its name in the table."""
 
 
-class PropagationPicture:
+class PropagationPicture(PictureFile):
     """Accumulates a run as it passes, and draws it when it is done.
 
     Parameters
@@ -69,7 +68,7 @@ class PropagationPicture:
         resampled: bool = False,
         spell: Spell = str,
     ) -> None:
-        self._file = PictureFile(target, inputs, outputs, spell=spell)
+        super().__init__(target, inputs, outputs, spell=spell)
         self._rates, self._attitudes = RateAccumulator("rad/s", 1.0), AttitudeAccumulator()
         self._resampled = resampled
 
@@ -81,7 +80,7 @@ class PropagationPicture:
         """Yield the attitudes as they are, having accumulated them."""
         return self._attitudes.passing(batches)
 
-    def commit(self, report: RunReport) -> None:
+    def draw(self, report: RunReport) -> None:
         """Draw the picture and put it in its place.
 
         Parameters
@@ -100,7 +99,7 @@ class PropagationPicture:
         title = f"{name}: {source_text(source.name, source.type)}"
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
-        warnings = tuple(map(self._file.spell, report.remarks))
+        warnings = tuple(map(self.spell, report.remarks))
         page = Page(
             heading=title,
             lead=(f"Propagated: {method}; {samples}.",),
@@ -118,13 +117,7 @@ class PropagationPicture:
             ),
             made_by=MADE_BY,
         )
-        self._file.commit(page)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self._file.discard()
+        self.commit(page)
 
 
 def _result(report: RunReport) -> Iterator[Row]:

@@ -30,6 +30,8 @@ class View:
         Which samples.
     components
         Draw quaternions as they are instead of as angles.
+    unwrap
+        Draw angles beyond half a turn.
     start, end
         The part to draw, ends included.
     """
@@ -39,6 +41,7 @@ class View:
     rates: RateSelection = field(default_factory=RateSelection)
     attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
     components: bool = False
+    unwrap: bool = False
     start: Instant | None = None
     end: Instant | None = None
 
