@@ -7,6 +7,7 @@ inside it; any other field can be named.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
@@ -25,7 +26,6 @@ from quatprop.messages.stamps import stamps_around
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.containers.base import Channel
@@ -203,8 +203,10 @@ def _root_with(channel: Channel, names: tuple[str, ...], path: Path | str) -> St
     return None if any(find(root, name) is None for name in names) else root
 
 
-def _recognised(root: Struct, kind: Kind) -> Iterator[SignalFields]:
-    """Yield the fields of recognised types in a message, but for types inside such types."""
+@lru_cache(maxsize=256)
+def _recognised(root: Struct, kind: Kind) -> tuple[SignalFields, ...]:
+    """Return the fields of recognised types in a message, but for types inside such types."""
+    found: list[SignalFields] = []
     outer: list[str] = []
     for prefix, struct in structs(root):
         row = fields_of_type(struct.name)
@@ -213,7 +215,8 @@ def _recognised(root: Struct, kind: Kind) -> Iterator[SignalFields]:
         fields = _placed(row, root, prefix)
         if getattr(fields, kind) is not None:
             outer.append(prefix)
-            yield fields
+            found.append(fields)
+    return tuple(found)
 
 
 def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
