@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.containers.stores import identity_of_object, is_address, without_secret
+from quatprop.containers.stores import is_address, objects_of, without_secret
 from quatprop.errors import StoreError
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile
@@ -196,7 +196,7 @@ def origin_digest(job: Job, options: str) -> str | None:
     for name in (job.log, *job.settings.inputs):
         if is_address(name):
             try:
-                files += identity_of_object(name)
+                files += objects_of(name)
             except StoreError:
                 return None
             continue

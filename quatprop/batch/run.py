@@ -223,10 +223,6 @@ def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchRe
     return BatchResult(task.log, task.job.output.path, entry, error)
 
 
-def _killed(task: BatchTask) -> BatchResult:
-    return failed(task, f"{plain(task.log)}: {KILLED}")
-
-
 def propagate_and_record(task: BatchTask, manifest: Manifest) -> BatchResult:
     """Propagate one log, and record it at once: nothing complete is done again after a kill."""
     result = propagate_log(task)
@@ -255,7 +251,7 @@ def on_this_machine(
     """
 
     def on_killed(task: BatchTask) -> BatchResult:
-        result = _killed(task)
+        result = failed(task, f"{plain(task.log)}: {KILLED}")
         manifest.append(result.entry)
         return result
 

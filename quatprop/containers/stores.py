@@ -11,7 +11,7 @@ import re
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs, unquote, urlsplit
 
 from quatprop.errors import StoreError
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from pyarrow import NativeFile
     from pyarrow.fs import FileInfo, FileSystem
 
-
-Result = TypeVar("Result")
 
 RETRY_S = 10
 """Seconds for which a store that does not answer is retried."""
@@ -233,8 +231,29 @@ def etag_of(file: NativeFile) -> str | None:
     return tag.decode().strip('"') if tag else None
 
 
-def objects_of(address: str) -> Iterator[tuple[str, FileInfo, NativeFile]]:
-    """Yield name, description and content of an object, or of each of a prefix.
+class StoredObject(NamedTuple):
+    """By what an object is recognised.
+
+    Parameters
+    ----------
+    name
+        Its path below the prefix that was asked for; empty for the object itself.
+    size
+        Bytes.
+    mtime_ns
+        When it was written, ns; None if its store does not say.
+    etag
+        By what its store recognises its content; None if it does not say.
+    """
+
+    name: str
+    size: int
+    mtime_ns: int | None
+    etag: str | None
+
+
+def objects_of(address: str) -> list[StoredObject]:
+    """Return what is known of an object, or of each object of a prefix.
 
     Raises
     ------
@@ -242,10 +261,11 @@ def objects_of(address: str) -> Iterator[tuple[str, FileInfo, NativeFile]]:
         They cannot be read.
     """
     store, found = find(address)
-    objects = {"": found} if found.is_file else list_objects(address)
-    for name, info in objects.items():
+    objects = []
+    for name, info in ({"": found} if found.is_file else list_objects(address)).items():
         with reading(address), store.open_input_file(info.path) as file:
-            yield name, info, file
+            objects.append(StoredObject(name, file.size(), info.mtime_ns, etag_of(file)))
+    return objects
 
 
 def digest_of_object(address: str) -> Digest:
@@ -256,21 +276,7 @@ def digest_of_object(address: str) -> Digest:
     StoreError
         It cannot be read.
     """
-    digests = {n: Digest(file.size(), etag=etag_of(file)) for n, _, file in objects_of(address)}
+    digests = {one.name: Digest(one.size, etag=one.etag) for one in objects_of(address)}
     if "" in digests:
         return digests[""]
     return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
-
-
-def identity_of_object(address: str) -> list[tuple[object, ...]]:
-    """Return name, size, time and ETag of an object, and those of each object of a prefix.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
-    """
-    return [
-        (name, file.size(), info.mtime_ns, etag_of(file))
-        for name, info, file in objects_of(address)
-    ]
