@@ -162,6 +162,8 @@ def test_a_file_that_says_nothing_of_its_making_is_refused(tmp_path):
     result = run("info", tmp_path / "a.csv", "--as-config")
     assert result.exit_code == 2
     assert "it does not say with which options it was made; outputs of" in result.stderr
+    result = run("info", tmp_path / "a.csv", tmp_path / "a.csv", "--as-config")
+    assert "--as-config prints one file for one LOG" in result.stderr
     run("propagate", SAMPLES / "spin.csv", "-o", tmp_path / "a.parquet", "--method", "mean")
     run("convert", tmp_path / "a.parquet", tmp_path / "b.npz")
     shown = run("info", tmp_path / "b.npz", "--as-config").stdout.splitlines()

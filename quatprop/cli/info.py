@@ -75,7 +75,9 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
     if as_config:
-        click.echo("\n\n".join(_config(path, kind, wanted) for path in logs))
+        if len(logs) > 1 or as_json:
+            raise click.UsageError("--as-config prints one file for one LOG")
+        click.echo(_config(logs[0], kind, wanted))
         return
     surveys: list[LogSurvey] = []
     for path in logs:
