@@ -191,7 +191,10 @@ def clock_trials(pair: Angles, starts: Float64, length: float) -> Iterator[Trial
     """Move B by the offset at which it turns as A does, and by one that changes steadily."""
     y = centred(pair.a.over(starts, length))
     offset = time_offset(pair, starts, length)
-    drift = clock_drift(pair, starts, length, offset.seconds)
+    middle, span = float(starts.mean()), float(starts[-1] - starts[0])
+    terms, begin = np.stack([np.ones_like(starts), starts - middle]), [offset.seconds, 0.0]
+    (seconds, ratio), (_, std), _ = _fitted(pair, starts, length, terms, np.array(begin))
+    drift = ClockDrift(float(ratio), float(std), float(seconds), middle, span)
     for name, value in (("time offset", offset), ("clock drift", drift)):
         moved = centred(pair.b.over(starts - value.at(starts), length))
         yield Trial(name, y - moved, value=value)
@@ -223,38 +226,14 @@ def time_offset(
     return TimeOffset(float(seconds), float(std), white_std)
 
 
-def clock_drift(pair: Angles, starts: Float64, length: float, begin: float) -> ClockDrift:
-    """Find the steadily changing offset of B's clock at which B turns as A does.
-
-    As :func:`time_offset`, with two parameters, from an offset to begin with, s.
-    """
-    middle = float(starts.mean())
-    since = np.stack([np.ones_like(starts), starts - middle])
-    (seconds, ratio), (_, std), _ = _fitted(pair, starts, length, since, np.array([begin, 0.0]))
-    span = float(starts[-1] - starts[0])
-    return ClockDrift(float(ratio), float(std), float(seconds), middle, span)
-
-
 def _fitted(
     pair: Angles, starts: Float64, length: float, terms: Float64, found: Float64
 ) -> tuple[Float64, Float64, float]:
     """Return the offset of B's clock as a sum of terms, by least squares.
 
-    Parameters
-    ----------
-    pair, starts, length
-        As for :func:`time_offset`.
-    terms
-        What is added up, at each window, shape ``(k, N)``; the first is 1.
-    found
-        So much of each to begin with, shape ``(k,)``.
-
-    Returns
-    -------
-    found, std : ndarray
-        So much of each, and its standard deviation; that is infinite where windows do not show it.
-    white_std : float
-        As for :class:`TimeOffset`.
+    The terms, the first of them 1, are given at each window, ``(k, N)``, and so much of each to
+    begin with, ``(k,)``. Returned are so much of each, and its standard deviation, infinite where
+    windows do not show it; and `white_std`, as for :class:`TimeOffset`.
     """
     step = length / 8
     largest = np.abs(terms).max(axis=1)

@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 TILE: Final = 8192
 """Samples computed together, from fixed sample indices: few enough for the caches."""
 
-RUN: Final = 128
-"""Sums over so many terms, and fewer, run one by one."""
-
 UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Row and column of the elements of a symmetric matrix that are computed."""
 
@@ -153,17 +150,14 @@ class ErrorGrowth:
         errors = self._errors
         h = np.diff(gyro.t_ns, prepend=last.t_ns) / NS_PER_S
         # The integral of R over the interval that ends at each sample.
-        step = np.empty(turn.shape)
-        np.add(turn[:, 1:], turn[:, :-1], out=step[:, 1:])
-        np.add(turn[:, :1], last_turn, out=step[:, :1])
+        step = _with_previous(turn, last_turn)
         step *= h / 2
         reference = np.zeros((6, 1 if rows.start else len(gyro)))
         if errors.scale_sigma:
             # In rows: an operation on columns would be slower than all that follows.
             rate = errors.scale_sigma * np.ascontiguousarray(gyro.rate.T)
             if gyro.span_ns is None and not gyro.averages:
-                previous = errors.scale_sigma * last.rate.T
-                rate = (rate + np.concatenate([previous, rate[:, :-1]], axis=1)) / 2
+                rate = _with_previous(rate, errors.scale_sigma * last.rate.T) / 2
             g = self._sum("G", (step.reshape(3, 3, -1) * rate).reshape(9, -1))[:, rows]
             square = _symmetric(g, g)
             self.variances["scale_sigma"] = _trace(square)
@@ -181,9 +175,7 @@ class ErrorGrowth:
         if not walk:
             s = s[:, rows]
             return bias * _symmetric(s, s)
-        twice = np.empty(s.shape)
-        np.add(s[:, 1:], s[:, :-1], out=twice[:, 1:])
-        np.add(s[:, 0], before, out=twice[:, 0])
+        twice = _with_previous(s, before[:, None])
         # S is linear within an interval: the integral of its square is that of the middle, and
         # h^3/12 for the deviation from it, R being orthogonal.
         square = _symmetric(twice, twice)
@@ -216,15 +208,21 @@ class ErrorGrowth:
         return sums[:, :count]
 
 
+def _with_previous(values: Float64, last: Float64) -> Float64:
+    """Return samples ``(rows, n)`` with the one before added to each: `last` to the first."""
+    sums = np.empty(values.shape)
+    np.add(values[:, 1:], values[:, :-1], out=sums[:, 1:])
+    np.add(values[:, :1], last, out=sums[:, :1])
+    return sums
+
+
 def _accumulate(sums: Float64) -> None:
-    """Replace terms ``(rows, n)`` by the sums up to them: as a tree, faster than one by one."""
-    if sums.shape[1] <= RUN:
-        np.cumsum(sums, axis=1, out=sums)
-        return
-    pairs = sums[:, 0::2] + sums[:, 1::2]
-    _accumulate(pairs)
-    sums[:, 2::2] += pairs[:, :-1]
-    sums[:, 1::2] = pairs
+    """Replace terms ``(rows, TILE)`` by the sums up to them.
+
+    Those of even and of odd terms are summed as complex numbers, faster than one by one.
+    """
+    pairs = np.cumsum(sums.view(np.complex128), axis=1).view(np.float64)
+    np.add(pairs[:, 1:], pairs[:, :-1], out=sums[:, 1:])
 
 
 def rotation_elements(wxyz: Float64) -> Float64:
