@@ -27,6 +27,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 SECONDS = 10
+"""Of processor time for a command: on a busy machine it may take longer."""
+WAIT = 20 * SECONDS
+"""Seconds for all commands of a log: a process that waits for something takes no time."""
 MEMORY = 4 << 30
 LOGS_A_PROCESS = 1000
 """After so many, another process: allocators keep the addresses that a claim once took."""
@@ -70,7 +73,7 @@ class Worker:
             other.close()
         self.pipe.send(seed)
         try:
-            if self.pipe.poll((len(COMMANDS) + 2) * SECONDS):
+            if self.pipe.poll(WAIT):
                 return self.pipe.recv()
         except (EOFError, ConnectionError):
             self.process.join()
@@ -95,7 +98,7 @@ def _serve(pipe, intact):
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.environ["QUATPROP_TRACEBACK"] = "1"
-    signal.signal(signal.SIGALRM, _interrupt)
+    signal.signal(signal.SIGPROF, _interrupt)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("error")
     warnings.simplefilter("ignore", ResourceWarning)
@@ -106,7 +109,7 @@ def _serve(pipe, intact):
             except EOFError:
                 return
             # Says where it hangs, should the alarm not get through.
-            faulthandler.dump_traceback_later(len(COMMANDS) * SECONDS)
+            faulthandler.dump_traceback_later(WAIT - SECONDS)
             with tempfile.TemporaryDirectory(dir=room) as folder:
                 log = write_damaged(seed, intact, Path(folder))
                 began = time.perf_counter()
@@ -158,14 +161,14 @@ def problem(log, folder, seed):
             command.append(str(scratch / out))
         elif arguments[0] != "info":
             command += ["-o", str(scratch / out)]
-        signal.setitimer(signal.ITIMER_REAL, SECONDS)
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)
         try:
             stdin = log.read_bytes() if is_stream else None
             result = CliRunner().invoke(cli, command, input=stdin)
         except Hang:
             return f"{arguments[0]} hangs\n{traceback.format_exc()}", codes
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
             tempfile.tempdir = None
         names = sorted(path.name for path in scratch.iterdir())
         wrong = _wrong(result, names, [out] if arguments[0] in OUTPUTS else [])

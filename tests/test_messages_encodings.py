@@ -10,6 +10,7 @@ from quatprop.containers.base import Channel
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.decoders import decoder_of
+from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct
 
 MIXED = Struct(
@@ -151,3 +152,13 @@ def test_other_encodings_are_refused_with_the_topic(encoding):
         match=f"^log: topic '/t' is encoded as '{encoding}'; this version reads 'cdr', 'ros1', ",
     ):
         decoder_of(Channel("/t", "pkg/msg/T", encoding), ["x"], "log")
+
+
+def test_messages_of_which_nothing_is_known_are_refused():
+    """No file with definitions could help where there is no type."""
+    with pytest.raises(SchemaError) as caught:
+        message_type(Channel("/t", "", "msgpack"), "log")
+    assert str(caught.value) == (
+        "log: topic '/t': the log does not say what its messages are, which are encoded as "
+        "'msgpack'; export them as CSV with a program that knows it"
+    )

@@ -95,6 +95,13 @@ def message_type(channel: Channel, path: Path | str) -> Struct:
     SchemaError
         The definition cannot be read, or there is none.
     """
+    if channel.encoding not in GRAMMARS and not (channel.type_name or channel.schema.strip()):
+        raise SchemaError(
+            path,
+            f"topic {quoted(channel.topic)}: the log does not say what its messages are, which are "
+            f"encoded as {quoted(channel.encoding)}; export them as CSV with a program that knows "
+            "it",
+        )
     try:
         if channel.encoding in GRAMMARS:
             kind: Struct = import_module(GRAMMARS[channel.encoding]).message_type(channel)
