@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
 
 from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, multiply
@@ -422,6 +423,30 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(tmp_pat
     assert said.splitlines()[0] == (
         "new.csv: max 5 deg, RMS 1.166 deg; above the tolerance of 0.5 deg"
     )
+
+
+@pytest.mark.parametrize("command", ["plot", "compare"])
+def test_errors_over_windows_are_drawn_beside_the_error(tmp_path, monkeypatch, command):
+    """As scipy has the rotations over each second, drawn where the second begins."""
+    new, truth = reference_pair(tmp_path)
+    arguments = {
+        "plot": ("plot", new, "--reference", truth, "-o", tmp_path / "a.png"),
+        "compare": ("compare", new, truth, "--plot", tmp_path / "a.png"),
+    }[command]
+    axes, (code, _, _) = drawn_error(monkeypatch, *arguments, "--window", "1s")
+    assert code == 0
+    error, window = axes.get_lines()[:2]
+    assert len(error.get_ydata()) == 1001
+    over = []
+    for path in (new, truth):
+        wxyz = np.loadtxt(path, delimiter=",", skiprows=1, usecols=(1, 2, 3, 4))
+        attitude = Rotation.from_quat(wxyz, scalar_first=True)
+        over.append(attitude[:-100].inv() * attitude[100:])
+    want = np.degrees((over[0].inv() * over[1]).magnitude())
+    np.testing.assert_allclose(window.get_ydata(), want, atol=1e-9)
+    np.testing.assert_allclose(window.get_xdata(), np.arange(901) * 0.01, atol=1e-9)
+    legend = [text.get_text() for text in axes.figure.legends[0].get_texts()]
+    assert legend[1] == f"over 1 s: max {want.max():.4g} deg, from where each begins"
 
 
 def test_an_error_far_from_its_tolerance_has_a_logarithmic_axis(tmp_path, monkeypatch):

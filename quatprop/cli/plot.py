@@ -33,7 +33,7 @@ ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in 
 
 PART = ("start", "end")
 NOT_OF_ERROR = {"--show", "--components", "--unwrap", "--start", "--end"}
-ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt")}
+ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt", "window")}
 
 
 EXAMPLES = (

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _ARRAYS = ("t_ns", "errors")
 """Fields of a comparison that its report leaves out."""
+_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("expected_rad",)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,7 @@ class Comparison:
         """Return everything but the arrays, JSON-ready."""
         names = [name for name in self.__slots__ if name not in _ARRAYS]
         report = {name: as_json(getattr(self, name)) for name in names}
-        if self.sigmas is not None:
-            del report["sigmas"]["expected_rad"]
+        for part, arrays in _ARRAYS_OF.items():
+            for name in arrays if report[part] else ():
+                del report[part][name]
         return report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +58,8 @@ class WindowStatistics:
         Size of their errors, rad.
     worst_ns
         Where the worst begins, ns.
+    begins_ns, errors
+        Where each window begins, ns, and its error, rad, shape ``(count,)``.
     """
 
     window_ns: int
@@ -65,6 +67,8 @@ class WindowStatistics:
     max_rad: float
     rms_rad: float
     worst_ns: int
+    begins_ns: Int64 = field(compare=False, repr=False)
+    errors: Float64 = field(compare=False, repr=False)
 
 
 def rms(error: Float64) -> float:
@@ -114,6 +118,8 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
         max_rad=float(error.max()),
         rms_rad=rms(error),
         worst_ns=int(t_ns[start[np.argmax(error)]]),
+        begins_ns=t_ns[start],
+        errors=error,
     )
 
 

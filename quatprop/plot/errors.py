@@ -97,7 +97,7 @@ def error_page(
     warnings = tuple(_warnings(files, reference, spell))
     lines = [_plotted(file) for file in files]
     if len(files) == 1:
-        lines += _expected(first)
+        lines += _beside(first)
     drawn = picture(lines, title, facts, warnings[:2])
     return Page(
         heading=title,
@@ -120,8 +120,12 @@ def _plotted(file: ComparedFile) -> PlottedFile:
     return _line(file.name, comparison.t_ns, comparison.errors, _sizes(comparison))
 
 
-def _expected(comparison: Comparison) -> Iterator[PlottedFile]:
-    """Yield the size that the series themselves expect of the error, if they have any."""
+def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
+    """Yield the error over windows, if any, and the size that the series expect of the error."""
+    if (window := comparison.window) is not None:
+        text = f"max {degrees_text(window.max_rad, DIGITS)}, from where each begins"
+        name = f"over {duration_text(window.window_ns)}"
+        yield _line(name, window.begins_ns, window.errors, text)
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigmas.final:.3g} sigma"
         line = _line("expected (1 sigma)", comparison.t_ns, sigmas.expected_rad, text)
