@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers import byte_ranges
-from quatprop.containers.base import Loss
+from quatprop.containers.base import Loss, MessageBlock
 from quatprop.containers.coalesce import join_blocks
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.loading import LARGE, load_in_groups
 from quatprop.containers.rosbag1.index import ChunkRecords, read_chunk
-from quatprop.containers.rosbag1.messages import MessageColumns, indexed_messages, only_messages
+from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
@@ -28,12 +28,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageBlock
     from quatprop.containers.loading import LoadedGroup
     from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.records import RecordFile
 
-    Content = tuple[ChunkRecords, MessageColumns | None]
+    Content = tuple[ChunkRecords, MessageBlock | None]
     """The records of a chunk, and those messages that were selected before it was read whole."""
 
 
@@ -69,7 +68,7 @@ class ChunkLoader:
         data = loaded.contents[0][0].data if group.buffer is None else group.buffer
         everything = _only_messages(data, loaded, self.connections)
         if everything is not None:
-            return everything.block(data), []
+            return everything, []
         blocks, begins, losses = [], [], []
         for (content, selected), chunk, begin in zip(
             loaded.contents, group.chunks, group.begins, strict=True
@@ -81,12 +80,12 @@ class ChunkLoader:
             if messages is None:
                 messages, damage = _scanned(content, inside)
             expected = sum(chunk.counts.get(conn, 0) for conn in inside)
-            missing = expected - len(messages.starts)
+            missing = expected - len(messages)
             if damage or missing > 0:
                 reason = damage or "it has fewer messages than it says"
                 losses.append(Loss(chunk.place, reason, missing or None))
-            if len(messages.starts):
-                blocks.append(messages.block(content.data))
+            if len(messages):
+                blocks.append(messages)
                 begins.append(begin)
         return (join_blocks(data, blocks, begins) if blocks else None), losses
 
@@ -127,22 +126,22 @@ class ChunkLoader:
 
 def _only_messages(
     data: NDArray[np.uint8], loaded: LoadedGroup[BagChunk, Content], wanted: set[int]
-) -> MessageColumns | None:
+) -> MessageBlock | None:
     """Return the messages of chunks that hold nothing else, which is quick; else None."""
-    if any(content.damage or selected for content, selected in loaded.contents):
+    if any(content.damage or selected is not None for content, selected in loaded.contents):
         return None
     begin = begin_of_messages(data)
     messages = None if begin is None else only_messages(data, begin)
     if begin is None or messages is None:
         return None
-    columns, conn = messages
+    block, conn = messages
     chunks, begins = loaded.group.chunks, loaded.group.begins
     for chunk, end in zip(chunks, [*begins[1:], len(data)], strict=True):
-        count, rest = divmod(end - begin, columns.stride)
+        count, rest = divmod(end - begin, block.stride)
         if rest or conn not in chunk.inside(wanted) or chunk.counts.get(conn) != count:
             return None
         begin = end
-    return columns
+    return block
 
 
 def _indexed(
@@ -150,7 +149,7 @@ def _indexed(
     indexed: dict[int, NDArray[np.void]],
     chunk: BagChunk,
     wanted: set[int],
-) -> MessageColumns | None:
+) -> MessageBlock | None:
     """Locate messages by the index data; None if it disagrees with the records."""
     parts = []
     for conn in wanted & chunk.counts.keys():
@@ -167,14 +166,11 @@ def _indexed(
         parts.append(part)
     if len(parts) == 1:
         return parts[0]
-    starts, ends, log_ns = (
-        np.concatenate(columns) for columns in zip(*(part[:3] for part in parts), strict=True)
-    )
-    order = np.argsort(starts)
-    return MessageColumns(starts[order], ends[order], log_ns[order])
+    block = join_blocks(data, parts, [0] * len(parts))
+    return block.at(np.argsort(block.starts))
 
 
-def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, str]:
+def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:
     """Locate messages record by record; the string says why there may be more, or is ``""``."""
     records, damage = surviving_records(content.data, content.indexed_offsets)
     rows = [
@@ -182,7 +178,5 @@ def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageColumns, s
         for record in records
         if record.op == OP_MESSAGE and record.number(b"conn") in wanted
     ]
-    columns = np.array(rows, np.int64).reshape(-1, 3).T
-    damage = content.damage or damage
-    starts, ends, log_ns = (np.ascontiguousarray(column) for column in columns)
-    return MessageColumns(starts, ends, log_ns), damage
+    starts, ends, log_ns = np.array(rows, np.int64).reshape(-1, 3).T.copy()
+    return MessageBlock(content.data, starts, ends, log_ns, log_ns), content.damage or damage

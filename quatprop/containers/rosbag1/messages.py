@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,25 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class MessageColumns(NamedTuple):
-    """Where messages lie in a chunk, shapes ``(N,)``, and when they were recorded, ns.
-
-    `stride` is the bytes from each to the next where they are all of one length and distance.
-    """
-
-    starts: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    log_ns: NDArray[np.int64]
-    stride: int = 0
-
-    def block(self, data: NDArray[np.uint8]) -> MessageBlock:
-        """Return the messages as a block of their buffer."""
-        return MessageBlock(
-            data, self.starts, self.ends, self.log_ns, self.log_ns, stride=self.stride
-        )
-
-
-def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageColumns, int] | None:
+def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageBlock, int] | None:
     """Locate the messages of records that are all of one length and connection.
 
     This is the usual chunk, and quick to check: neither its index nor a walk is needed.
@@ -69,12 +51,13 @@ def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageColumns, 
     if not _are_of(headers, conn) or np.count_nonzero(headers["size"] != length):
         return None
     starts = np.arange(begin + size, begin + size + count * stride, stride)
-    return MessageColumns(starts, starts + length, _log_ns(headers), stride), conn
+    log_ns = _log_ns(headers)
+    return MessageBlock(data, starts, starts + length, log_ns, log_ns, stride=stride), conn
 
 
 def indexed_messages(
     data: NDArray[np.uint8], offsets: NDArray[np.int64], conn: int
-) -> MessageColumns | None:
+) -> MessageBlock | None:
     """Locate the messages of one connection that the index points to.
 
     All headers are compared with the first, so that a wrong index is detected.
@@ -90,7 +73,7 @@ def indexed_messages(
 
     Returns
     -------
-    MessageColumns or None
+    MessageBlock or None
         None if anything there is not a message of this connection.
     """
     if len(offsets) == 0:
@@ -110,7 +93,8 @@ def indexed_messages(
     ends = starts + headers["size"]
     if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
         return None
-    return MessageColumns(starts, ends, _log_ns(headers))
+    log_ns = _log_ns(headers)
+    return MessageBlock(data, starts, ends, log_ns, log_ns)
 
 
 def _are_of(headers: NDArray[np.void], conn: int) -> bool:
