@@ -141,14 +141,14 @@ def test_settings_of_the_library_are_text_in_metadata(tmp_path):
     log = SAMPLES / "tumbling.bag"
     start = datetime.fromtimestamp(1_700_000_001, UTC)
     series = propagate(log, start=start, bias=np.array([0.1, 0, 0]), rate=Fraction(30000, 1001),
-                       max_gap=timedelta(seconds=1), noise_density=1e-3, sigma=True, every=None,
-                       q0=[0.0, 1, 0, 0])  # fmt: skip
+                       max_gap=timedelta(seconds=1), noise_density=1e-3, sigma=True,
+                       q0=[0.0, 1, 0, 0], scale_sigma=1e-3)  # fmt: skip
     write(series, tmp_path / "a.parquet")
     shown = run("info", tmp_path / "a.parquet", "--as-config").stdout
     assert shown.splitlines()[2:] == [
         'bias = "0.1,0.0,0.0"', 'max-gap = "1000000000ns"',
         'noise-density = "0.001rad/s/sqrt(Hz)"', 'q0 = "0.0,1.0,0.0,0.0"', 'rate = "30000/1001"',
-        "sigma = true", 'start = "1700000001000000000"',
+        'scale-sigma = "1000.0ppm"', "sigma = true", 'start = "1700000001000000000"',
     ]  # fmt: skip
     (tmp_path / "a.toml").write_text(shown)
     again = run("propagate", log, "-o", tmp_path / "b.parquet", "--config", tmp_path / "a.toml")

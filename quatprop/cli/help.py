@@ -81,10 +81,12 @@ def brief(names: str, text: str) -> tuple[str, str]:
     --------
     >>> brief("--to KIND", "Format; it is. Long.  [default: by the suffix; else csv]")
     ('--to KIND', 'Format  [default: by the suffix]')
+    >>> brief("--components", "Draw four.  [default: yaw, pitch and roll]")[1]
+    'Draw four  [default: yaw, pitch and roll]'
     """
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    default = re.sub("[;,] [^]]*", "", default)
+    default = re.sub("(;|, (but|else|required|without)) [^]]*", "", default)
     return names, said if default.startswith("default: none") else said + bracket + default
 
 

@@ -195,6 +195,8 @@ def as_text(name: str, value: object, parsed: object) -> str | bool:
         return value
     if isinstance(parsed, tuple):
         return ",".join(map(str, parsed))
+    if name == "scale_sigma" and isinstance(parsed, float):
+        return f"{parsed * 1e6}ppm"
     return f"{parsed}{SI_UNITS.get(name, '')}"
 
 
