@@ -270,6 +270,24 @@ def test_remarks_say_how_gaps_were_handled(on_gap, handled):
     ]
 
 
+@pytest.mark.parametrize(
+    ("first", "interval", "repeats", "is_said"),
+    [
+        (3000, 1000, 3, True),
+        (3000, 2000, 3, True),
+        (3500, 1000, 3, False),
+        (3000, 1500, 3, False),
+        (3000, 1000, 2, False),
+    ],
+)
+def test_whole_seconds_of_several_samples_are_remarked(first, interval, repeats, is_said):
+    """More than half of the stamps repeat the one before, and all are whole seconds."""
+    stamps = [first + interval * (k // repeats) for k in range(30)]
+    _, _, counts = applied(Policy(), gyro(stamps))
+    found = [text for text in map(str, remarks(counts, Policy())) if "whole seconds" in text]
+    assert len(found) == is_said
+
+
 @pytest.mark.parametrize("stamps", [[0], [0, 0], [0, 0, 0]])
 def test_time_that_does_not_pass_is_remarked(stamps):
     """Equal stamps turn nothing, and that is said; a stamp alone is no such thing."""
