@@ -1,5 +1,8 @@
 """Time ranges of indexed logs: the same attitudes as of the whole log, and little of it read."""
 
+import shutil
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 
@@ -65,11 +68,17 @@ def logs(tmp_path_factory):
     rewrite(folder / "one.mcap", folder / "log.mcap")
     table = read_rates(folder / "one.mcap").to_arrow()
     pyarrow.parquet.write_table(table, folder / "log.parquet", row_group_size=1000)
+    simulate(folder / "db3", "coning", Shape(), gyroscope, kind="rosbag2", truth=None)
+    (folder / "parts").mkdir()
+    for number in range(3):
+        begin, end = (T0_NS + SECONDS * NS_PER_S * k // 3 for k in (number, number + 1))
+        part = folder / "parts" / f"parts_{number}.mcap"
+        rewrite(folder / "one.mcap", part, keep=lambda t, begin=begin, end=end: begin <= t < end)
     return folder
 
 
-def rewrite(source, target, logged=lambda log_ns: log_ns):
-    """Write the messages of an MCAP file in small chunks, at other log times."""
+def rewrite(source, target, logged=lambda log_ns: log_ns, keep=lambda _: True):
+    """Write messages of an MCAP file in small chunks, at other log times."""
     with source.open("rb") as stream, target.open("wb") as file:
         writer = Writer(file, chunk_size=50_000, compression=CompressionType.ZSTD)
         writer.start("ros2")
@@ -78,6 +87,8 @@ def rewrite(source, target, logged=lambda log_ns: log_ns):
             if ids is None:
                 one = writer.register_schema(schema.name, schema.encoding, schema.data)
                 ids = writer.register_channel(channel.topic, channel.message_encoding, one)
+            if not keep(message.log_time):
+                continue
             log_ns = logged(message.log_time)
             writer.add_message(ids, log_ns, message.data, log_ns)
         writer.finish()
@@ -106,7 +117,7 @@ def whole(log, folder, start, end):
     return report, table
 
 
-@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log.parquet"])
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log.parquet", "db3", "parts"])
 @pytest.mark.parametrize(("start", "end"), RANGES)
 def test_a_range_gives_the_same_attitudes_as_the_whole_log(logs, tmp_path, name, start, end):
     """Relative and absolute ranges, at the ends of the log and within it."""
@@ -308,3 +319,25 @@ def test_rows_outside_of_a_range_keep_their_numbers(tmp_path):
         _, batches = signal.part_reader().read(52, 55)
         assert sum(map(len, batches)) == 9
         assert [loss.place for loss in log.losses] == ["rows 51 to 60"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "DROP INDEX timestamp_idx",
+        "DROP INDEX timestamp_idx; CREATE INDEX other ON messages (topic_id, timestamp)",
+        "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 'late', x'00')",
+    ],
+)
+def test_a_database_without_a_sound_index_of_times_is_read_whole(logs, tmp_path, change):
+    """Where no index begins with the time, or a time is no number, ranges are not looked up."""
+    bag = tmp_path / "bag"
+    shutil.copytree(logs / "db3", bag)
+    (part,) = bag.glob("*.db3")
+    with closing(sqlite3.connect(part)) as database:
+        database.executescript(change)
+    with open_log(logs / "db3") as log:
+        (channel,) = log.channels()
+        assert log.recorded_span(channel).length_ns > (SECONDS - 2) * NS_PER_S
+    with open_log(bag) as log:
+        assert log.recorded_span(*log.channels()) is None

@@ -6,11 +6,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import apsw
-from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, MessageBlock, MessageLog
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.file_source import FileSource
+from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
@@ -20,6 +20,7 @@ from quatprop.containers.rosbag2.sqlite_files import (
     read_wal,
 )
 from quatprop.containers.rosbag2.sqlite_pages import open_pages
+from quatprop.containers.time_range import TimeRange
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     from apsw import SQLiteValue
 
     from quatprop.containers.rosbag2.fetches import Fetch
+
+
+EVERY_TIME = TimeRange(-LATEST, LATEST)
+"""All log times: those of other rows are counted as lost then."""
 
 
 class Db3Log(MessageLog):
@@ -65,7 +70,7 @@ class Db3Log(MessageLog):
         try:
             self._database = self._connect()
             try:
-                self._topics = self._read_topics()
+                self._topics = read_topics(self._database, path)
             except BaseException:
                 self._database.close()
                 raise
@@ -100,50 +105,6 @@ class Db3Log(MessageLog):
                 reason = f"{pages} pages of a transaction that was not finished are not read"
                 self.losses.note(beside[0], reason)
 
-    def _columns(self, table: str) -> dict[str, None]:
-        """Return the names of the columns of a table, in order."""
-        rows = self._database.execute("SELECT name FROM pragma_table_info(?)", (table,))
-        return {str(name): None for (name,) in rows}
-
-    def _read_topics(self) -> dict[SQLiteValue, Channel]:
-        """Return the channel of each topic id."""
-        if not (
-            self._columns("topics").keys() >= {"id", "name", "type", "serialization_format"}
-            and self._columns("messages").keys() >= {"topic_id", "timestamp", "data"}
-        ):
-            raise UnsupportedLogError(
-                self.path,
-                "it is an SQLite database without the tables of a ROS 2 bag; "
-                "name a database that `ros2 bag` recorded",
-            )
-        definitions = self._definitions()
-        # As blobs, since text that is not UTF-8 is an error otherwise.
-        rows = self._database.execute(
-            "SELECT id, CAST(name AS BLOB), CAST(type AS BLOB), CAST(serialization_format AS BLOB)"
-            "FROM topics WHERE id IS NOT NULL AND name IS NOT NULL AND type IS NOT NULL"
-        )
-        channels = {}
-        for id_, *values in rows:
-            name, type_name, encoding = (bytes(v or b"").decode(errors="replace") for v in values)
-            type_name = normalize_msgtype(type_name)
-            schema_encoding, schema = definitions.get(type_name, ("", b""))
-            channels[id_] = Channel(name, type_name, encoding, schema_encoding, schema)
-        return channels
-
-    def _definitions(self) -> dict[str, tuple[str, bytes]]:
-        """Return language and text of the definition of each type."""
-        wanted = {"topic_type", "encoding", "encoded_message_definition"}
-        if not self._columns("message_definitions").keys() >= wanted:
-            return {}
-        rows = self._database.execute(
-            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        )
-        return {
-            normalize_msgtype(str(type_name)): (str(encoding), str(definition).encode())
-            for type_name, encoding, definition in rows
-            if encoding in ("ros2msg", "ros2idl") and definition
-        }
-
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic; how many messages it has is not known."""
         return sorted(
@@ -152,7 +113,31 @@ class Db3Log(MessageLog):
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, in order of their log times."""
-        fetches = self._fetches(channel)
+        return self.blocks_within(channel, EVERY_TIME)
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of all topics
+        """Return when the bag was recorded; None where it has no sound index of the times."""
+        try:
+            self._check_indexes()
+            indexed = self._database.execute(
+                "SELECT 1 FROM pragma_index_list('messages') AS one, pragma_index_info(one.name) "
+                "AS part WHERE partial = 0 AND seqno = 0 AND part.name = 'timestamp'"
+            ).fetchall()
+            first, last = next(
+                self._database.execute(
+                    "SELECT (SELECT min(timestamp) FROM messages),"
+                    "(SELECT max(timestamp) FROM messages)"
+                )
+            )
+        except apsw.Error:
+            return None
+        if not indexed or not isinstance(first, int) or not isinstance(last, int):
+            return None
+        return TimeRange(first, last)
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages that were logged in a time range."""
+        fetches = self._fetches(channel, within)
         damaged = 0
         while group := next_group(fetches):
             block = combined(group)
@@ -164,17 +149,17 @@ class Db3Log(MessageLog):
         if damaged:
             self._lose(channel, "their zstd data is damaged", damaged)
 
-    def _fetches(self, channel: Channel) -> Iterator[Fetch]:
+    def _fetches(self, channel: Channel, within: TimeRange) -> Iterator[Fetch]:
         """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
         try:
             self._check_indexes()
-            for fetch in self._queried(channel, ids):
+            for fetch in self._queried(channel, ids, within):
                 count += len(fetch.times)
                 yield fetch
         except apsw.Error as error:
-            yield from self._recovered(channel, ids, count, str(error))
+            yield from self._recovered(channel, ids, within, count, str(error))
 
     def _check_indexes(self) -> None:
         """Raise an error of SQLite where an index does not list all rows."""
@@ -195,7 +180,9 @@ class Db3Log(MessageLog):
         rows = self._database.execute(f"SELECT {expression} FROM messages {how}")  # noqa: S608
         return int(str(next(rows)[0]))
 
-    def _queried(self, channel: Channel, ids: list[SQLiteValue]) -> Iterator[Fetch]:
+    def _queried(
+        self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
+    ) -> Iterator[Fetch]:
         """Fetch messages with a query, and count the rows that are no messages.
 
         Raises
@@ -208,12 +195,15 @@ class Db3Log(MessageLog):
         this_topic = f"topic_id IN ({', '.join(marks[: len(ids)])})"
         no_topic = f"topic_id IN ({', '.join(marks)}) IS NOT 1"
         is_message = f"{this_topic} AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
+        in_range = ""
+        if within != EVERY_TIME:
+            in_range = f"timestamp BETWEEN {within.first_ns} AND {within.last_ns} AND "
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
         order = f"ORDER BY timestamp, {'rowid' if self._has_rowid() else 'timestamp'}"
         # Rows of no topic come without a time: another scan for them would take longer.
         query = (
             f"SELECT CASE WHEN {this_topic} THEN timestamp END, data FROM messages "  # noqa: S608  # only question marks go in
-            f"WHERE {this_topic} OR {no_topic} {order}"
+            f"WHERE {in_range}({this_topic} OR {no_topic}) {order}"
         )
         has_others = False
         count = 0
@@ -225,14 +215,14 @@ class Db3Log(MessageLog):
         except (TypeError, UnicodeDecodeError):
             # Columns of SQLite hold values of any type; to ask for that of each takes time.
             query = (
-                f"SELECT timestamp, data FROM messages WHERE {is_message} {order} "  # noqa: S608  # only question marks go in
+                f"SELECT timestamp, data FROM messages WHERE {in_range}{is_message} {order} "  # noqa: S608  # only question marks go in
                 f"LIMIT -1 OFFSET {count}"
             )
             for _, fetch in fetched(self._database.execute(query, ids)):
                 yield fetch
             has_others = True
         if has_others:
-            condition = f"({this_topic} OR {no_topic}) AND ({is_message}) IS NOT 1"
+            condition = f"{in_range}({this_topic} OR {no_topic}) AND ({is_message}) IS NOT 1"
             self._count_others(channel, this_topic, condition, parameters)
 
     def _count_others(
@@ -259,10 +249,10 @@ class Db3Log(MessageLog):
         return False
 
     def _recovered(
-        self, channel: Channel, ids: list[SQLiteValue], done: int, damage: str
+        self, channel: Channel, ids: list[SQLiteValue], within: TimeRange, done: int, damage: str
     ) -> Iterator[Fetch]:
         """Fetch messages after the first `done` from the pages of the file, in time order."""
-        names = list(self._columns("messages"))
+        names = list(columns_of(self._database, "messages"))
         topic, time, data = (names.index(name) for name in ("topic_id", "timestamp", "data"))
         with open_pages(self.path, (topic, time, data)) as pages:
             cells = sorted({cell[:3]: cell for cell in pages.cells(self._topics)}.values())
@@ -270,7 +260,11 @@ class Db3Log(MessageLog):
             if cells:
                 rowids = [cell.rowid for cell in cells]
                 lost = max(rowids) - min(0, min(rowids) - 1) - len(cells)
-            mine = [cell for cell in cells if cell.group in ids][done:]
+            mine = [
+                cell
+                for cell in cells
+                if cell.group in ids and within.overlaps(cell.log_ns, cell.log_ns)
+            ][done:]
             for first in range(0, len(mine), ROWS):
                 group = [(c.log_ns, pages.blob(c)) for c in mine[first : first + ROWS]]
                 whole = [(log_ns, data) for log_ns, data in group if data is not None]

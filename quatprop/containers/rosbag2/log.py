@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections import defaultdict
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
@@ -13,7 +13,8 @@ from quatprop.containers.compressed_files import DecompressedCopy, file_compress
 from quatprop.containers.compressed_messages import decompressed, is_compressed
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.rosbag2.parts import METADATA, folder
+from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
+from quatprop.containers.time_range import TimeRange
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import plain, quoted
@@ -25,28 +26,6 @@ if TYPE_CHECKING:
 
 MAX_OPEN = 16
 """So many parts are kept open; an open database takes some megabytes. Others are opened again."""
-
-
-@dataclass(slots=True)
-class _Part:
-    """A file of the bag.
-
-    Parameters
-    ----------
-    path
-        The file in the folder.
-    copy
-        Its decompressed copy, if it is compressed.
-    channels
-        Its channels, each with the channel of the bag that it belongs to.
-    log
-        The part, as long as it is kept open.
-    """
-
-    path: Path
-    copy: DecompressedCopy | None = None
-    channels: dict[Channel, Channel] = field(default_factory=dict)
-    log: MessageLog | None = None
 
 
 class Rosbag2Log(MessageLog):
@@ -89,7 +68,7 @@ class Rosbag2Log(MessageLog):
                 f"its messages are compressed with {quoted(self._message_compression)} and only "
                 "zstd is read; decompress it with `ros2 bag convert`",
             )
-        self._parts: list[_Part] = []
+        self._parts: list[Part] = []
         try:
             for file in found.parts:
                 self._add(file)
@@ -106,7 +85,7 @@ class Rosbag2Log(MessageLog):
 
     def _add(self, file: Path) -> None:
         """Add a part, or note why it cannot be opened."""
-        part = _Part(file)
+        part = Part(file)
         try:
             log = self._open(part)
             part.channels = {channel: channel for channel in log.channels()}
@@ -123,7 +102,7 @@ class Rosbag2Log(MessageLog):
         else:
             log.close()
 
-    def _open(self, part: _Part) -> MessageLog:
+    def _open(self, part: Part) -> MessageLog:
         """Open a part, whose content tells its compression and storage."""
         source = FileSource(part.copy.path) if part.copy else self._source_of_part(part.path)
         if part.copy is None and file_compression(source.read(0, 4)):
@@ -141,13 +120,13 @@ class Rosbag2Log(MessageLog):
 
         return McapLog(source)
 
-    def _note(self, part: _Part, losses: Iterable[Loss]) -> None:
+    def _note(self, part: Part, losses: Iterable[Loss]) -> None:
         """Note losses of a part."""
         for loss in losses:
             place = f"{plain(part.path.name)}: {loss.place}"
             self.losses.note(place, loss.reason, loss.messages)
 
-    def _give_up(self, part: _Part, error: Exception) -> None:
+    def _give_up(self, part: Part, error: Exception) -> None:
         reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
         self._note(part, [Loss("the whole part", str(reason))])
 
@@ -174,7 +153,8 @@ class Rosbag2Log(MessageLog):
         return sorted(
             (
                 replace(
-                    channel, count=_total(found, stated.get((channel.topic, channel.type_name)))
+                    channel,
+                    count=total_count(found, stated.get((channel.topic, channel.type_name))),
                 )
                 for channel, found in counts.items()
             ),
@@ -191,12 +171,35 @@ class Rosbag2Log(MessageLog):
         Parts that follow each other in time are read one after another; parts that overlap are
         read alternately.
         """
-        streams = [
+        return self._merged(channel, None)
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return when a channel was recorded; None where a part has no index of the times."""
+        spans = []
+        for part, own in self._holding(channel):
+            if own.count != 0:
+                span = part.log.recorded_span(own) if part.log else None
+                if span is None:
+                    return None
+                spans.append(span)
+        ends = [span.first_ns for span in spans], [span.last_ns for span in spans]
+        return TimeRange(min(ends[0]), max(ends[1])) if spans else None
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages of a time range, of the parts that have it."""
+        return self._merged(channel, within)
+
+    def _holding(self, channel: Channel) -> list[tuple[Part, Channel]]:
+        """Return the parts that have a channel, and what it is in each."""
+        return [
             (part, own)
             for part in self._parts
             for own, whole in part.channels.items()
             if whole == channel
         ]
+
+    def _merged(self, channel: Channel, within: TimeRange | None) -> Iterator[MessageBlock]:
+        streams = [(part, own, within) for part, own in self._holding(channel)]
         waiting = [(NO_BOUND, 0)] if len(streams) == 1 else self._starts(streams)
         heapq.heapify(waiting)
         count = 0
@@ -213,7 +216,8 @@ class Rosbag2Log(MessageLog):
             heapq.heappush(waiting, (not_before_ns, k))
             count += len(block)
             yield replace(block, not_before_ns=waiting[0][0])
-        self._check_count(channel, count)
+        if within is None:
+            self._check_count(channel, count)
 
     def _check_count(self, channel: Channel, count: int) -> None:
         """Note messages that metadata.yaml counts, and that are neither read nor noted as lost."""
@@ -226,7 +230,9 @@ class Rosbag2Log(MessageLog):
             reason = f"it counts {missing} messages of topic {topic} more than there are"
             self.losses.note(METADATA, reason, missing)
 
-    def _starts(self, streams: list[tuple[_Part, Channel]]) -> list[tuple[int, int]]:
+    def _starts(
+        self, streams: list[tuple[Part, Channel, TimeRange | None]]
+    ) -> list[tuple[int, int]]:
         """Return the number of each stream, after a time that none of its messages precedes.
 
         The times are those of the parts: the metadata of a recorder that died is stale.
@@ -239,7 +245,9 @@ class Rosbag2Log(MessageLog):
                 starts.append((min(first.not_before_ns, int(first.log_ns.min())), k))
         return starts
 
-    def _stream(self, part: _Part, own: Channel) -> Generator[MessageBlock, None, None]:
+    def _stream(
+        self, part: Part, own: Channel, within: TimeRange | None
+    ) -> Generator[MessageBlock, None, None]:
         """Yield the messages of one channel of one part."""
         try:
             log = part.log or self._open(part)
@@ -248,7 +256,7 @@ class Rosbag2Log(MessageLog):
             return
         damaged = 0
         with nullcontext() if part.log else log:
-            for block in log.blocks(own):
+            for block in log.blocks(own) if within is None else log.blocks_within(own, within):
                 whole, lost = (
                     decompressed(block) if self._is_compressed(log, own, block) else (block, 0)
                 )
@@ -285,9 +293,3 @@ class Rosbag2Log(MessageLog):
                 part.log.close()
             if part.copy:
                 part.copy.close()
-
-
-def _total(counts: list[int | None], stated: int | None) -> int | None:
-    """Return the number of messages as the parts count them, or else as the metadata states it."""
-    known = [count for count in counts if count is not None]
-    return sum(known) if len(known) == len(counts) else stated

@@ -16,6 +16,8 @@ from quatprop.text import listed, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.compressed_files import DecompressedCopy
     from quatprop.provenance import JsonObject
 
 METADATA = "metadata.yaml"
@@ -238,3 +240,31 @@ def _dicts(value: object) -> list[JsonObject]:
 
 def _count(value: object) -> int | None:
     return value if isinstance(value, int) else None
+
+
+@dataclass(slots=True)
+class Part:
+    """A file of the bag.
+
+    Parameters
+    ----------
+    path
+        The file in the folder.
+    copy
+        Its decompressed copy, if it is compressed.
+    channels
+        Its channels, each with the channel of the bag that it belongs to.
+    log
+        The part, as long as it is kept open.
+    """
+
+    path: Path
+    copy: DecompressedCopy | None = None
+    channels: dict[Channel, Channel] = field(default_factory=dict)
+    log: MessageLog | None = None
+
+
+def total_count(counts: list[int | None], stated: int | None) -> int | None:
+    """Return the number of messages as the parts count them, or else as the metadata states it."""
+    known = [count for count in counts if count is not None]
+    return sum(known) if len(known) == len(counts) else stated
