@@ -31,7 +31,7 @@ SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reade
 METADATA = "metadata.yaml"
 """The file that makes a folder a ROS 2 bag."""
 
-TABLES = {"parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"}
+TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
 """Kinds of files that hold many other things, too."""
 
 
