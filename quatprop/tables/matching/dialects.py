@@ -9,6 +9,7 @@ convention that is certain about it is trusted with those.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from quatprop.settings import EULER_SEQUENCES
 
@@ -87,6 +88,16 @@ EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
 EULER_NUMBERED = _NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
 _MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
 
+_px4 = partial(Dialect, "PX4 ulog2csv", time=("timestamp",), rate_unit="rad/s", time_unit="us")
+_sensor_logger = partial(
+    Dialect,
+    "Sensor Logger",
+    time=("time",),
+    rate_unit="rad/s",
+    time_unit="ns",
+    needs=("seconds_elapsed",),
+)
+
 DIALECTS = (
     Dialect("quatprop", "w" + _XYZ, "q" + COMPONENT, ("t",), "rad/s", "ns", needs=("t_ns",)),
     Dialect(
@@ -105,62 +116,14 @@ DIALECTS = (
         "ns",
         bias=r"b_w_[a-z]+_[a-z]+_" + _XYZ,
     ),
-    Dialect(
-        "PX4 ulog2csv",
-        time=("timestamp_sample", "timestamp"),
-        rate_unit="rad/s",
-        time_unit="us",
-        bias="gyro_bias" + _INDEX,
-    ),
-    Dialect(
-        "PX4 ulog2csv",
-        "gyro_rad" + _INDEX,
-        time=("timestamp",),
-        rate_unit="rad/s",
-        time_unit="us",
-        method="end",
-    ),
-    Dialect(
-        "PX4 ulog2csv",
-        r"(?P<part>roll|pitch|yaw)speed",
-        _Q_INDEX,
-        ("timestamp",),
-        "rad/s",
-        "us",
-        needs=("rollspeed", "q[0]", "q[3]"),
-    ),
-    Dialect(
-        "PX4 ulog2csv",
-        "xyz" + _INDEX,
-        time=("timestamp",),
-        rate_unit="rad/s",
-        time_unit="us",
-        file="vehicle_angular_velocity",
-    ),
-    Dialect(
-        "PX4 ulog2csv",
-        _XYZ,
-        time=("timestamp",),
-        rate_unit="rad/s",
-        time_unit="us",
-        needs=("device_id",),
-        file=r"sensor_gyro(?!_fifo)",
-    ),
-    *(
-        Dialect(
-            "PX4 ulog2csv",
-            quaternion=_Q_INDEX,
-            time=("timestamp",),
-            time_unit="us",
-            needs=needs,
-            file=file,
-        )
-        for needs, file in (
-            (("delta_q_reset[0]",), ""),
-            (("quat_reset_counter",), ""),
-            ((), r"vehicle_(?:attitude|odometry|visual_odometry)(?!_setpoint)"),
-        )
-    ),
+    _px4(time=("timestamp_sample", "timestamp"), bias="gyro_bias" + _INDEX),
+    _px4("gyro_rad" + _INDEX, method="end"),
+    _px4("(?P<part>roll|pitch|yaw)speed", _Q_INDEX, needs=("rollspeed", "q[0]", "q[3]")),
+    _px4("xyz" + _INDEX, file="vehicle_angular_velocity"),
+    _px4(_XYZ, needs=("device_id",), file=r"sensor_gyro(?!_fifo)"),
+    _px4(quaternion=_Q_INDEX, needs=("delta_q_reset[0]",)),
+    _px4(quaternion=_Q_INDEX, needs=("quat_reset_counter",)),
+    _px4(quaternion=_Q_INDEX, file=r"vehicle_(?:attitude|odometry|visual_odometry)(?!_setpoint)"),
     Dialect(
         "rostopic echo -p",
         r"field\." + _ROS_RATE,
@@ -198,31 +161,9 @@ DIALECTS = (
     Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
     Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
     Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
-    Dialect(
-        "Sensor Logger",
-        _XYZ,
-        time=("time",),
-        rate_unit="rad/s",
-        time_unit="ns",
-        needs=("seconds_elapsed",),
-        file="(?i)gyroscope",
-    ),
-    Dialect(
-        "Sensor Logger",
-        "rotation_rate_" + _XYZ,
-        "quaternion_" + COMPONENT,
-        ("time",),
-        "rad/s",
-        "ns",
-        needs=("seconds_elapsed",),
-    ),
-    Dialect(
-        "Sensor Logger",
-        quaternion="q_?" + COMPONENT,
-        time=("time",),
-        time_unit="ns",
-        needs=("seconds_elapsed",),
-    ),
+    _sensor_logger(_XYZ, file="(?i)gyroscope"),
+    _sensor_logger("rotation_rate_" + _XYZ, "quaternion_" + COMPONENT),
+    _sensor_logger(quaternion="q_?" + COMPONENT),
 )
 """The conventions, tried in this order."""
 
