@@ -208,6 +208,17 @@ def test_motion_about_one_axis_leaves_alternatives():
     )
 
 
+def test_an_axis_that_hardly_turns_is_no_turned_body():
+    """A vehicle turns about z: with x reversed by mistake, half a turn about z fits somewhat."""
+    rng = np.random.default_rng(4)
+    rate = rates(SECONDS) * [0.01, 0.01, 1.0]
+    measured = rate + 0.005 * rng.normal(size=rate.shape) + np.radians([1, -1, 1])
+    a = quatprop.propagate(GyroSeries(T_NS, measured * [-1, 1, 1]), method="mean")
+    b = quatprop.propagate(GyroSeries(T_NS, rate), method="cubic")
+    causes = named_causes(*(AttitudeSeries(T_NS, each.wxyz) for each in (a, b)))
+    assert "body frame" not in {cause.name for cause in causes}
+
+
 def test_two_causes_are_both_named(noisy):
     """A large bias explains the error, and the delay beside it is found in the windows."""
     a, b = noisy

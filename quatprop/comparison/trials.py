@@ -38,6 +38,9 @@ that change nothing, and reverse everything."""
 SAME_FIT = 1e-3
 """Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
 
+SAME_TURN = 0.99
+"""A rotation that fits worse than its mirror image, by this factor, is none."""
+
 MAX_OFFSET_S = 0.5
 """Time offsets are tried up to this; what is larger cannot be told from another motion, s."""
 
@@ -175,8 +178,11 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
         ratio = np.sqrt(power_y / power_x)
         limits = RateRatio(ratio, shared / power_x, power_y / shared)
         yield Trial("scale", (y - ratio * x) / min(ratio, 1.0), value=limits)
-    turn, _ = kabsch(x, y)
-    yield Trial("body frame", y - rotate(turn, x), value=turn)
+    (turn, _), (mirrored, _) = kabsch(x, y), kabsch(-x, y)
+    turned = y - rotate(turn, x)
+    if SAME_TURN * size(turned) <= size(y + rotate(mirrored, x)):
+        # Otherwise axes are reversed, about which the motion hardly turns.
+        yield Trial("body frame", turned, value=turn)
     yield from clock_trials(angles[0], starts, length)
 
 
