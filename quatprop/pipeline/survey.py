@@ -195,8 +195,9 @@ def _declared(
         raise
 
 
-def _in_step(batches: Iterator[GyroSeries], other: Iterator[Int64]) -> Iterator[GyroSeries]:
+def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterator[GyroSeries]:
     """Yield batches, and let another reading of the same messages go on beside them."""
+    other = beside.stamps.observe(beside)
     for batch in batches:
         next(other, None)
         yield batch
@@ -205,9 +206,7 @@ def _in_step(batches: Iterator[GyroSeries], other: Iterator[Int64]) -> Iterator[
 
 def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
-    batches = signal.batches()
-    if beside is not None:
-        batches = _in_step(batches, beside.stamps.observe(beside))
+    batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
     with nullcontext() if beside is None else blocks_shared(cast("MessageLog", log), signal.name):
         next(samples, None)
