@@ -112,6 +112,8 @@ def test_more_times_than_samples_could_mean_are_refused():
     """Each interval alone may be short enough: ten thousand times a sample are the most."""
     steady = Steady(Fraction(10**9))
     steady.refuse_excess(np.arange(1001) * 9_999)
+    # Of more samples more are allowed.
+    steady.refuse_excess(np.arange(2001) * 9_999)
     with pytest.raises(UsageError) as caught:
         steady.refuse_excess(np.arange(1001) * 10_011)
     assert str(caught.value) == (
