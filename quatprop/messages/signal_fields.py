@@ -206,17 +206,15 @@ def _root_with(channel: Channel, names: tuple[str, ...], path: Path | str) -> St
 @lru_cache(maxsize=256)
 def _recognised(root: Struct, kind: Kind) -> tuple[SignalFields, ...]:
     """Return the fields of recognised types in a message, but for types inside such types."""
-    found: list[SignalFields] = []
-    outer: list[str] = []
+    found: dict[str, SignalFields] = {}
     for prefix, struct in structs(root):
         row = fields_of_type(struct.name)
-        if row is None or any(prefix.startswith(other) for other in outer):
+        if row is None or any(prefix.startswith(outer) for outer in found):
             continue
         fields = _placed(row, root, prefix)
         if getattr(fields, kind) is not None:
-            outer.append(prefix)
-            found.append(fields)
-    return tuple(found)
+            found[prefix] = fields
+    return tuple(found.values())
 
 
 def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
