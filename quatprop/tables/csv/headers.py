@@ -7,12 +7,12 @@ import operator
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
-from quatprop.tables.base import OTHER_DATES, TableNotes
+from quatprop.tables.base import OTHER_DATES
+from quatprop.tables.csv.notes import declared_notes
 from quatprop.tables.matching.column_names import (
     RATE_UNITS,
     SCALED_RATE_UNITS,
@@ -24,6 +24,8 @@ from quatprop.text import listed
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    from quatprop.tables.base import TableNotes
 
 HEAD_BYTES = 1 << 18
 """How much of a table is examined for its layout."""
@@ -47,8 +49,6 @@ _DATE = re.compile(
 )
 _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 _RATES = 3
-_SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
-_POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     body = first if header is None else header + 1
     dates = _dates(data[0]) if data else {}
     others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
-    notes = _notes(texts[: first if header is None else header], names, path)
+    notes = declared_notes(texts[: first if header is None else header], names, path)
+    units = {**notes.units, **dict.fromkeys(others, OTHER_DATES), **dict.fromkeys(dates, "ns")}
     return CsvLayout(
         names=names,
         delimiter=delimiter,
@@ -141,14 +142,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=replace(
-            notes,
-            units={
-                **notes.units,
-                **dict.fromkeys(others, OTHER_DATES),
-                **dict.fromkeys(dates, "ns"),
-            },
-        ),
+        notes=replace(notes, units=units),
         dates=dates,
     )
 
@@ -300,32 +294,3 @@ def _grouped(groups: list[str], names: list[str]) -> list[str]:
         group = title or group
         full.append(f"{group}.{name}" if group and name else name or title)
     return full
-
-
-def _notes(before: list[str], names: list[str], path: Path) -> TableNotes:
-    """Return what comments and ``key,value`` lines declare."""
-    title = before[0].strip("\ufeff \r\n") if before else ""
-    rate = next(filter(None, map(_SAMPLE_RATE.search, before)), None)
-    sample_rate = float(rate[1]) * (1000 if rate[2] else 1) if rate else None
-    if title.upper() != "GYROFLOW IMU LOG":
-        return TableNotes(sample_rate=sample_rate, title=title)
-    keys = dict(text.strip().split(",", 1) for text in before if "," in text)
-    try:
-        tick = Decimal(keys.get("tscale", "1").strip())
-        scale = float(keys.get("gscale", "1"))
-    except (InvalidOperation, ValueError) as error:
-        raise UnsupportedLogError(path, "its tscale or gscale is not a number") from error
-    if tick.adjusted() not in _POWERS or tick != Decimal(1).scaleb(tick.adjusted()):
-        raise UnsupportedLogError(
-            path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
-        )
-    units = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
-    mount = _gcsv_mount(keys.get("orientation", "XYZ").strip())
-    return TableNotes(units=units, rate_scale=scale, title=title, mount=mount)
-
-
-def _gcsv_mount(letters: str) -> str:
-    """Return an orientation of gcsv as signed axes: a small letter is an axis turned around."""
-    if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
-        return ""
-    return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)
