@@ -80,7 +80,7 @@ OTHER_FORMATS = {
     rb"\xfd7zXZ\0|7z\xbc\xaf'\x1c|\x1f\x9d|Rar!": "it is an archive; unpack it",
     rb"(?s).{257}ustar": "it is a tar archive; unpack it, and name a log in it",
     rb"MATLAB 5\.0": "it is a MATLAB file before version 7.3; save it again with '-v7.3'",
-    rb"\xa3\x95\x80": "it is an ArduPilot log; convert it with mavlogdump.py --format csv",
+    rb"\xa3\x95\x80": "it is an ArduPilot log; convert it to CSV with mavlogdump.py",
     rb"H Product:Blackbox": "it is a Betaflight log; convert it with blackbox_decode",
     rb"\s*\[\s*[\[{]": "it is a JSON array; write an element a line, such as with jq -c '.[]'",
 }  # fmt: skip

@@ -195,7 +195,7 @@ def test_an_unknown_suffix_lists_the_known_ones(tmp_path):
     assert str(raised.value) == (
         f"{target}: the suffix does not tell the output format; "
         "use one of .csv, .tsv, .jsonl, .ndjson, .parquet, .pq, .feather, .arrow, .npy, .npz, "
-        ".tum, .mcap, .bag, none for a ROS 2 bag folder, or say to="
+        ".tum, .kitti, .mcap, .bag, none for a ROS 2 bag folder, or say to="
         + " or ".join(map(repr, WRITERS))
     )
 

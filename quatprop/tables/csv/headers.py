@@ -267,7 +267,7 @@ def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
         return names
     above = _fitted(above, width)
     if any(above) and not any(map(_NUMBER.fullmatch, above)):
-        units = [name.strip("[]") for name in names]
+        units = [name[1:-1] if name.startswith("[") else name for name in names]
         known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
         # Columns of other sensors may have units that are not known.
         if sum(known) >= _RATES or all(map(operator.or_, known, map(operator.not_, units))):
