@@ -183,6 +183,7 @@ def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
     with log.open("wb") as file:
         writer = Writer(file, chunk_size=1 << 21, compression=CompressionType.NONE)
         writer.start("ros2", "")
+        image = writer.register_channel("/image", "x", 0)
         channels = {}
         for schema, channel, message in make_reader(BytesIO(small)).iter_messages("/imu"):
             if channel.id not in channels:
@@ -190,7 +191,6 @@ def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
                 channels[channel.id] = writer.register_channel(channel.topic, "cdr", new)
             number = channels[channel.id]
             writer.add_message(number, message.log_time, message.data, message.publish_time)
-        image = writer.register_channel("/image", "x", 0)
         writer.add_message(image, 10**18, bytes(1 << 20), 0)
         writer.finish()
     arguments = ["propagate", str(log), "-t", "/imu", "-o", str(tmp_path / "o.csv")]
