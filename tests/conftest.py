@@ -4,6 +4,7 @@ import json
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 SHARED_LOGS = Path(
@@ -15,6 +16,11 @@ BYTES = json.loads(Path(__file__).with_name("recordings.json").read_text())
 
 os.environ["QUATPROP_TRACEBACK"] = "1"
 """Errors of the package itself are not made sentences of, so that no test can pass over one."""
+
+
+# How long an example takes depends on what else the machine does.
+hypothesis.settings.register_profile("quatprop", deadline=None)
+hypothesis.settings.load_profile("quatprop")
 
 
 class Recordings(type(Path())):

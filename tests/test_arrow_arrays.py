@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.arrow_arrays import to_arrow, to_numpy
@@ -35,7 +35,6 @@ def test_a_column_that_is_strided_or_of_other_byte_order_is_copied():
     assert to_arrow(values.astype(">f8")).to_pylist() == values.tolist()
 
 
-@settings(deadline=None)
 @given(st.lists(st.none() | st.floats(width=32), max_size=40), st.integers(0, 40))
 def test_nulls_of_floats_are_nan(values, begin):
     """Also in a slice, whose bits do not begin with a byte."""
@@ -44,7 +43,6 @@ def test_nulls_of_floats_are_nan(values, begin):
     np.testing.assert_array_equal(to_numpy(column), wanted)
 
 
-@settings(deadline=None)
 @given(st.lists(st.lists(st.booleans(), max_size=20), max_size=4))
 def test_chunks_are_put_together(chunks):
     """A column of several chunks, of one, of none."""

@@ -356,9 +356,7 @@ def test_a_file_cut_anywhere_gives_what_comes_before(tmp_path, options):
 
 
 @pytest.mark.usefixtures("unthreaded")
-@settings(
-    deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
 @given(
     options=st.sampled_from(
         [

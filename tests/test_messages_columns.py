@@ -76,7 +76,7 @@ def cases(draw):
     return root, wanted, values, lambda _k: source.randint(0, gaps)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(case=cases(), encoding=st.sampled_from(ENCODINGS))
 def test_columns_equal_the_values_that_were_encoded(case, encoding):
     """Every wanted field of every message comes back, whatever varies before it."""
@@ -91,7 +91,7 @@ def test_columns_equal_the_values_that_were_encoded(case, encoding):
         np.testing.assert_array_equal(column, truth)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(case=cases(), encoding=st.sampled_from(ENCODINGS))
 def test_columns_equal_what_the_library_decodes_from_each_message(case, encoding):
     """The definition and the bytes mean to the columns what they mean to rosbags."""
@@ -122,7 +122,7 @@ def _flat(value):
     return np.asarray(value)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(case=cases(), encoding=st.sampled_from(ENCODINGS), data=st.data())
 def test_a_message_cut_short_is_reported_or_not_needed(case, encoding, data):
     """A cut message never takes a byte of its neighbour."""

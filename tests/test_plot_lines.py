@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.plot.lines import Line, Unwrap, folded, gaps_in, line, lone_points
@@ -25,7 +25,6 @@ angles = st.lists(st.floats(-179, 179), min_size=2, max_size=40)
 
 
 @given(angles, st.lists(st.integers(0, 40), max_size=4))
-@settings(deadline=None)
 def test_angles_are_continued_as_numpy_does_it(steps, cuts):
     """Whole turns are added as numpy.unwrap adds them, however the series was cut."""
     angle = wrapped(np.cumsum(steps))
@@ -111,7 +110,6 @@ def test_wraps_draw_no_bars(samples):
 
 
 @given(angles, st.integers(2, 30))
-@settings(deadline=None)
 def test_what_is_drawn_of_an_angle_is_the_angle(steps, bins):
     """Folded points are the angles of the line they come from, at the same times, but for cuts."""
     angle = np.cumsum(steps)

@@ -4,7 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from quatprop.plot.reduction import BINS, PENDING, Reduction
@@ -49,7 +49,6 @@ samples = st.lists(
 
 @given(samples, st.lists(st.integers(0, 60), max_size=5), st.integers(2, 20))
 @example([(0, 0.0), (0, 0.0), (-1, 0.0), (-2, 0.0), (1, 0.0)], [4], 3)
-@settings(deadline=None)
 def test_bins_hold_what_every_sample_says(rows, cuts, bins):
     """First, lowest, highest and last value of each bin are those of all its samples, however
     the series was cut into batches and whatever order its stamps are in.

@@ -197,7 +197,7 @@ def batches(t_ns, rate, edges):
         yield GyroSeries(t_ns[begin:end], rate[begin:end])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_batches_do_not_matter(data):
     """However the stream is cut, every attitude is the same to the bit."""
@@ -217,7 +217,7 @@ def test_batches_do_not_matter(data):
     assert q.tobytes() == whole.tobytes()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_what_follows_does_not_matter(data):
     """The first attitudes of a series are those of any longer one, to the bit.
@@ -257,7 +257,7 @@ def test_memory_order_does_not_matter():
     assert attitudes(t_ns[::-1].copy()[::-1], rate[::-1].copy()[::-1]).tobytes() == same.tobytes()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.data())
 def test_the_final_attitude_alone_is_that_of_the_series(data):
     """The reduction ends where the series does, to the bit at the end of a tile."""
