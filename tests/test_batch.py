@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from quatprop import __version__
 from quatprop.batch import run as batch
 from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.logs import LogSearch
-from quatprop.batch.manifest import Manifest
+from quatprop.batch.manifest import Manifest, ManifestEntry, write_table
 from quatprop.batch.outputs import output_paths, shard
 from quatprop.batch.run import BatchTask, propagate_log
 from quatprop.cli import cli
@@ -423,6 +424,31 @@ def test_several_batches_write_to_one_folder(tmp_path):
     assert len((out / "manifest.jsonl").read_text().splitlines()) == 20
     assert len(entries(out)) == 20
     assert pyarrow.parquet.read_table(out / "manifest.parquet").num_rows == 20
+
+
+def test_a_table_of_fewer_entries_does_not_replace_one_of_more(tmp_path, monkeypatch):
+    """A batch that ends while another one writes its table waits for it."""
+    program = """
+import sys
+from quatprop.batch.manifest import Manifest, ManifestEntry
+manifest = Manifest(sys.argv[1])
+manifest.append(ManifestEntry("done", "/b.csv", "b.parquet"))
+manifest.write_table()
+"""
+    others = []
+
+    def slow(entries, path):
+        others.append(subprocess.Popen([sys.executable, "-c", program, tmp_path]))
+        with suppress(subprocess.TimeoutExpired):
+            others[0].wait(1.5)
+        write_table(entries, path)
+
+    manifest = Manifest(str(tmp_path))
+    manifest.append(ManifestEntry("done", "/a.csv", "a.parquet"))
+    monkeypatch.setattr("quatprop.batch.manifest.write_table", slow)
+    manifest.write_table()
+    assert others[0].wait(60) == 0
+    assert pyarrow.parquet.read_table(tmp_path / "manifest.parquet").num_rows == 2
 
 
 def test_what_is_there_can_be_skipped(tmp_path):

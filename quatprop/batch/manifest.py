@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -127,23 +128,32 @@ class Manifest:
 
     def append(self, entry: ManifestEntry) -> None:
         """Append an entry."""
-        descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-        try:
+        with self._locked() as stream:
+            cut = False
+            if stream.seek(0, os.SEEK_END):
+                stream.seek(-1, os.SEEK_END)
+                cut = stream.read(1) != b"\n"  # by a kill
+            stream.write((b"\n" if cut else b"") + json_line(entry))
+
+    def write_table(self) -> None:
+        """Write the valid entries as ``manifest.parquet``, in the order of the outputs.
+
+        Other batches wait meanwhile: a table of fewer entries must not come after theirs.
+        """
+        with self._locked() as stream:
+            entries = {entry["output"]: entry for entry in entries_in(stream)}
+            write_table((entry for _, entry in sorted(entries.items())), self._table)
+
+    @contextmanager
+    def _locked(self) -> Iterator[FileIO]:
+        """Open the manifest, at its beginning, while no other batch writes to it."""
+        with FileIO(self._path, "a+") as stream:
             with suppress(ImportError, OSError):  # Windows, or a file system without locks
                 import fcntl
 
-                fcntl.lockf(descriptor, fcntl.LOCK_EX)
-            cut = False
-            if os.fstat(descriptor).st_size:
-                os.lseek(descriptor, -1, os.SEEK_END)
-                cut = os.read(descriptor, 1) != b"\n"  # by a kill
-            os.write(descriptor, (b"\n" if cut else b"") + json_line(entry))
-        finally:
-            os.close(descriptor)
-
-    def write_table(self) -> None:
-        """Write the valid entries as ``manifest.parquet``, in the order of the outputs."""
-        write_table((entry for _, entry in sorted(self.entries().items())), self._table)
+                fcntl.lockf(stream, fcntl.LOCK_EX)
+            stream.seek(0)
+            yield stream
 
 
 def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
