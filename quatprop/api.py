@@ -453,8 +453,8 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         A part of the source could not be read, or rows were dropped.
     """
     from quatprop.conventions import Meaning
-    from quatprop.conversion.convert import Conversion
     from quatprop.conversion.convert import convert as convert_file
+    from quatprop.conversion.settings import Conversion
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.signals.attitude_input import attitude_input
 

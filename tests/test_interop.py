@@ -21,7 +21,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quatprop.conversion.convert import Conversion, convert
+from quatprop.conversion.convert import convert
+from quatprop.conversion.settings import Conversion
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries

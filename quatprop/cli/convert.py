@@ -89,7 +89,8 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import show
     from quatprop.conventions import Meaning
-    from quatprop.conversion.convert import Conversion, convert
+    from quatprop.conversion.convert import convert
+    from quatprop.conversion.settings import Conversion
 
     wanted = input_of(chosen["log"], chosen)
     job = Conversion(

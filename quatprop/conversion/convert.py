@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.conventions import HAMILTON, Meaning, Signs
+from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import open_destination, remarks_on
 from quatprop.conversion.rates import RATES, rate_batches
@@ -15,7 +15,6 @@ from quatprop.formats import open_log
 from quatprop.into import copy_kind
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import DigestThread
-from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, listed, quoted
@@ -27,54 +26,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from quatprop.conversion.report import ConversionReport
-    from quatprop.pipeline.settings import OutputSettings
+    from quatprop.conversion.settings import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
-
-
-@dataclass(frozen=True, slots=True)
-class Conversion:
-    """How to convert one attitude series.
-
-    Parameters
-    ----------
-    log
-        Path, or ``"-"`` for CSV on stdin.
-    output
-        Where the attitudes go, in which format and layout.
-    kind
-        Kind of the log; None: by content and suffix.
-    selection
-        Which attitudes, and what their numbers mean where the log does not say it.
-    meaning
-        What the written numbers mean.
-    sign
-        ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
-        short ones, up to half a turn.
-    representation
-        ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
-        :data:`quatprop.conversion.rates.RATES`.
-    normalize
-        Scale rows to unit length.
-    drop
-        Leave out invalid quaternions.
-    """
-
-    log: str
-    output: OutputSettings
-    kind: str | None = None
-    selection: AttitudeSelection = field(default_factory=AttitudeSelection)
-    meaning: Meaning = HAMILTON
-    sign: str = "keep"
-    representation: str = QUATERNION
-    normalize: bool = False
-    drop: bool = False
-
-    @property
-    def applied_sign(self) -> str:
-        """The sign that is applied: a rotation vector has none to keep, and is the short one."""
-        if self.representation in REPRESENTATIONS and self.sign == "keep":
-            return "positive"
-        return self.sign
 
 
 def convert(job: Conversion) -> ConversionReport:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageLog
-    from quatprop.conversion.convert import Conversion
+    from quatprop.conversion.settings import Conversion
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.base import TableLog

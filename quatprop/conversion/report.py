@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Log, Loss
     from quatprop.conventions import Meaning
-    from quatprop.conversion.convert import Conversion
+    from quatprop.conversion.settings import Conversion
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.text import Text

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
+from quatprop.containers.kept_blocks import beginning_kept
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.message_values import beginning_kept
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, Text

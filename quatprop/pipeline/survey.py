@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from quatprop.concurrency.threads import thread_count, use_threads
+from quatprop.containers.kept_blocks import blocks_shared
 from quatprop.containers.stores import without_secret
 from quatprop.errors import (
     LogError,
@@ -29,7 +29,7 @@ from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import attitude_candidates
-from quatprop.signals.message_values import blocks_shared
+from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import is_table
@@ -208,8 +208,10 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
-    with nullcontext() if beside is None else blocks_shared(cast("MessageLog", log), signal.name):
-        next(samples, None)
+    if beside is not None:
+        shared = cast("MessageLog", log)
+        with blocks_shared(shared, channels_of(shared, signal.name)):
+            next(samples, None)
     deque(samples, maxlen=0)
     counts = timeline.counts
     return RateSurvey(

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from quatprop.containers.base import LATEST
+from quatprop.containers.kept_blocks import blocks_of
 from quatprop.errors import MessageError, TimelineError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.stamps import time_field_at
-from quatprop.signals.message_values import blocks_of
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

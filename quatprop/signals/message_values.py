@@ -6,14 +6,14 @@ as absent become NaN, and messages that do not fit their definition are counted 
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice, tee
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from quatprop.containers.coalesce import coalesce_blocks, compacted
+from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
@@ -70,35 +70,6 @@ def _with_sample(log: MessageLog, channel: Channel) -> Channel:
                 sample = block.data[block.starts[0] : block.ends[0]].tobytes()
                 return replace(channel, sample=sample)
     return channel
-
-
-@contextmanager
-def beginning_kept(log: MessageLog) -> Iterator[None]:
-    """Keep in this block what is read of messages, for who reads their beginning several times."""
-    log.kept = {}
-    try:
-        yield
-    finally:
-        log.kept = None
-
-
-@contextmanager
-def blocks_shared(log: MessageLog, topic: str) -> Iterator[None]:
-    """Let those who begin in this block to read a topic share its blocks, and go on in step."""
-    log.kept = {channel: log.blocks(channel) for channel in channels_of(log, topic)}
-    try:
-        yield
-    finally:
-        log.kept = None
-
-
-def blocks_of(log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:
-    """Return the blocks of a channel; those that are kept are not read again."""
-    if log.kept is None:
-        return log.blocks(channel)
-    first = log.kept.get(channel) or map(compacted, log.blocks(channel))
-    log.kept[channel], blocks = tee(first)
-    return blocks
 
 
 class MessageReader(Protocol):
