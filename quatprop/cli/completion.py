@@ -9,7 +9,6 @@ import click
 from click.shell_completion import CompletionItem, get_completion_class
 
 from quatprop.cli.help import SIDES, Command
-from quatprop.cli.types import OneOf
 from quatprop.settings.parsers import FILE_SETTINGS
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ EXAMPLES = (
 
 
 @click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
-@click.argument("shell", type=OneOf(("bash", "zsh", "fish")))
+@click.argument("shell", type=click.Choice(("bash", "zsh", "fish")))
 def command(shell: str) -> None:
     """Print the script that completes commands, options, files, topics and columns in a shell.
 
