@@ -60,7 +60,10 @@ MUCH_BETTER = 0.7
 """A mistake with free parameters is preferred to one without only where less than this remains."""
 
 NEGLIGIBLE = 1e-4
-"""Share of the differences that interpolation between samples may leave."""
+"""Share of the differences that says nothing against a mistake."""
+
+MAX_INTERPOLATION = 0.02
+"""The same where interpolation between samples may leave as much."""
 
 DISCRETE = {*MISREADINGS, "side", "rate sign", "axes"}
 """Mistakes without free parameters."""
@@ -83,6 +86,8 @@ class WindowTrials:
         self._freedom = 3 * min(len(starts), float(starts[-1] - starts[0]) / length)
         self._offset = next(trial for trial in tried if trial.name == "time offset")
         self._less_offset = min(self.before, self._offset, key=lambda trial: trial.rms)
+        interpolation = min(angles.interpolation, MAX_INTERPOLATION * self.before.rms)
+        self._negligible = max(EXACT, NEGLIGIBLE * self.before.rms, interpolation)
 
     @property
     def unexplained(self) -> float:
@@ -145,7 +150,7 @@ class WindowTrials:
 
     def _is_negligible(self, trial: Trial) -> bool:
         """Tell whether what remains may be due to interpolation and rounding alone."""
-        return trial.rms <= max(EXACT, NEGLIGIBLE * self.before.rms)
+        return trial.rms <= self._negligible
 
     def _worse(self, trial: Trial, best: Trial) -> bool:
         if self._is_negligible(trial) or trial.rms <= TIE * best.rms:

@@ -176,6 +176,12 @@ class Angles(NamedTuple):
         """Return the angles of A and B over windows, less the constant that a bias adds, rad."""
         return centred(self.a.over(begin, length)), centred(self.b.over(begin, length))
 
+    @property
+    def interpolation(self) -> float:
+        """RMS error, rad, of interpolation half-way between samples: 1/8 of second differences."""
+        errors = [np.diff(angle.angle, 2, axis=0) / 8 for angle in (self.a, self.b)]
+        return float(sum(np.sqrt((error**2).sum(axis=1).mean()) for error in errors))
+
 
 def centred(values: Float64) -> Float64:
     """Return rows less their mean."""
