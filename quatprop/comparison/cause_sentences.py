@@ -216,16 +216,23 @@ def _methods(methods: MethodPair, interval: float) -> tuple[str, Text]:
     if {methods.a, methods.b} == {"start", "end"}:
         amount = duration_text(round(interval * NS_PER_S))
         sentence += f", or their timestamps are one interval, {amount}, apart"
-    return sentence, Text("propagate A with ", Setting("method", methods.b))
+    return sentence, _if_propagated(Setting("method", methods.b), Setting("method", methods.a))
+
+
+def _if_propagated(a: Setting, b: Setting) -> Text:
+    """Return how either series may be propagated to arrive at the other: one may be a truth."""
+    return Text("if A was propagated, propagate it with ", a, "; if B was, with ", b)
 
 
 def _axes(matrix: NDArray[np.float64]) -> tuple[str, Text]:
     """Describe y = M x, x in B's axes and y in A's."""
     sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
     if np.linalg.det(matrix) > 0:
-        mounting = Setting("mount", _signed(matrix.T).replace(" ", ""))
+        of_a, of_b = (
+            Setting("mount", _signed(turn).replace(" ", "")) for turn in (matrix.T, matrix)
+        )
         return sentence, Text(
-            "propagate A with ", mounting, ", or ", Setting("align", "mount"), " takes it out"
+            _if_propagated(of_a, of_b), "; ", Setting("align", "mount"), " takes it out"
         )
     return (
         f"{sentence}, which is left-handed: an axis is reversed, or two are swapped",
