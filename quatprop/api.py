@@ -396,6 +396,8 @@ def write(
         report = series.report
         convention = replace(report.convention, layout=order)
         provenance = replace(report, convention=convention).as_json()
+        if sigma and report.uncertainty is not None:
+            sigma = report.uncertainty.columns_axes or sigma
     else:
         provenance = convention_of(order)
     with open_writer(place, to, layout=order, sigma=sigma, beside=beside) as writer:

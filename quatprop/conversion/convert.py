@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
-from quatprop.conversion.destination import open_destination, remarks_on
+from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.rates import RATES, rate_batches
-from quatprop.conversion.report import conversion_report
+from quatprop.conversion.report import conversion_report, written_columns
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import copy_kind
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from quatprop.conversion.report import ConversionReport
     from quatprop.conversion.settings import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.signals.signal import AttitudeSignal
 
 
 def convert(job: Conversion) -> ConversionReport:
@@ -55,30 +56,45 @@ def convert(job: Conversion) -> ConversionReport:
             output = replace(output, to=copy_kind(log, output.path, output.to))
             job = replace(job, output=output)
         source = choose_attitudes(log, job.selection)
+        known = _covariances(source)
+        sigma = kept_sigma(job, source) if known else None
         check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
         signs = Signs(job.applied_sign)
         # The digest takes another pass over the source: only where something keeps it.
         kept = keeps_provenance(output.path, output.to, comment=output.comment)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, log) as target,
+            open_destination(job, log, sigma) as target,
             DigestThread(job.log, hashed=kept or output.report is not None) as digest,
         ):
             # A reference that is turned into the body is no place for a position.
             keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
-            read = source.poses if keeps and source.poses else source.rows
+            poses = source.poses if keeps else None
+            read = (source.covariances if sigma else None) or poses or source.rows
             write: Callable[[Any], None] = target.write
             for series in _as_written(job, check.apply(read()), signs):
                 write(series)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
-            locked, lost = getattr(target, "locked_rows", 0), source.poses is not None and not keeps
+            columns = written_columns(job, sigma)
             remarks = (
                 *(*source.remarks, *log.remarks),
-                *remarks_on(job, locked, positions_lost=lost),
+                *remarks_on(
+                    job,
+                    getattr(target, "locked_rows", 0),
+                    positions_lost=source.poses is not None and not keeps,
+                    sigma_lost=known and sigma is None,
+                    lost_columns=[name for name in source.rotation_columns if name not in columns],
+                ),
             )
             report = conversion_report(
-                job, log, source, counts=check.counts, digest=digest.result(), remarks=remarks
+                job,
+                log,
+                source,
+                counts=check.counts,
+                digest=digest.result(),
+                remarks=remarks,
+                columns=columns,
             )
             provenance = report.provenance()
             target.finish(provenance)
@@ -86,6 +102,14 @@ def convert(job: Conversion) -> ConversionReport:
             target.publish()
             report_file.publish()
     return report
+
+
+def _covariances(source: AttitudeSignal) -> bool:
+    """Tell whether a source has standard deviations, or covariances that are no constant."""
+    if source.sigma_axes is not None or source.covariances is None:
+        return source.sigma_axes is not None
+    first = next(iter(source.covariances()), None)
+    return first is not None and first[-1] is not None
 
 
 def _as_written(

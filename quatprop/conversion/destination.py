@@ -7,17 +7,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.conventions import HAMILTON
-from quatprop.conventions.representations import NEAR_LOCK_DEG, REPRESENTATIONS
+from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text, listed, quoted
-from quatprop.writers import WRITERS, keeps_provenance, kind_of, layout_of, open_table
+from quatprop.writers import (
+    WRITERS,
+    holds_covariances,
+    keeps_provenance,
+    kind_of,
+    layout_of,
+    open_table,
+)
 from quatprop.writers.base import AttitudeWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -25,6 +32,7 @@ if TYPE_CHECKING:
     from quatprop.conversion.settings import Conversion
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
     from quatprop.writers.base import TableWriter
 
@@ -66,8 +74,34 @@ class ColumnTable(AttitudeWriter):
         self.locked_rows += self._locked(values)
 
 
-def open_destination(job: Conversion, log: MessageLog | TableLog) -> AttitudeWriter:
-    """Return the file to be committed, which takes attitudes, or rates where those are written."""
+def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:
+    """Return the axes of the standard deviations that are kept; None where there are none.
+
+    They are kept where both sides have a place for them, and are Hamilton and body to reference:
+    another direction or convention changes what they are about.
+    """
+    output = job.output
+    if source.covariances is None or job.meaning != HAMILTON or job.representation != QUATERNION:
+        return None
+    if not holds_covariances(kind_of(output.path, output.to), output.message):
+        return None
+    return source.sigma_axes or "body"
+
+
+def open_destination(
+    job: Conversion, log: MessageLog | TableLog, sigma: str | None
+) -> AttitudeWriter:
+    """Return the file to be committed, which takes attitudes, or rates where those are written.
+
+    Parameters
+    ----------
+    job
+        The conversion.
+    log
+        The source.
+    sigma
+        Of :func:`kept_sigma`.
+    """
     output = job.output
 
     def table(columns: tuple[str, ...]) -> TableWriter:
@@ -82,7 +116,7 @@ def open_destination(job: Conversion, log: MessageLog | TableLog) -> AttitudeWri
         return ColumnTable(table(RATE_COLUMNS), lambda series: series.rate)
     if job.meaning == HAMILTON:
         return open_output(
-            output, log, lambda again: choose_attitudes(again, job.selection).stamps()
+            output, log, lambda again: choose_attitudes(again, job.selection).stamps(), sigma
         )
     kind = kind_of(output.path, output.to)
     _refuse_other_conventions(output, kind)
@@ -112,7 +146,12 @@ def _refuse_other_conventions(output: OutputSettings, kind: str) -> None:
 
 
 def remarks_on(
-    job: Conversion, singular: int, *, positions_lost: bool = False
+    job: Conversion,
+    singular: int,
+    *,
+    positions_lost: bool = False,
+    sigma_lost: bool = False,
+    lost_columns: Sequence[str] = (),
 ) -> Iterator[str | Text]:
     """Yield what a reader of the output should know.
 
@@ -124,11 +163,24 @@ def remarks_on(
         Rows whose first and third angle cannot be distinguished.
     positions_lost
         Whether the source has positions and the output none.
+    sigma_lost
+        Whether the source has standard deviations or covariances and the output none.
+    lost_columns
+        Columns of other representations that the source has and the output has not.
     """
     if kind_of(job.output.path, job.output.to) == "kitti":
         yield "the timestamps are not kept: kitti has no place for them"
     if positions_lost:
         yield "the positions beside the attitudes are not kept: the output has no place for them"
+    if sigma_lost:
+        yield (
+            "the standard deviations or covariances of the attitudes are not kept: they need an "
+            "output with a place for them, and Hamilton quaternions body to reference on both sides"
+        )
+    if lost_columns:
+        yield Text(
+            f"columns {listed(lost_columns)} are not kept; ", Setting("beside"), " writes such ones"
+        )
     if singular:
         form = REPRESENTATIONS[job.representation]
         first, second, third = (name.rpartition("_")[0] for name in form.columns)

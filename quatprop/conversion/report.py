@@ -10,13 +10,15 @@ from quatprop.containers.stores import without_secret
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
-from quatprop.writers import kind_of, layout_of
+from quatprop.series import SIGMA_COLUMNS
+from quatprop.writers import WRITERS, kind_of, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.containers.base import Log, Loss
     from quatprop.conventions import Meaning
+    from quatprop.conventions.layout import Layout
     from quatprop.conversion.settings import Conversion
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
@@ -152,6 +154,23 @@ class ConversionReport:
         }
 
 
+def written_columns(job: Conversion, sigma: str | None) -> tuple[str, ...]:
+    """Return the names of what is written beside timestamps; `sigma` is None without sigmas."""
+    if job.representation in RATES:
+        return RATE_COLUMNS
+    if job.representation != QUATERNION:
+        return REPRESENTATIONS[job.representation].columns
+    columns, output = _layout(job).columns, job.output
+    if output.beside is not None:
+        columns += REPRESENTATIONS[output.beside].columns
+    has_columns = WRITERS[kind_of(output.path, output.to)].columns
+    return columns + (SIGMA_COLUMNS if sigma and has_columns else ())
+
+
+def _layout(job: Conversion) -> Layout:
+    return layout_of(kind_of(job.output.path, job.output.to), job.output.layout)
+
+
 def conversion_report(  # noqa: PLR0913  # the parts of a conversion
     job: Conversion,
     log: Log,
@@ -160,20 +179,10 @@ def conversion_report(  # noqa: PLR0913  # the parts of a conversion
     counts: QuaternionCounts,
     digest: Digest,
     remarks: tuple[str | Text, ...],
+    columns: tuple[str, ...],
 ) -> ConversionReport:
     """Return the report of a conversion."""
-    layout, output = None, job.output
-    if job.representation == QUATERNION:
-        order = layout_of(kind_of(output.path, output.to), output.layout)
-        layout, columns = order.name, order.columns
-        if output.beside is not None:
-            columns += REPRESENTATIONS[output.beside].columns
-    else:
-        columns = (
-            RATE_COLUMNS
-            if job.representation in RATES
-            else REPRESENTATIONS[job.representation].columns
-        )
+    layout = _layout(job).name if job.representation == QUATERNION else None
     path = without_secret(job.log)
     return ConversionReport(
         source=ConversionSource(

@@ -71,6 +71,7 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         )
     meaning = meaning_of(log.path, selection, recorded)
     is_quaternion = representation == "quaternion"
+    sigma_axes = _sigma_axes(log, provenance)
     return AttitudeSignal(
         name=columns.name,
         type_name=columns.dialect,
@@ -83,7 +84,9 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         rows=partial(_rows, log, columns, meaning),
         representation=representation,
         poses=_poses(log, columns, meaning),
-        covariances=_covariances(log, columns, meaning, provenance),
+        covariances=_covariances(log, columns, meaning, sigma_axes),
+        sigma_axes=sigma_axes,
+        rotation_columns=_rotation_columns(log, representation),
     )
 
 
@@ -168,21 +171,37 @@ def _positions(log: TableLog) -> list[int]:
     return positions[0] if len(positions) == 1 else []
 
 
-def _covariances(
-    log: TableLog, columns: ColumnMatch, meaning: Meaning, provenance: JsonObject
-) -> Callable[[], Covariances] | None:
-    """Return what reads the standard deviations beside attitudes; None where there are none.
+def _rotation_columns(log: TableLog, representation: str) -> tuple[str, ...]:
+    """Return the columns of rotations in other representations than the one that is read."""
+    names = log.columns()
+    beside = {
+        column
+        for other, form in REPRESENTATIONS.items()
+        if other != representation and set(form.columns) <= set(names)
+        for column in form.columns
+    }
+    return tuple(name for name in names if name in beside)
 
-    They are about body axes, unless the metadata of the file say otherwise.
-    """
-    names = [parse_name(name).key for name in log.columns()]
-    if meaning != HAMILTON or not set(SIGMA_COLUMNS) <= set(names):
+
+def _sigma_axes(log: TableLog, provenance: JsonObject) -> str | None:
+    """Return the axes of standard deviations, body axes unless the metadata say otherwise."""
+    if not set(SIGMA_COLUMNS) <= {parse_name(name).key for name in log.columns()}:
         return None
+    uncertainty = provenance.get("uncertainty")
+    axes = uncertainty.get("columns_axes") if isinstance(uncertainty, dict) else None
+    return "reference" if axes == "reference" else "body"
+
+
+def _covariances(
+    log: TableLog, columns: ColumnMatch, meaning: Meaning, axes: str | None
+) -> Callable[[], Covariances] | None:
+    """Return what reads the standard deviations beside attitudes; None where there are none."""
+    if meaning != HAMILTON or axes is None:
+        return None
+    names = [parse_name(name).key for name in log.columns()]
     positions = _positions(log)
     beside = (*(names.index(name) for name in SIGMA_COLUMNS), *positions)
     timed = replace(columns.timed, numbers=(*columns.timed.numbers, *beside))
-    uncertainty = provenance.get("uncertainty")
-    axes = uncertainty.get("columns_axes") if isinstance(uncertainty, dict) else "body"
 
     def covariances() -> Covariances:
         for t_ns, numbers in log.metered_rows(timed):

@@ -159,6 +159,10 @@ class AttitudeSignal(Signal):
         ``(N, 3, 3)``, rad^2, or None; None where there is no place for them.
     placeholder
         Whether it is the identity in every message of a sensor: never set.
+    sigma_axes
+        The axes of standard deviations beside them; None where a table has none.
+    rotation_columns
+        Columns of a table that hold the same attitudes in other representations.
     """
 
     rows: Callable[[], Rows]
@@ -169,3 +173,5 @@ class AttitudeSignal(Signal):
     poses: Callable[[], Poses] | None = None
     covariances: Callable[[], Covariances] | None = None
     placeholder: bool = False
+    sigma_axes: str | None = None
+    rotation_columns: tuple[str, ...] = ()

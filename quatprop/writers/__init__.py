@@ -38,6 +38,7 @@ __all__ = [
     "GENERAL_KINDS",
     "WRITERS",
     "Format",
+    "holds_covariances",
     "keeps_provenance",
     "kind_of",
     "layout_of",
@@ -119,6 +120,21 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     return AttitudeMessages(open_messages(target, kind, encoder.topic), encoder, target)
 
 
+def holds_covariances(kind: str, message: Message | None) -> bool:
+    """Tell whether a format, or a message in it, has a place for covariances.
+
+    Parameters
+    ----------
+    kind, message
+        As for :func:`refuse_columns`.
+    """
+    from quatprop.writers.messages.kinds import Message
+
+    chosen = WRITERS[kind]
+    has_covariance = (message or Message()).definition.has_covariance
+    return bool(chosen.columns or (chosen.encodings and has_covariance))
+
+
 def refuse_columns(
     kind: str, message: Message | None, sigma: str | None, beside: str | None
 ) -> None:
@@ -146,10 +162,10 @@ def refuse_columns(
         raise UsageError(Setting("beside"), f": there is no {quoted(beside)}{hint}")
     if beside is not None and not chosen.columns:
         raise UsageError(Setting("beside"), f": {kind} has its own columns; choose {tables}")
-    message = message or Message()
-    if sigma is None or chosen.columns or (chosen.encodings and message.definition.has_covariance):
+    if sigma is None or holds_covariances(kind, message):
         return
     if chosen.encodings:
+        message = message or Message()
         able = listed(name for name, one in MESSAGES.items() if one.has_covariance)
         reason = f"{message.type} has no covariance; choose {able} with "
         raise UsageError(Setting("sigma"), f": {reason}", Setting("message"))
