@@ -339,10 +339,20 @@ class UndeclaredError(LogError):
     way_out
         The setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``, or what else
         would.
+    several
+        Whether `unknown` is about several things.
     """
 
-    def __init__(self, path: Path | str, unknown: str, way_out: str | Setting | Text) -> None:
-        super().__init__(path, f"{unknown} is not declared; say it with ", way_out)
+    def __init__(
+        self,
+        path: Path | str,
+        unknown: str,
+        way_out: str | Setting | Text,
+        *,
+        several: bool = False,
+    ) -> None:
+        reason = "are not declared; say them" if several else "is not declared; say it"
+        super().__init__(path, f"{unknown} {reason} with ", way_out)
 
 
 class TimelineError(LogError):

@@ -563,6 +563,9 @@ def test_no_attitude_is_made_up_outside_the_series(tmp_path):
 def test_a_series_without_rotations_has_no_attitude(tmp_path):
     """Zeros are none."""
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n100,0,0,0,0\n500,0,0,0,0\n")
+    with pytest.raises(NotRotationsError, match=r"no orientation: 2 of 2 rows .* \(2 all zero\)"):
+        attitude_at(path, 100)
+    path = table(tmp_path, "t_ns,qw,qx,qy,qz\n")
     with pytest.raises(NoSamplesError, match=r"no samples in 'its attitudes'"):
         attitude_at(path, 100)
 

@@ -348,7 +348,10 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
     [
         ("/vicon", "--q0 /vicon is neither four numbers W,X,Y,Z nor level or log, no such file"),
         ("levle", "--q0 levle is neither four numbers W,X,Y,Z nor level or log, no such file"),
-        ("/imu", "no samples in 'its attitudes'"),
+        (
+            "/imu",
+            "'/imu' has no orientation: 1000 of 1000 rows are invalid quaternions (1000 ",
+        ),
     ],
 )
 def test_a_name_that_is_no_series_is_refused(tmp_path, q0, sentence):

@@ -143,7 +143,7 @@ def test_angles_of_any_size_are_those_of_scipy(sequence, rows):
 @pytest.mark.parametrize(
     ("head", "options", "sequence", "order"),
     [
-        ("roll_deg,pitch_deg,yaw_deg", {"from_euler": "xyz"}, "XYZ", [0, 1, 2]),
+        ("roll_deg,pitch_deg,yaw_deg", {"from_euler": "XYZ"}, "XYZ", [0, 1, 2]),
         ("yaw_deg,pitch_deg,roll_deg", {"from_euler": "yxz"}, "YXZ", [1, 2, 0]),
         ("yaw_deg,pitch_deg,roll_deg", {"from_euler": "zyx"}, "ZYX", [0, 1, 2]),
         ("euler_zxz_1_deg,euler_zxz_2_deg,euler_zxz_3_deg", {}, "ZXZ", [0, 1, 2]),
@@ -189,7 +189,7 @@ def test_gimbal_lock_of_another_sequence_is_told(tmp_path):
     assert (
         "note: 2 rows are within 0.01 deg of euler_zxz_2 0 or 180 deg (gimbal lock), where "
         "euler_zxz_1 and euler_zxz_3 cannot be distinguished: they share the rotation equally"
-    ) in run(path, out, "--as", "euler-zxz", "--euler-unit", "deg").stderr
+    ) in run(path, out, "--as", "euler-ZXZ", "--euler-unit", "deg").stderr
     assert out.read_text().startswith("t_ns,euler_zxz_1_deg,euler_zxz_2_deg,euler_zxz_3_deg\n0,7.5")
 
 

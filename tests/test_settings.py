@@ -40,6 +40,7 @@ from quatprop.times import Instant
         ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
         ("every", ["3", 3], 3),
         ("heading", ["-90", -90, -90.0], -90.0),
+        ("rate_unit", ["deg/s", "dps", "Deg/s", "DPS"], "deg/s"),
     ],
 )
 def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expected):

@@ -38,6 +38,12 @@ KNOWN = {
     "Time (s),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g)": (
         *("x-io", (1, 2, 3), "deg/s", (0,), "s"),
     ),
+    "Time (s),Gyroscope x (rad/s),Gyroscope y (rad/s),Gyroscope z (rad/s),Absolute (rad/s)": (
+        *("phyphox", (1, 2, 3), "rad/s", (0,), "s"),
+    ),
+    "t_s,gx_dps,gy_dps,gz_dps": ("", (1, 2, 3), "deg/s", (0,), "s"),
+    "t_s,imu_gx_rad_s,imu_gy_rad_s,imu_gz_rad_s": ("", (1, 2, 3), "rad/s", (0,), "s"),
+    "t_ms,wx_mdeg_s,wy_mdeg_s,wz_mdeg_s": ("", (1, 2, 3), "deg/s", (0,), "ms"),
     "Timestamp (us),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)": (
         *("x-io", (1, 2, 3), "deg/s", (0,), "us"),
     ),
@@ -170,6 +176,30 @@ def test_gx_alone_is_not_a_gyroscope():
 
 
 @pytest.mark.parametrize(
+    ("header", "numbers"),
+    [
+        ("t_s,gx,gy,gz", (1, 2, 3)),
+        ("t_s,ax,ay,az,gx,gy,gz,mag_x,mag_y,mag_z,temp", (4, 5, 6)),
+        ("t_s,p,q,r", (1, 2, 3)),
+    ],
+)
+def test_gx_and_p_are_rates_where_the_user_declares_the_unit_of_rates(header, numbers):
+    """Beside an accelerometer or a magnetometer they cannot be meant otherwise."""
+    found = chosen(header, rate_unit="deg/s")
+    assert matched(found) == (numbers, "deg/s", (0,), "s", "")
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["t_s,gx,gy,gz,turn_x,turn_y,turn_z", "t_s,qw,qx,qy,qz,gx,gy,gz", "t_s,gx,gy,gz,p,q,r"],
+)
+def test_gx_beside_other_axes_may_be_gravity(header):
+    """It is not taken, even where the unit of rates is declared."""
+    with pytest.raises(NoRatesError, match="name the columns with rate_cols and time_col"):
+        chosen(header, rate_unit="deg/s")
+
+
+@pytest.mark.parametrize(
     ("text", "key", "unit"),
     [
         ("\ufeff#timestamp [ns]", "timestamp", "ns"),
@@ -196,7 +226,7 @@ def test_units_that_are_not_declared_are_asked_for():
         chosen("t,frame_id,gyro_x,gyro_y,gyro_z")
     assert str(error.value) == (
         "log.csv: the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' and the unit of the time 't' "
-        "is not declared; say it with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or "
+        "are not declared; say them with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or "
         "'us' or 'ns'"
     )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import sentence
+from quatprop.settings.parsers import choice_named
 from quatprop.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -67,6 +68,10 @@ class Parsed(ParamType):
 
 class OneOf(Choice):
     """An option that takes one of a few names, and names the one that was probably meant."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name, as it is spelled here."""
+        return super().convert(choice_named(str(value), self.choices), param, ctx)
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
         """Return the sentence about a value that is none of them."""

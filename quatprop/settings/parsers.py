@@ -98,6 +98,12 @@ def path(value: object) -> str:
     return str(fspath(value))
 
 
+def choice_named(value: str, names: Iterable[str]) -> str:
+    """Return the one of some names that is meant, in capitals or not; else the value itself."""
+    name = {"dps": "deg/s"}.get(value.lower(), value.lower())
+    return name if name in names else value
+
+
 class Choice:
     """A parser that takes one of a few names."""
 
@@ -106,6 +112,8 @@ class Choice:
 
     def __call__(self, value: object) -> str:
         """Return the name."""
+        if isinstance(value, str):
+            value = choice_named(value, self.names)
         if not isinstance(value, str) or value not in self.names:
             hint = did_you_mean(value, self.names) if isinstance(value, str) else ""
             raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")

@@ -14,6 +14,7 @@ from quatprop.errors import (
     NoRatesError,
     NoSamplesError,
     NoSuchTopicError,
+    NotRotationsError,
     TimelineError,
     UndeclaredError,
     UsageError,
@@ -98,7 +99,15 @@ def attitude_at(
             log = stack.enter_context(open_log(source))
         # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(log.path, drop=True)
-        return attitude_in(check.apply(choose_attitudes(log, wanted).rows()), t_ns, log.path)
+        signal = choose_attitudes(log, wanted)
+        try:
+            return attitude_in(check.apply(signal.rows()), t_ns, log.path)
+        except NoSamplesError:
+            if not check.counts.read:
+                raise
+            raise NotRotationsError(
+                log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
+            ) from None
 
 
 def stamps_in(path: Path | str) -> NDArray[np.int64]:

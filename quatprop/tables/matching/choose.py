@@ -13,6 +13,8 @@ from quatprop.selection import RateSelection
 from quatprop.tables.matching.column_names import RATE_UNITS, SCALED_RATE_UNITS
 from quatprop.tables.matching.dialects import (
     AXIS_FIRST,
+    BARE_RATES,
+    BESIDE_BARE_RATES,
     COMPONENT,
     GENERIC,
     ORIENTATION_ABSENT,
@@ -121,13 +123,18 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
 
 
 def _sets_with_rate_unit(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
-    """Return sets of axes that are rates by their declared unit, whatever their names say."""
-    return [
-        columns
-        for pattern in WITH_RATE_UNIT
-        for columns in matcher.sets(pattern)
-        if matcher.declared(columns) in {*RATE_UNITS, *SCALED_RATE_UNITS}
-    ]
+    """Return sets of axes that are rates by their unit, whatever their names say.
+
+    Where the user declares it, gx and p are rates unless the table has axes of something else:
+    beside those, gx may be gravity.
+    """
+    sets = [columns for pattern in WITH_RATE_UNIT for columns in matcher.sets(pattern)]
+    with_unit = [k for k in sets if matcher.declared(k) in {*RATE_UNITS, *SCALED_RATE_UNITS}]
+    if with_unit or not getattr(matcher.selection, "rate_unit", None):
+        return with_unit
+    others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
+    bare = [columns for pattern in BARE_RATES for columns in matcher.sets(pattern)]
+    return [columns for columns in bare if others == {*columns}]
 
 
 def match_bias(log: TableLog) -> ColumnMatch:

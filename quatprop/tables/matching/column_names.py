@@ -58,7 +58,7 @@ UNITS = {
     for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS)
     for unit, spellings in units.items()
     for spelling in spellings
-} | {unit: unit for unit in SCALED_RATE_UNITS}
+} | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}
 """The unit that each spelling means."""
 
 _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -71,6 +71,7 @@ _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})")
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
+    r"(?:.*[._])?g[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
     ROTATION_VECTOR,

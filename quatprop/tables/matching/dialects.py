@@ -75,6 +75,10 @@ WITH_RATE_UNIT = tuple(
     rf"{_NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
 """Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
+BARE_RATES = ("g" + _XYZ, r"(?P<part>[pqr])")
+"""Names that may be body rates, and are where the user declares the unit of rates."""
+BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
+"""Axes of other sensors of the same device."""
 _NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
 _NOT_ROTATION = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint|rate|speed|vel|acc))"
 _QUATERNION = (
@@ -159,6 +163,7 @@ DIALECTS = (
         needs=("elapsedrealtimenanos",),
     ),
     Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
+    Dialect("phyphox", "gyroscope_" + _XYZ, time=("time",), needs=("gyroscope x (rad/s)",)),
     Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
     Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
     _sensor_logger(_XYZ, file="(?i)gyroscope"),

@@ -187,7 +187,7 @@ class ColumnMatcher(TableColumns):
             unknown = " and ".join(what for what, _ in self.unknown)
             first, *others = (setting for _, setting in self.unknown)
             way_out = Text(first, *(part for other in others for part in (" and ", other)))
-            raise UndeclaredError(self.path, unknown, way_out)
+            raise UndeclaredError(self.path, unknown, way_out, several=bool(others))
         return TimedColumns(numbers, time, unit, sample_rate)
 
     def unused_stamps(self, dialect: Dialect) -> Positions:
