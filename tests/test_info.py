@@ -36,7 +36,8 @@ MISSING = {
     ),
     "unit of the time": Text("the unit of the time 't' ", SAY, TIME_UNIT),
     "both": Text(
-        "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' ", SAY,
+        "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' "
+        "are not declared; say them with ",
         *(RATE_UNIT, " and ", TIME_UNIT),
     ),
 }  # fmt: skip
