@@ -306,7 +306,8 @@ def compare(
     min_coverage : float
         Percentage of B, of its samples and of its time, that must be compared.
     max_sigma : float
-        Limit on the largest error in standard deviations, of series that have them.
+        Limit on the largest error in standard deviations (the Mahalanobis distance), of series
+        that have them.
     align : str
         What B is rotated by first: ``"none"`` (the default), ``"first"``, ``"mean"`` or
         ``"mount"``.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import threading
 from collections.abc import Mapping
@@ -39,7 +40,7 @@ def as_json(value: object) -> Any:
 
     Dataclasses become objects with their fields as keys (those of a digest among them), arrays and
     other sequences become lists, paths and sentences become strings; sentences with settings as
-    the library spells them.
+    the library spells them. Numbers that are not finite become null.
 
     Examples
     --------
@@ -47,6 +48,8 @@ def as_json(value: object) -> Any:
     >>> as_json({"path": Path("a.bag"), "remarks": (Text("see ", Setting("clock", "log")),)})
     {'path': 'a.bag', 'remarks': ["see clock='log'"]}
     """
+    if isinstance(value, float) and not math.isfinite(value):
+        value = None  # JSON has no infinities.
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, Digest):

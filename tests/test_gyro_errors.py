@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
+from scipy.spatial.distance import mahalanobis
 from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
@@ -431,7 +432,7 @@ def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
 
 
 def test_an_error_is_given_in_standard_deviations():
-    """A sum of squares on paper: 2 and 1 sigma about two axes are sqrt(5/3) in the mean."""
+    """A sum of squares on paper: 2 and 1 sigma about two axes are sqrt(5), 3 about one are 3."""
     t_ns = np.arange(4) * SECOND
     identity = np.tile([1.0, 0, 0, 0], (4, 1))
     covariance = np.tile(np.diag([1e-4, 4e-4, 9e-4]), (4, 1, 1))
@@ -440,18 +441,17 @@ def test_an_error_is_given_in_standard_deviations():
     a = AttitudeSeries(t_ns, identity, covariance=covariance)
     b = AttitudeSeries(t_ns, np.roll(error.as_quat(), 1, axis=1))
     sigmas = compare(a, b).sigmas
-    assert sigmas.final == pytest.approx(math.sqrt(1 / 3), rel=1e-9)
-    assert sigmas.max == pytest.approx(3 / math.sqrt(3), rel=1e-9)
-    assert sigmas.rms == pytest.approx(math.sqrt((5 + 9 + 1) / 9), rel=1e-9)
+    assert sigmas.final == pytest.approx(1, rel=1e-9)
+    assert sigmas.max == pytest.approx(3, rel=1e-9)
+    assert sigmas.rms == pytest.approx(math.sqrt((5 + 9 + 1) / 3), rel=1e-9)
     assert compare(b, a).sigmas.rms == pytest.approx(sigmas.rms, rel=1e-9)
     assert compare(b, b).sigmas is None
-    assert not compare(a, b, max_sigma=1.7).passed
-    assert compare(a, b, max_sigma=1.8).passed
+    assert not compare(a, b, max_sigma=2.99).passed
+    assert compare(a, b, max_sigma=3.01).passed
     # The same limits on each statistic, as tolerances: 0 for the exact first attitude is left out.
-    for setting, value in (("tol", 3), ("rms_tol", math.sqrt(5 / 3)), ("final_tol", 1)):
+    for setting, value in (("tol", 3), ("rms_tol", math.sqrt(5)), ("final_tol", 1)):
         for factor, passed in ((0.99, False), (1.01, True)):
-            limit = factor * value / math.sqrt(3) if setting != "rms_tol" else factor * value
-            comparison = compare(a, b, **{setting: f"{limit}sigma"})
+            comparison = compare(a, b, **{setting: f"{factor * value}sigma"})
             (criterion,) = comparison.criteria
             assert (criterion.setting, criterion.unit) == (setting, "sigma")
             assert comparison.passed is passed
@@ -460,7 +460,67 @@ def test_an_error_is_given_in_standard_deviations():
     assert both.rms == pytest.approx(sigmas.rms / math.sqrt(2), rel=1e-9)
 
 
-def test_errors_of_a_simulated_sensor_are_about_one_sigma():
+def test_an_error_where_sigma_is_zero_is_infinitely_many(tmp_path):
+    """Beyond rounding: of the exact first attitude, and about an axis that is exact."""
+    t_ns = np.arange(3) * SECOND
+    covariance = np.array([np.zeros((3, 3)), *[np.diag([0, 1e-4, 1e-4])] * 2])
+    a = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (3, 1)), covariance=covariance)
+
+    def against(*rotations):
+        b = AttitudeSeries(t_ns, np.roll(Rotation.from_rotvec(rotations).as_quat(), 1, axis=1))
+        return compare(a, b, max_sigma=3)
+
+    assert against([9e-10, 0, 0], [9e-10, 0.02, 0], [0, 0, 0.01]).sigmas.max == pytest.approx(2)
+    for row, errors in enumerate([[1.1e-9, 0, 0], [1.1e-9, 0.01, 0]]):
+        rotations = np.zeros((3, 3))
+        rotations[row] = errors
+        comparison = against(*rotations)
+        assert comparison.sigmas.max == comparison.sigmas.rms == math.inf
+        assert comparison.sigmas.max_ns == row * SECOND
+        assert not comparison.passed
+        assert comparison.sigmas.one_sigma_rad[row] == 0
+        report = json.loads(json.dumps(comparison.report(), allow_nan=False))
+        assert report["sigmas"]["max"] is None
+        assert report["criteria"][0]["value"] is None
+    exact = AttitudeSeries(t_ns, a.wxyz, covariance=np.zeros((3, 3, 3)))
+    assert compare(exact, a, max_sigma=3).sigmas.max == 0
+    table, other = tmp_path / "a.csv", tmp_path / "b.csv"
+    write(a, table)
+    other.write_text("t_ns,qw,qx,qy,qz\n0,0,1,0,0\n1000000000,1,0,0,0\n2000000000,1,0,0,0\n")
+    result = CliRunner().invoke(cli, ["compare", str(table), str(other), "--tol", "3sigma"])
+    assert result.exit_code == 1
+    assert (
+        "sigma     the final error is 0 sigma, the largest infinitely many sigma (sigma is 0) at "
+        "+0 ns\n"
+        "failed    largest error infinitely many sigma (sigma is 0), at most 3 sigma\n"
+    ) in result.stdout
+    assert (
+        "remark    the error at 0 ns is infinitely many sigma: the attitude is given as exact, "
+        "with sigma 0, and the error is beyond rounding\n"
+    ) in result.stdout
+
+
+def test_correlated_errors_are_a_mahalanobis_distance():
+    """As SciPy computes it from the inverse of the covariance."""
+    random = np.random.default_rng(3)
+    factor = random.normal(size=(5, 3, 3)) * 1e-2
+    covariance = factor @ factor.swapaxes(1, 2)
+    errors = random.normal(size=(5, 3)) * 1e-2
+    t_ns = np.arange(5) * SECOND
+    a = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (5, 1)), covariance=covariance)
+    b = AttitudeSeries(t_ns, np.roll(Rotation.from_rotvec(errors).as_quat(), 1, axis=1))
+    expected = [
+        mahalanobis(error, np.zeros(3), np.linalg.inv(one))
+        for error, one in zip(errors, covariance, strict=True)
+    ]
+    sigmas = compare(a, b).sigmas
+    assert sigmas.max == pytest.approx(max(expected), rel=1e-9)
+    assert sigmas.final == pytest.approx(expected[-1], rel=1e-9)
+    one_sigma = np.linalg.norm(errors, axis=1) / expected
+    np.testing.assert_allclose(sigmas.one_sigma_rad, one_sigma, rtol=1e-9)
+
+
+def test_errors_of_a_simulated_sensor_are_as_large_as_expected():
     """A noisy series against the true one: its own standard deviations explain its error."""
     random = np.random.default_rng(7)
     t_ns = np.arange(0, 100 * SECOND + 1, SECOND // 50)
@@ -469,7 +529,7 @@ def test_errors_of_a_simulated_sensor_are_about_one_sigma():
     truth = propagate(GyroSeries(t_ns, rate), method="cubic")
     found = propagate(GyroSeries(t_ns, noisy_rate), method="cubic", sigma=True, noise_density=1e-3)
     sigmas = compare(found, truth).sigmas
-    assert 0.4 < sigmas.rms < 1.8
+    assert 0.4 * math.sqrt(3) < sigmas.rms < 1.8 * math.sqrt(3)
     half = propagate(GyroSeries(t_ns, noisy_rate), method="cubic", sigma=True, noise_density=5e-4)
     assert compare(half, truth).sigmas.rms == pytest.approx(2 * sigmas.rms, rel=1e-6)
 

@@ -131,8 +131,8 @@ HELP = {
     "[default: none]",
     "min_coverage": "PERCENT  Least part of {log}, of its time and of its samples, that must be "
     "compared.  [default: none]",
-    "max_sigma": "N  Largest error that passes, in standard deviations, beside one in rad or "
-    "deg.  [default: none]",
+    "max_sigma": "N  Largest error that passes, in standard deviations (Mahalanobis distance), "
+    "beside one in rad or deg.  [default: none]",
     "align": "How {log} is rotated first: not at all; its reference frame, by the first pair or "
     "by the mean of all; or its reference and body frame (mount), from the motion.  [default: "
     "none]",

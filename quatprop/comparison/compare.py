@@ -150,6 +150,12 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
             "the same attitude, so this is no error"
         )
         remarks = (*remarks, signs)
+    if sigmas and math.isinf(sigmas.max):
+        exact = (
+            f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
+            "exact, with sigma 0, and the error is beyond rounding"
+        )
+        remarks = (*remarks, exact)
     return Comparison(
         t_ns=np.empty(0, np.int64) if t_ns is None else t_ns,
         errors=np.empty(0) if t_ns is None else errors,

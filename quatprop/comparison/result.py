@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _ARRAYS = ("t_ns", "errors")
 """Fields of a comparison that its report leaves out."""
-_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("expected_rad",)}
+_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("one_sigma_rad",)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 
 @dataclass(frozen=True, slots=True)
 class Sigmas:
-    """A limit on an error in its standard deviations, as the compared series have them."""
+    """A limit on an error in its standard deviations: its Mahalanobis distance from 0."""
 
     count: float
 

@@ -20,30 +20,49 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
 
-RELATIVE_FLOOR = 1e-9
-"""Standard deviations below this share of the largest are taken as that: no attitude is known
-better about one axis than about another by more."""
+RELATIVE_FLOOR = 1e-7
+"""Standard deviations below this share of the largest are rounding errors of a covariance: 0."""
+
+ROUNDING_RAD = 1e-9
+"""Errors up to this are rounding errors where the standard deviation is 0."""
+
+EXACT_ALIGNMENTS = ("none", "first")
+"""Alignments that leave an exact first attitude exact; the others are estimates themselves."""
 
 
 @dataclass(frozen=True, slots=True)
 class SigmaStatistics:
-    """Errors e in standard deviations, sqrt(e' P^-1 e / 3): near 1 where the covariance P is right.
+    """Errors e in standard deviations: the Mahalanobis distance sqrt(e' P^-1 e), P the covariance.
+
+    An error of n standard deviations about one principal axis of P is n. Where P is right, the RMS
+    is near sqrt(3): an error has three independent parts.
 
     Parameters
     ----------
     max, rms, p95
-        Over the pairs that have a covariance; p95 is the 95th percentile.
+        Over the pairs whose standard deviations are not 0; p95 is the least that 95 % of the
+        errors do not exceed. Infinite where an error is beyond rounding and its standard
+        deviation is 0.
     final
         Of the last of them.
-    expected_rad
-        The size that the covariances expect of each error, sqrt(trace P), shape ``(N,)``, rad.
+    max_ns
+        Time of the largest, ns.
+    one_sigma_rad
+        The angle of an error of one standard deviation in the direction of each error, shape
+        ``(N,)``, rad.
+
+    References
+    ----------
+    P. C. Mahalanobis, On the generalised distance in statistics, Proceedings of the National
+    Institute of Sciences of India 2 (1936) 49-55.
     """
 
     max: float
     rms: float
     p95: float
     final: float
-    expected_rad: Float64 = field(compare=False, repr=False)
+    max_ns: int
+    one_sigma_rad: Float64 = field(compare=False, repr=False)
 
 
 def sigma_statistics(
@@ -61,31 +80,49 @@ def sigma_statistics(
         How B is rotated.
     """
     known = [(one.t_ns, one.covariance) for one in (a, b) if one.covariance is not None]
-    squares, traces = [np.zeros(0)], [np.zeros(0)]
-    for rows in blocks(len(pairs) if known else 0):
+    if not known:
+        return None
+    distances, angles = np.empty((2, len(pairs)))
+    is_exact = np.empty(len(pairs), np.bool_)
+    for rows in blocks(len(pairs)):
         covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
         for t_ns, covariances in known:
             covariance += _interpolated(t_ns, covariances, pairs.t_ns[rows])
-        trace = np.trace(covariance, axis1=1, axis2=2)
-        traces.append(trace)
-        # The first attitude is exact.
-        uncertain = trace > 0
-        aligned = alignment.apply(pairs.b[rows])
-        step = multiply(conjugate(pairs.a[rows]), aligned)[uncertain]
+        is_known = np.isfinite(covariance).all(axis=(1, 2))
+        covariance[~is_known] = 0.0
+        is_exact[rows] = np.trace(covariance, axis1=1, axis2=2) == 0
+        if alignment.name not in EXACT_ALIGNMENTS:
+            is_known &= ~is_exact[rows]
+        step = multiply(conjugate(pairs.a[rows]), alignment.apply(pairs.b[rows]))
         error = log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
-        floor = RELATIVE_FLOOR**2 * trace[uncertain, None, None] * np.eye(3)
-        weighted = np.linalg.solve(covariance[uncertain] + floor, error[..., None])[..., 0]
-        squares.append(np.einsum("ij,ij->i", error, weighted) / 3)
-    sigmas = np.sqrt(np.concatenate(squares))
-    if not len(sigmas):
+        angles[rows] = np.linalg.norm(error, axis=1)
+        distances[rows] = np.where(is_known, _distances(error, covariance), np.nan)
+    # An exact attitude without an error, such as the first, says nothing of the others.
+    counted = (distances > 0) | ~(is_exact | np.isnan(distances))
+    (places,) = (counted if counted.any() else ~np.isnan(distances)).nonzero()
+    if not len(places):
         return None
+    sigmas = distances[places]
+    one_sigma = np.divide(angles, distances, out=np.zeros(len(pairs)), where=distances > 0)
     return SigmaStatistics(
         max=float(sigmas.max()),
         rms=float(np.sqrt(np.mean(sigmas**2))),
-        p95=float(np.percentile(sigmas, 95)),
+        p95=float(np.percentile(sigmas, 95, method="inverted_cdf")),
         final=float(sigmas[-1]),
-        expected_rad=np.sqrt(np.concatenate(traces)),
+        max_ns=int(pairs.t_ns[places[sigmas.argmax()]]),
+        one_sigma_rad=one_sigma,
     )
+
+
+def _distances(error: Float64, covariance: Float64) -> Float64:
+    """Return Mahalanobis distances ``(N,)``; infinite for errors about axes of variance 0."""
+    variances, axes = np.linalg.eigh(covariance)
+    parts = np.einsum("nij,ni->nj", axes, error)
+    is_exact = variances <= RELATIVE_FLOOR**2 * variances[:, -1:]
+    squares = np.where(np.abs(parts) > ROUNDING_RAD, np.inf, 0.0)
+    np.divide(parts**2, variances, out=squares, where=~is_exact)
+    distances: Float64 = np.sqrt(squares.sum(axis=1))
+    return distances
 
 
 def _interpolated(t_ns: Int64, covariances: Float64, wanted_ns: Int64) -> Float64:

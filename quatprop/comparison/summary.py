@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.diagnosis import Cause
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import AppliedOffset, Comparison
+    from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import WindowStatistics
     from quatprop.rendering import Row, Spell
     from quatprop.signals.attitude_input import ReadAttitudes
@@ -51,13 +52,7 @@ def comparison_rows(
     if comparison.window:
         yield "window", _window(comparison.window, first_ns)
     if sigmas := comparison.sigmas:
-        yield (
-            "sigma",
-            (
-                f"the final error is {sigmas.final:.3g} sigma, RMS {sigmas.rms:.3g}, "
-                f"at most {sigmas.max:.3g}"
-            ),
-        )
+        yield "sigma", _sigmas(sigmas, first_ns)
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
@@ -74,7 +69,7 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
     """Return the verdict on a criterion: what was measured, and what is allowed."""
     label, value, limit = criterion.label, criterion.value, criterion.limit
     if criterion.unit == "sigma":
-        return f"{label} {value:.3g} sigma, at most {limit:.6g} sigma"
+        return f"{label} {sigma_text(value)}, at most {limit:.6g} sigma"
     match criterion.setting:
         case "tol":
             tolerance = f"the tolerance {angle_text(limit)}"
@@ -92,6 +87,17 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
         case _:
             return f"{label} {angle_text(value)}, at most {angle_text(limit)}"
+
+
+def sigma_text(count: float) -> str:
+    """Return an error in standard deviations.
+
+    Examples
+    --------
+    >>> sigma_text(2.5), sigma_text(math.inf)
+    ('2.5 sigma', 'infinitely many sigma (sigma is 0)')
+    """
+    return f"{count:.3g} sigma" if math.isfinite(count) else "infinitely many sigma (sigma is 0)"
 
 
 def with_names(sentence: str, a: str, b: str) -> str:
@@ -195,6 +201,13 @@ def _window(window: WindowStatistics, first_ns: int) -> str:
         f"RMS {angle_text(window.rms_rad)}; the worst begins at {window.worst_ns} ns, "
         f"{duration_text(window.worst_ns - first_ns)} after the first"
     )
+
+
+def _sigmas(sigmas: SigmaStatistics, first_ns: int) -> str:
+    final, when = sigma_text(sigmas.final), f"at +{duration_text(sigmas.max_ns - first_ns)}"
+    if math.isinf(sigmas.max):
+        return f"the final error is {final}, the largest {sigma_text(sigmas.max)} {when}"
+    return f"the final error is {final}, RMS {sigmas.rms:.3g}, at most {sigmas.max:.3g} {when}"
 
 
 def _sample(sample: ComparedSample, first_ns: int) -> str:

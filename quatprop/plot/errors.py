@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.summary import comparison_rows, criterion_text, with_names
+from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
 from quatprop.plot.accumulators import ERROR, Accumulator
 from quatprop.plot.page import FactTable, Page
 from quatprop.plot.picture import Group, Mark, PlottedFile, picture
@@ -127,8 +127,8 @@ def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
         name = f"over {duration_text(window.window_ns)}"
         yield _line(name, window.begins_ns, window.errors, text)
     if (sigmas := comparison.sigmas) is not None:
-        text = f"the final error is {sigmas.final:.3g} sigma"
-        line = _line("expected (1 sigma)", comparison.t_ns, sigmas.expected_rad, text)
+        text = f"the final error is {sigma_text(sigmas.final)}"
+        line = _line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad, text)
         yield replace(line, band=True)
 
 

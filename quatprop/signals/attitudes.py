@@ -253,7 +253,7 @@ def _message_covariances(
             of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
             is_known = np.isfinite(of_rotation).all(axis=(1, 2))
             is_known &= (np.diagonal(of_rotation, axis1=1, axis2=2) >= 0).all(axis=1)
-            of_rotation[~is_known] = 0.0
+            of_rotation[~is_known] = np.nan
             # Quaternions are not checked yet.
             with np.errstate(over="ignore", invalid="ignore"):
                 covariance = reference_covariance(conjugate(wxyz), of_rotation)
