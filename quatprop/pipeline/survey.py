@@ -153,13 +153,12 @@ def _rates(
             continue
         beside = None if seen is None else _reading_beside(log, selection, signal, seen)
         surveyed = _survey_rates(signal, log, beside)
-        if missing is not None:
-            known = replace(surveyed, missing=missing, remarks=())
-            yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
-            continue
-        more = (READ_ONCE,) if read_once else log_remarks(log, signal)
-        remarks = (*surveyed.remarks, *more)
-        yield replace(surveyed, remarks=(*remarks, *log.remarks))
+        remarks: tuple[str, ...] = ()
+        if missing is None:
+            more = (READ_ONCE,) if read_once else log_remarks(log, signal)
+            remarks = (*surveyed.remarks, *more, *log.remarks)
+        facts = {**dict.fromkeys(unknown), "missing": missing, "remarks": remarks}
+        yield replace(surveyed, **facts)  # type: ignore[arg-type]  # unknown ones are optional
 
 
 def _declared(
@@ -225,11 +224,7 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
         nonfinite=counts.nonfinite.count,
         max_rate_rad_s=counts.max_rate,
         max_rate_deg_s=math.degrees(counts.max_rate),
-        remarks=(
-            *signal.remarks,
-            *timeline_remarks(counts, OBSERVE),
-            *checks.remarks(counts),
-        ),
+        remarks=(*signal.remarks, *timeline_remarks(counts, OBSERVE), *checks.remarks(counts)),
     )
 
 
@@ -265,8 +260,8 @@ def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[Attit
             reason = Text(sentence, *rest)
             yield AttitudeSurvey(source=candidate.topic, attitude=candidate.field, missing=reason)
         else:
-            known = replace(surveyed, missing=missing)
-            yield replace(known, **dict.fromkeys(unknown))  # type: ignore[arg-type]  # all optional
+            facts = {**dict.fromkeys(unknown), "missing": missing}
+            yield replace(surveyed, **facts)  # type: ignore[arg-type]  # all optional
 
 
 def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeSurvey:

@@ -27,7 +27,7 @@ from quatprop.tables.typed_table import (
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from quatprop.containers.file_source import FileSource
@@ -53,9 +53,8 @@ class _ArrowLog(TypedTable):
             self._source.close()
             raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
         try:
-            schema = self._schema()
-            self._schema_metadata: Mapping[bytes, bytes] = schema.metadata or {}
-            self._leaves = list(_leaves(schema, self._first_lists))
+            self._arrow_schema = self._schema()
+            self._leaves = list(_leaves(self._arrow_schema, self._first_lists))
         except DAMAGE as error:
             size = self._file.size()
             self.close()
@@ -71,7 +70,7 @@ class _ArrowLog(TypedTable):
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as the metadata of the file say it."""
-        return provenance_in(self._metadata(), self.path)
+        return provenance_in(self._arrow_schema.metadata or {}, self.path)
 
     def close(self) -> None:
         """Close the file."""
@@ -103,17 +102,14 @@ class _ArrowLog(TypedTable):
         """Return where another file begins, which was joined to the first; None if none was."""
         raise NotImplementedError
 
-    def _magic_in(self, magic: bytes, end: int) -> int | None:
-        """Return where `magic` begins, which must be before `end`."""
+    def _joined_at(self, magic: bytes, end: int) -> int | None:
+        """Return where, before `end`, one file ends with `magic` and another begins with it."""
         for begin in range(1, end, _WINDOW):
-            size = min(_WINDOW, end - begin) + len(magic) - 1
-            at = self._file.read_at(size, begin).find(magic)
+            size = min(_WINDOW, end - begin) + 2 * len(magic) - 1
+            at = self._file.read_at(size, begin).find(magic + magic)
             if at >= 0:
-                return int(begin + at)
+                return int(begin + at) + len(magic)
         return None
-
-    def _metadata(self) -> Mapping[bytes, bytes]:
-        return self._schema_metadata
 
 
 class ParquetLog(_ArrowLog):
@@ -139,7 +135,8 @@ class ParquetLog(_ArrowLog):
 
         # Ahead and in large requests, where reading takes long to begin.
         self._parquet = ParquetFile(self._file, pre_buffer=self._source.is_remote)
-        return self._parquet.schema_arrow
+        # Its own metadata lack what was added when the file was closed.
+        return self._parquet.schema_arrow.with_metadata(self._parquet.metadata.metadata)
 
     def _unreadable(self, size: int, reason: str) -> str:
         return (
@@ -163,11 +160,7 @@ class ParquetLog(_ArrowLog):
         footer = self._file.size() - metadata.serialized_size - _PARQUET_TAIL
         end = footer - pages_end
         # It begins further on where it has lost some of its bytes.
-        at = self._magic_in(b"PAR1PAR1", end + _LOST_BYTES if end > 0 else 0)
-        return None if at is None else at + len(b"PAR1")
-
-    def _metadata(self) -> Mapping[bytes, bytes]:
-        return self._parquet.metadata.metadata or {}
+        return self._joined_at(b"PAR1", end + _LOST_BYTES if end > 0 else 0)
 
     def row_count(self) -> int | None:
         """Return what the footer says."""
@@ -234,15 +227,13 @@ class FeatherLog(_ArrowLog):
         batches_end = _batches_end(self._file.read_at(length, footer))
         # Behind the last batch there is only the mark of the end of the stream.
         end = footer if footer - batches_end > _END_OF_STREAM else 0
-        at = self._magic_in(_FEATHER_MAGIC + _FEATHER_MAGIC, end)
-        return None if at is None else at + len(_FEATHER_MAGIC)
+        return self._joined_at(_FEATHER_MAGIC, end)
 
     def _streamed(self) -> Iterator[pa.RecordBatch]:
         """Yield the batches of a file without footer, which ends where nobody knows."""
         yield from self._stream()
-        if self._is_stream:
-            return
-        raise DamageError("its footer is damaged or missing, so more batches may have followed")
+        if not self._is_stream:
+            raise DamageError("its footer is damaged or missing, so more batches may have followed")
 
     def _stream(self) -> Any:
         self._file.seek(0 if self._is_stream else len(b"ARROW1\0\0"))
@@ -280,8 +271,7 @@ def _batches_end(footer: bytes) -> int:
             vector = root + at + struct.unpack_from("<I", footer, root + at)[0]
             (count,) = struct.unpack_from("<I", footer, vector)
             blocks = footer[vector + 4 : vector + 4 + _BLOCK.size * count]
-            ends = (sum(block) for block in _BLOCK.iter_unpack(blocks))
-            end = max(end, *ends, 0)
+            end = max(end, *map(sum, _BLOCK.iter_unpack(blocks)), 0)
     return end
 
 

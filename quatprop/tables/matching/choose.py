@@ -223,13 +223,11 @@ def match_quaternion(
     matcher = ColumnMatcher(log, selection, "quat_cols", QUATERNION_PARTS)
     dialect = matcher.dialect("quaternion")
     sets = matcher.sets(dialect.quaternion)
-    if selection.from_euler is not None:
+    if selection.from_euler is not None or (selection.quat_cols is None and not sets):
         raise NoAttitudesError(log.path, log.columns(), "columns")
     if selection.quat_cols is not None:
         # Who names the columns knows better than the metadata, but need not repeat it.
         wxyz = _named_quaternion(matcher, dialect, selection.quat_cols, layout, recorded)
-    elif not sets:
-        raise NoAttitudesError(log.path, log.columns(), "columns")
     else:
         wxyz = matcher.only_set(sets, "quaternion", "scalar")
         _refuse_contradiction(matcher, wxyz, layout, recorded)
