@@ -288,7 +288,7 @@ def test_keys_in_addresses_are_not_shown(tmp_path):
     done = run(address, "-o", tmp_path, "--json", "-j", "1")
     assert done.exit_code == 2
     assert "secret" not in done.stdout + done.stderr
-    assert "nowhere://logs/a.mcap: its store cannot be used (" in done.stderr
+    assert "nowhere://logs/a.mcap: there is no store of this kind (" in done.stderr
     assert json.loads(done.stdout)[0]["log"] == "nowhere://logs/a.mcap"
 
 
