@@ -353,6 +353,7 @@ def write(
     to: str | None = None,
     layout: str | None = None,
     beside: str | None = None,
+    **unknown: object,
 ) -> None:
     """Write an attitude series to a file.
 
@@ -384,8 +385,10 @@ def write(
         The series has positions, and the format has no place for them.
     """
     from quatprop.pipeline.report import convention_of
+    from quatprop.settings import refuse_unknown
     from quatprop.writers import WRITERS, kind_of, layout_of, open_writer
 
+    refuse_unknown(unknown, ("to", "layout", "beside"))
     if not isinstance(series, AttitudeSeries):
         raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
     _valid("series", series)
@@ -459,8 +462,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.conversion.convert import convert as convert_file
     from quatprop.conversion.settings import Conversion
     from quatprop.pipeline.settings import OutputSettings
+    from quatprop.settings import READ_ATTITUDES, refuse_unknown
     from quatprop.signals.attitude_input import attitude_input
 
+    own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
+    refuse_unknown(options, (*own, *READ_ATTITUDES))
     wanted = attitude_input(_path("source", source), options)
     report = convert_file(
         Conversion(

@@ -496,3 +496,30 @@ print(json.dumps(before == state()))
             for node in ast.walk(ast.parse(path.read_text())):
                 name = getattr(node, "attr", "")
                 assert name not in {"enable_signal_handlers", "set_cpu_count", "simplefilter"}, path
+
+
+@pytest.mark.parametrize(
+    ("function", "keywords", "sentence"),
+    [
+        ("write", {"representation": "rotvec"},
+         "there is no setting 'representation'; there are 'to', 'layout', 'beside'"),
+        ("write", {"with_": "rotvec"}, "there is no setting 'with_'; did you mean 'beside'?"),
+        ("convert", {"with": "rotvec"}, "there is no setting 'with'; did you mean 'beside'?"),
+        ("convert", {"as_": "rotvec"}, "there is no setting 'as_'; did you mean 'representation'?"),
+        ("convert", {"from_": "csv"}, "there is no setting 'from_'; did you mean 'kind'?"),
+        ("convert", {"layot": "xyzw"}, "there is no setting 'layot'; did you mean 'layout'?"),
+        ("convert", {"euler_unit": "deg"},
+         ("there is no setting 'euler_unit'; it is part of a representation's name, such as "
+         "'euler-zyx-deg'")),
+    ],
+)  # fmt: skip
+def test_names_of_options_that_are_no_keywords_are_refused(tmp_path, function, keywords, sentence):
+    """With the keyword that was probably meant."""
+    source = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+    path = tmp_path / "in.csv"
+    quatprop.write(source, path)
+    first = source if function == "write" else path
+    with pytest.raises(UsageError) as error:
+        getattr(quatprop, function)(first, tmp_path / "out.csv", **keywords)
+    assert str(error.value) == sentence
+    assert not (tmp_path / "out.csv").exists()

@@ -816,3 +816,13 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     assert again.exit_code == 0
     for name in outputs_in(out):
         assert (out / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_options_that_fit_no_log_are_refused_once(tmp_path):
+    """Before anything is run or written."""
+    for name in ("a.csv", "b.csv"):
+        log(tmp_path / "logs" / name)
+    result = run(tmp_path / "logs", "-o", tmp_path / "out", "--sigma")
+    assert result.exit_code == 2
+    assert result.output.count("--sigma needs the errors of the gyroscope; give") == 1
+    assert not (tmp_path / "out").exists()

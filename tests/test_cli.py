@@ -382,6 +382,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
         (["--rate", "0"], "'0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
+        (["--with", "euler-zyx,rotvec"], "'euler-zyx,rotvec' names several, and only one is poss"),
         (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),
         (["--q0", "0,0,0,0"], "to have a direction"),

@@ -76,4 +76,6 @@ class OneOf(Choice):
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
         """Return the sentence about a value that is none of them."""
         message = super().get_invalid_choice_message(value, ctx)
+        if {part.strip() for part in str(value).split(",")} <= {*self.choices}:
+            return f"{value!r} names several, and only one is possible."
         return message.rstrip(".") + did_you_mean(str(value), self.choices)

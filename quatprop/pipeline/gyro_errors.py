@@ -58,6 +58,17 @@ class ErrorSettings:
         if self.sigma_axes is not None and not self.sigma:
             raise UsageError(Setting("sigma_axes"), " goes with ", Setting("sigma"))
 
+    def refuse_unknown_errors(self) -> None:
+        """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
+        known = (self.imu, *(getattr(self, one.name) for one in fields(SensorErrors)))
+        if self.sigma and all(value is None for value in known):
+            raise UsageError(
+                *(Setting("sigma"), " needs the errors of the gyroscope; give "),
+                *(Setting("noise_density"), ", ", Setting("bias_sigma"), ", "),
+                *(Setting("random_walk"), " or ", Setting("scale_sigma"), ", a file with "),
+                *(Setting("imu"), ", or ", Setting("bias", "static")),
+            )
+
     @property
     def columns_axes(self) -> str | None:
         """The axes of the columns of standard deviations; None where there are to be none."""
@@ -108,7 +119,7 @@ def known_errors(
     Raises
     ------
     UsageError
-        The file cannot be used, or standard deviations are wanted and nothing is known.
+        The file cannot be used.
     """
     names = [field.name for field in fields(SensorErrors)]
     given = {name: getattr(settings, name) for name in names}
@@ -123,13 +134,6 @@ def known_errors(
         density, _ = found.setdefault("noise_density", (density, "rest"))
         found.setdefault("bias_sigma", (density / math.sqrt(span_s), "rest"))
     if not found:
-        if settings.sigma:
-            raise UsageError(
-                *(Setting("sigma"), " needs the errors of the gyroscope; give "),
-                *(Setting("noise_density"), ", ", Setting("bias_sigma"), ", "),
-                *(Setting("random_walk"), " or ", Setting("scale_sigma"), ", a file with "),
-                *(Setting("imu"), ", or ", Setting("bias", "static")),
-            )
         return None
     errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
     return errors, {name: origin for name, (_, origin) in found.items()}

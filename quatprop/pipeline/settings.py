@@ -88,6 +88,8 @@ class PropagationSettings:
                 *(Setting("every"), ", ", Setting("rate"), " and ", Setting("at")),
                 " each say which attitudes to write; choose one",
             )
+        if self.conditioning.static_ns is None:
+            self.errors.refuse_unknown_errors()
         if (
             self.rates == "inertial"
             and self.conditioning.mount is not None

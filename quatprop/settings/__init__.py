@@ -30,7 +30,7 @@ from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RAT
 from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
     from datetime import datetime, timedelta
     from fractions import Fraction
     from os import PathLike
@@ -163,10 +163,8 @@ def parse_all(
     """
     parsers = PROPAGATE if parsers is None else parsers
     values = {}
+    refuse_unknown(options, parsers)
     for name, value in options.items():
-        if name not in parsers:
-            way_out = did_you_mean(name, parsers, f"there are {listed(parsers)}")
-            raise UsageError(f"there is no setting {quoted(name)}{way_out}")
         if value is None:
             continue
         try:
@@ -174,6 +172,38 @@ def parse_all(
         except UsageError as error:
             raise UsageError(Setting(name), ": ", error.text) from error
     return values
+
+
+OTHER_NAMES = {"as": "representation", "from": "kind", "with": "beside"}
+"""Options whose names are words of Python -> the keyword."""
+
+
+def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
+    """Refuse keywords that a function has not, and name the one that was probably meant.
+
+    Parameters
+    ----------
+    options
+        The keywords that were given.
+    names
+        Those that there are.
+
+    Raises
+    ------
+    UsageError
+        One of them is unknown.
+    """
+    for name in options:
+        if name in names:
+            continue
+        keyword = OTHER_NAMES.get(name.rstrip("_"))
+        if name == "euler_unit" and "beside" in names:
+            way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
+        elif keyword in names:
+            way_out = f"; did you mean {quoted(keyword)}?"
+        else:
+            way_out = did_you_mean(name, names, f"there are {listed(names)}")
+        raise UsageError(f"there is no setting {quoted(name)}{way_out}")
 
 
 def as_text(name: str, value: object, parsed: object) -> str | bool:
