@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.cli import cli
-from quatprop.errors import UsageError
+from quatprop.errors import DataLossWarning, LogError, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
@@ -498,6 +498,45 @@ def test_an_error_where_sigma_is_zero_is_infinitely_many(tmp_path):
         "remark    the error at 0 ns is infinitely many sigma: the attitude is given as exact, "
         "with sigma 0, and the error is beyond rounding\n"
     ) in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [("-0.1", "-0.1"), ("nan", "nan"), ("", "nan"), ("inf", "inf")]
+)
+def test_columns_that_hold_no_standard_deviations_are_refused(tmp_path, value, shown):
+    """With the row and the value; a row without an attitude needs none."""
+    table = tmp_path / "a.csv"
+    header = "t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z\n"
+    table.write_text(f"{header}0,1,0,0,0,0,0,0\n5,1,0,0,0,0.1,{value},0.1\n9,1,0,0,0,0,0,0\n")
+    with pytest.raises(LogError) as refused:
+        read_attitudes(table)
+    assert str(refused.value) == (
+        f"{table}: sigma_y is {shown} in row 1 at 5 ns, which is not a standard deviation; correct "
+        "it, or leave out the columns sigma_x, sigma_y, sigma_z"
+    )
+    table.write_text(f"{header}0,1,0,0,0,0,0,0\n5,nan,0,0,0,0.1,{value},0.1\n9,1,0,0,0,0,0,0\n")
+    with pytest.warns(DataLossWarning, match="1 rows were dropped"):
+        assert len(read_attitudes(table, on_invalid="drop")) == 2
+
+
+def test_columns_of_zeros_are_standard_deviations(tmp_path):
+    """Errors beyond rounding fail a limit in sigma, and others pass it."""
+    exact, other = tmp_path / "a.csv", tmp_path / "b.csv"
+    exact.write_text("t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z\n0,1,0,0,0,0,0,0\n5,1,0,0,0,0,0,0\n")
+    for wxyz, passed in (("1,0,0,0", True), ("0,1,0,0", False)):
+        other.write_text(f"t_ns,qw,qx,qy,qz\n0,1,0,0,0\n5,{wxyz}\n")
+        assert compare(exact, other, tol="3sigma").passed is passed
+
+
+def test_unknown_covariances_are_left_out():
+    """They are neither exact nor as large as their neighbours."""
+    t_ns = np.arange(3) * SECOND
+    covariance = np.tile(1e-4 * np.eye(3), (3, 1, 1))
+    covariance[1] = np.nan
+    a = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (3, 1)), covariance=covariance)
+    errors = Rotation.from_rotvec([[0.02, 0, 0], [1, 0, 0], [0.01, 0, 0]])
+    sigmas = compare(a, AttitudeSeries(t_ns, np.roll(errors.as_quat(), 1, axis=1))).sigmas
+    assert (sigmas.max, sigmas.final) == pytest.approx((2, 1), rel=1e-9)
 
 
 def test_correlated_errors_are_a_mahalanobis_distance():

@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import REPRESENTATIONS
-from quatprop.errors import NoAttitudesError, UsageError
+from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import SIGMA_COLUMNS
@@ -195,7 +195,10 @@ def _sigma_axes(log: TableLog, provenance: JsonObject) -> str | None:
 def _covariances(
     log: TableLog, columns: ColumnMatch, meaning: Meaning, axes: str | None
 ) -> Callable[[], Covariances] | None:
-    """Return what reads the standard deviations beside attitudes; None where there are none."""
+    """Return what reads the standard deviations beside attitudes; None where there are none.
+
+    Reading raises LogError at one that is negative or not finite.
+    """
     if meaning != HAMILTON or axes is None:
         return None
     names = [parse_name(name).key for name in log.columns()]
@@ -204,10 +207,24 @@ def _covariances(
     timed = replace(columns.timed, numbers=(*columns.timed.numbers, *beside))
 
     def covariances() -> Covariances:
+        read = 0
         for t_ns, numbers in log.metered_rows(timed):
             split = numbers.shape[1] - len(beside)
             wxyz = meaning.converted(_attitudes(numbers[:, :split], columns))
-            covariance = numbers[:, split : split + AXES, None] ** 2 * np.eye(AXES)
+            # A row without an attitude needs no standard deviations.
+            has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
+            sigmas = np.where(has_attitude, numbers[:, split : split + AXES], 0.0)
+            is_usable = np.isfinite(sigmas) & (sigmas >= 0)
+            if not is_usable.all():
+                row, axis = np.argwhere(~is_usable)[0]
+                raise LogError(
+                    log.path,
+                    f"{SIGMA_COLUMNS[axis]} is {sigmas[row, axis]:g} in row {read + row} at "
+                    f"{t_ns[row]} ns, which is not a standard deviation; correct it, or leave out "
+                    f"the columns {', '.join(SIGMA_COLUMNS)}",
+                )
+            read += len(t_ns)
+            covariance = sigmas[:, :, None] ** 2 * np.eye(AXES)
             if axes == "reference":
                 covariance = reference_covariance(conjugate(wxyz), covariance)
             yield t_ns, wxyz, numbers[:, split + AXES :] if positions else None, covariance
