@@ -292,9 +292,28 @@ def test_whole_seconds_of_several_samples_are_remarked(first, interval, repeats,
 def test_time_that_does_not_pass_is_remarked(stamps):
     """Equal stamps turn nothing, and that is said; a stamp alone is no such thing."""
     _, _, counts = applied(Policy(), gyro(stamps))
-    expected = ["all timestamps are 0 ns; is there another clock or time column?"]
+    expected = (
+        "all timestamps are 0 ns; is there another clock or time column, or are they in another "
+        "time_unit?"
+    )
     found = [text for text in map(str, remarks(counts, Policy())) if text.startswith("all")]
-    assert found == (expected if len(stamps) > 1 else [])
+    assert found == ([expected] if len(stamps) > 1 else [])
+
+
+@pytest.mark.parametrize(
+    ("interval", "samples", "said"),
+    [(10_000, 50, "100,000"), (10, 50, "100,000,000"), (20_000, 50, None), (10_000, 19, None)],
+)
+def test_a_sample_rate_beyond_any_gyroscope_is_remarked(interval, samples, said):
+    """Seconds that are read as milliseconds give it; 50 kHz is still no reason to doubt."""
+    series = GyroSeries(interval * np.arange(samples), np.ones((samples, 3)))
+    _, _, counts = applied(Policy(), series)
+    found = [text for text in map(str, remarks(counts, Policy())) if "gyroscope" in text]
+    expected = (
+        f"{said} samples per second are beyond any gyroscope; if the timestamps are in another "
+        "unit, use time_unit='s' or 'ms' or 'us' or 'ns'"
+    )
+    assert found == ([expected] if said else [])
 
 
 @pytest.mark.parametrize(

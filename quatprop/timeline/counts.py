@@ -23,6 +23,13 @@ INTEGRATED_SHARE = 0.001
 """Increments that miss more than this share of the log's time are remarked on."""
 
 
+FASTEST = 50_000
+"""Hz: no gyroscope gives more samples a second."""
+
+MIN_SAMPLES = 20
+"""Fewer samples say nothing of the sample rate."""
+
+
 @dataclass(slots=True)
 class Event:
     """How often something happened, and where first.
@@ -204,5 +211,14 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
         yield Text(
             f"all timestamps are {counts.first_ns} ns; is there another ",
             Setting("clock"),
-            " or time column?",
+            " or time column, or are they in another ",
+            Setting("time_unit"),
+            "?",
+        )
+    elif counts.used >= MIN_SAMPLES and FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S:
+        rate = (counts.used - 1) * NS_PER_S / counts.span_ns
+        yield Text(
+            f"{rate:,.0f} samples per second are beyond any gyroscope; if the timestamps are in "
+            "another unit, use ",
+            Setting("time_unit", "s|ms|us|ns"),
         )
