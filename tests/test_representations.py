@@ -169,7 +169,13 @@ def test_angles_of_other_tools_are_read_in_their_sequence(tmp_path, head, option
         ("a,b,c", ["--quat-cols", "a,b"], "'a,b' does not name 3 or 4 columns A,B,C[,D]"),
         ("qw,qx,qy,qz", ["--quat-cols", "qw,qx,qy,qz", "--from-euler", "xyz"],
          "--from-euler is about three angles, and --quat-cols names 4 columns"),
-        ("yaw_deg,pitch_deg,roll_deg", ["--from-euler", "zxz"], "no attitudes found; its columns"),
+        ("yaw_deg,pitch_deg,roll_deg", ["--from-euler", "zxz"],
+         ("--from-euler zxz contradicts the columns 'yaw_deg', 'pitch_deg', 'roll_deg', which by "
+         "their names are angles about z, y, x; if it is right, name the columns too, with "
+         "--quat-cols A,B,C")),
+        ("euler_xyz_1_rad,euler_xyz_2_rad,euler_xyz_3_rad", ["--from-euler", "zyx"],
+         ("--from-euler zyx contradicts the columns 'euler_xyz_1_rad', 'euler_xyz_2_rad', "
+         "'euler_xyz_3_rad', which by their names are angles about x, y, z")),
         ("a,b,c", ["--from-euler", "xyz", "--quat-cols", "a,b,c"],
          "the unit of the angles 'a', 'b', 'c' is not declared; say it with --from-angle-unit"),
         ("qw,qx,qy,qz", ["--from-euler", "xyx"], "no attitudes found; its columns"),

@@ -40,11 +40,8 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
     UsageError
         The user contradicts the names.
     """
-    matches = []
     chosen, named = selection.from_euler, selection.quat_cols
-    for representation, pattern, parts in _rotations(chosen):
-        matcher = ColumnMatcher(log, selection, "quat_cols", parts)
-        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
+    matches = _matches(log, selection, _rotations(chosen))
     if chosen is not None and named is not None:
         if len(named) != len(chosen):
             raise UsageError(
@@ -54,6 +51,7 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
         matcher = ColumnMatcher(log, selection, "quat_cols", chosen)
         matches = [(f"euler-{chosen}", matcher, matcher.named(named))]
     if not matches:
+        _refuse_other_sequence(log, selection)
         return None
     if len(matches) > 1:
         names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
@@ -68,6 +66,31 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
     name, clock = matcher.describe(sorted(columns), timed)
     remarks = tuple(matcher.overruled)
     return ColumnMatch(timed, name, clock, unit, representation=representation, remarks=remarks)
+
+
+def _matches(
+    log: TableLog, selection: AttitudeSelection, rotations: Iterable[tuple[str, str, Sequence[str]]]
+) -> list[tuple[str, ColumnMatcher, tuple[int, ...]]]:
+    """Return each complete set of columns that one of some rotations has."""
+    matches = []
+    for representation, pattern, parts in rotations:
+        matcher = ColumnMatcher(log, selection, "quat_cols", parts)
+        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
+    return matches
+
+
+def _refuse_other_sequence(log: TableLog, selection: AttitudeSelection) -> None:
+    """Refuse a sequence of angles where columns are by their names those of another one."""
+    for representation, matcher, columns in _matches(log, selection, ROTATIONS):
+        if selection.from_euler is not None and representation.startswith("euler-"):
+            axes = ", ".join(representation.removeprefix("euler-"))
+            raise UsageError(
+                f"{plain(log.path)}: ",
+                Setting("from_euler", selection.from_euler),
+                f" contradicts the columns {matcher.names(columns)}, which by their names are "
+                f"angles about {axes}; if it is right, name the columns too, with ",
+                Setting("quat_cols", "A,B,C"),
+            )
 
 
 def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]:
