@@ -317,10 +317,13 @@ def test_an_option_that_contradicts_the_names_is_refused(tmp_path):
     with pytest.raises(
         UsageError,
         match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and from_layout says "
-        r"scalar-last; settle it by naming them as stored, with quat_cols='A,B,C,D'",
+        r"scalar-last; settle it by naming them as stored, with quat_cols='A,B,C,D' and without "
+        r"from_layout$",
     ):
         read(path, from_layout="xyzw")
-    with pytest.raises(UsageError, match=r"by their names are scalar-first, but from_layout says"):
+    with pytest.raises(
+        UsageError, match=r"are scalar-first, and from_layout says scalar-last; settle it by naming"
+    ):
         read(path, quat_cols=("qw", "qx", "qy", "qz"), from_layout="xyzw")
 
 

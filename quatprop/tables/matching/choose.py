@@ -110,10 +110,8 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     convention = dialect if rate in sets else GENERIC
     declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, convention.rate_unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
-    timed = matcher.timed(rate, dialect)
     return ColumnMatch(
-        timed,
-        *matcher.describe(rate, timed),
+        *matcher.timed_and_named(rate, dialect),
         unit,
         convention.name,
         scale=scale * log.notes.rate_scale,
@@ -165,8 +163,7 @@ def match_bias(log: TableLog) -> ColumnMatch:
             f" {plain(log.path)}: the unit of {matcher.names(bias)} is not declared; name it in "
             "the header, such as gyro_bias_x [rad/s]",
         )
-    timed = matcher.timed(bias, dialect)
-    return ColumnMatch(timed, *matcher.describe(bias, timed), unit, dialect.name)
+    return ColumnMatch(*matcher.timed_and_named(bias, dialect), unit, dialect.name)
 
 
 def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[str | Text]:
@@ -230,11 +227,9 @@ def match_quaternion(
         wxyz = _named_quaternion(matcher, dialect, selection.quat_cols, layout, recorded)
     else:
         wxyz = matcher.only_set(sets, "quaternion", "scalar")
-        _refuse_contradiction(matcher, wxyz, layout, recorded)
-    timed = matcher.timed((*wxyz, *_absence(matcher, wxyz)), dialect)
+        _refuse_contradiction(matcher, sorted(wxyz), wxyz, layout, recorded)
     return ColumnMatch(
-        timed,
-        *matcher.describe(sorted(wxyz), timed),
+        *matcher.timed_and_named((*wxyz, *_absence(matcher, wxyz)), dialect, sorted(wxyz)),
         dialect=dialect.name if wxyz in sets else "",
         representation="quaternion",
         layout=_layout(sorted(wxyz), wxyz),
@@ -261,16 +256,7 @@ def _named_quaternion(
     patterns = (dialect.quaternion, GENERIC.quaternion, COMPONENT)
     for wxyz in (columns for pattern in patterns for columns in matcher.sets(pattern)):
         if set(wxyz) == set(stored):
-            given = _layout(stored, wxyz)
-            if layout not in (None, given):
-                raise UsageError(
-                    f"{plain(matcher.path)}: ",
-                    Setting("quat_cols"),
-                    f" gives {matcher.names(stored)}, which by their names are "
-                    f"{given or 'in no layout'}, but ",
-                    Setting("from_layout"),
-                    f" says {layout}; leave it out",
-                )
+            _refuse_contradiction(matcher, stored, wxyz, layout)
             return wxyz
     layout = layout or recorded
     if layout is None:
@@ -284,21 +270,25 @@ def _named_quaternion(
 
 
 def _refuse_contradiction(
-    matcher: ColumnMatcher, wxyz: tuple[int, ...], layout: str | None, recorded: str | None
+    matcher: ColumnMatcher,
+    stored: Sequence[int],
+    wxyz: tuple[int, ...],
+    layout: str | None,
+    recorded: str | None = None,
 ) -> None:
-    """Refuse a declared layout that is not the one of the names."""
-    stored = _layout(sorted(wxyz), wxyz)
-    for source, declared in (
-        (Setting("from_layout"), layout),
-        ("the metadata of the file", recorded),
-    ):
-        if declared not in (None, stored):
+    """Refuse a layout, of the user or recorded, that is not the one of the names."""
+    given = _layout(stored, wxyz)
+    sources = {Text(Setting("from_layout")): layout, Text("the metadata of the file"): recorded}
+    for source, declared in sources.items():
+        if declared not in (None, given):
             raise UsageError(
-                f"{plain(matcher.path)}: the columns {matcher.names(sorted(wxyz))} are "
-                f"{stored or 'in no layout, but named'}, and ",
+                f"{plain(matcher.path)}: the columns {matcher.names(stored)} are "
+                f"{given or 'in no layout, but named'}, and ",
                 source,
                 f" says {declared}; settle it by naming them as stored, with ",
                 Setting("quat_cols", "A,B,C,D"),
+                " and without ",
+                Setting("from_layout"),
             )
 
 

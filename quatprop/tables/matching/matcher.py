@@ -142,14 +142,24 @@ class ColumnMatcher(TableColumns):
             )
         return positions
 
-    def describe(self, positions: Sequence[int], timed: TimedColumns) -> tuple[str, str]:
-        """Return the names of columns and of their time, or the sample rate."""
-        names, time = (
-            ",".join(self.columns[k].text for k in columns) for columns in (positions, timed.time)
-        )
-        return names, time if timed.sample_rate is None else f"{float(timed.sample_rate):g} Hz"
-
     # The time.
+
+    def timed_and_named(
+        self, numbers: Positions, dialect: Dialect, named: Sequence[int] = ()
+    ) -> tuple[TimedColumns, str, str]:
+        """Return columns with their time, the names of those to be named, and of the time.
+
+        All of them are named if none are given. The time may be a sample rate. Raises as
+        :meth:`timed`.
+        """
+        timed = self.timed(numbers, dialect)
+        names, clock = (
+            ",".join(self.columns[k].text for k in columns)
+            for columns in (named or numbers, timed.time)
+        )
+        if timed.sample_rate is not None:
+            clock = f"{float(timed.sample_rate):g} Hz"
+        return timed, names, clock
 
     def timed(self, numbers: Positions, dialect: Dialect) -> TimedColumns:
         """Return columns with the time of their rows.

@@ -62,10 +62,9 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
         )
     representation, matcher, columns = matches[0]
     unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
-    timed = matcher.timed(columns, GENERIC)
-    name, clock = matcher.describe(sorted(columns), timed)
+    found = matcher.timed_and_named(columns, GENERIC, sorted(columns))
     remarks = tuple(matcher.overruled)
-    return ColumnMatch(timed, name, clock, unit, representation=representation, remarks=remarks)
+    return ColumnMatch(*found, unit, representation=representation, remarks=remarks)
 
 
 def _matches(
