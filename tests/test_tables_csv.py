@@ -183,6 +183,8 @@ SAME = {
     "comma": "t,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "semicolon": "t;wx;wy;wz\n0.5;1.5;2;3\n1.5;4;5;-6e-1\n",
     "decimal commas": "t;wx;wy;wz\n0,5;1,5;2;3\n1,5;4;5;-6e-1\n",
+    "quoted decimal commas": 't,wx,wy,wz\n"0,5","1,5",2,3\n"1,5","4,0",5,"-6e-1"\n',
+    "quoted decimal commas between semicolons": 't;wx;wy;wz\n"0,5";"1,5";2;3\n"1,5";4;5;-0,6\n',
     "tab": "t\twx\twy\twz\n 0.5\t1.5\t2\t3\n 1.5\t4\t5\t-6e-1\n",
     "trailing tab": "t\twx\twy\twz\n 0.5\t1.5\t2\t3\t\n 1.5\t4\t5\t-6e-1\t\n",
     "trailing tab in the header": "t\twx\twy\twz\t\n0.5\t1.5\t2\t3\n1.5\t4\t5\t-6e-1\n",
@@ -211,6 +213,15 @@ def test_every_layout_gives_the_same_series(layout):
     assert t_ns.tolist() == [500000000, 1500000000]
     assert rate.tolist() == [[1.5, 2, 3], [4, 5, -0.6]]
     assert losses == []
+
+
+@pytest.mark.parametrize("rows", ['"1,234",1,2,3', '"1,234",0.5,2,3', '"0,5",1.5,2,3'])
+def test_a_quoted_comma_that_may_be_one_of_thousands_is_no_decimal_comma(rows):
+    """1,234 is not read as 1.234, nor any comma beside numbers with a point."""
+    with pytest.raises(
+        UnsupportedLogError, match=r"1 of its first 1 rows do not fit .*is not a ti"
+    ):
+        read(f"t,wx,wy,wz\n{rows}\n", **UNITS)
 
 
 def test_a_table_without_a_header_has_numbered_columns():

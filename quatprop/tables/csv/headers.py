@@ -44,6 +44,8 @@ _NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
 )
 _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
+_POINT_NUMBER = re.compile(r"\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")
 _DATE = re.compile(
     r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
@@ -138,7 +140,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     return CsvLayout(
         names=names,
         delimiter=delimiter,
-        decimal=_decimal(data) if delimiter != "," else ".",
+        decimal=_decimal(data, delimiter),
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
@@ -200,8 +202,15 @@ def _delimiter(texts: list[str]) -> str:
     return max(_DELIMITERS, key=fit)
 
 
-def _decimal(data: list[list[str]]) -> str:
-    return "," if any(_COMMA_NUMBER.fullmatch(cell) for row in data for cell in row) else "."
+def _decimal(data: list[list[str]], delimiter: str) -> str:
+    """Return the decimal mark: between commas only quoted cells have any, perhaps of thousands."""
+    cells = [cell for row in data for cell in row]
+    with_comma = [cell for cell in cells if _COMMA_NUMBER.fullmatch(cell)]
+    if delimiter == "," and (
+        any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
+    ):
+        return "."
+    return "," if with_comma else "."
 
 
 def _dates(row: list[str]) -> dict[int, str | None]:
