@@ -126,13 +126,12 @@ def _sets_with_rate_unit(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
     Where the user declares it, gx and p are rates unless the table has axes of something else:
     beside those, gx may be gravity.
     """
-    sets = [columns for pattern in WITH_RATE_UNIT for columns in matcher.sets(pattern)]
+    sets = matcher.sets(*WITH_RATE_UNIT)
     with_unit = [k for k in sets if matcher.declared(k) in {*RATE_UNITS, *SCALED_RATE_UNITS}]
     if with_unit or not getattr(matcher.selection, "rate_unit", None):
         return with_unit
     others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
-    bare = [columns for pattern in BARE_RATES for columns in matcher.sets(pattern)]
-    return [columns for columns in bare if others == {*columns}]
+    return [columns for columns in matcher.sets(*BARE_RATES) if others == {*columns}]
 
 
 def match_bias(log: TableLog) -> ColumnMatch:
@@ -253,8 +252,7 @@ def _named_quaternion(
             "quaternion has four columns),",
             Setting("from_euler", "xyz"),
         )
-    patterns = (dialect.quaternion, GENERIC.quaternion, COMPONENT)
-    for wxyz in (columns for pattern in patterns for columns in matcher.sets(pattern)):
+    for wxyz in matcher.sets(dialect.quaternion, GENERIC.quaternion, COMPONENT):
         if set(wxyz) == set(stored):
             _refuse_contradiction(matcher, stored, wxyz, layout)
             return wxyz

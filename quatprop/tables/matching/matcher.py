@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
@@ -72,17 +73,16 @@ class ColumnMatcher(TableColumns):
 
     # Sets of columns.
 
-    def sets(self, pattern: str) -> list[Positions]:
+    def sets(self, *patterns: str) -> list[Positions]:
         """Return each complete set of columns whose names differ in the component alone.
 
         Where a name comes up twice there are two sets.
         """
-        by_name: dict[str, dict[int, list[int]]] = {}
-        for position, column in enumerate(self.columns):
-            match = re.fullmatch(pattern, column.key) if pattern else None
-            if match:
+        by_name: dict[tuple[str, str], dict[int, list[int]]] = {}
+        for pattern, (position, column) in product(filter(None, patterns), enumerate(self.columns)):
+            if match := re.fullmatch(pattern, column.key):
                 rest = f"{column.key[: match.start('part')]}*{column.key[match.end('part') :]}"
-                places = by_name.setdefault(rest, {})
+                places = by_name.setdefault((pattern, rest), {})
                 places.setdefault(self._components[match["part"]], []).append(position)
         return [
             tuple(places[component][: k + 1][-1] for component in range(self._count))
