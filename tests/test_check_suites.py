@@ -624,6 +624,26 @@ def test_a_suite_can_be_written_for_logs(folder):
     assert "--init needs a LOG for each case" in check(suite, logs[0]).stderr
 
 
+def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
+    """The command can be corrected and given again; of several logs it says how many were used."""
+    bad, suite = folder / "bad.csv", folder / "ci.toml"
+    bad.write_text("a,b\n1,2\n")
+    before = sorted(folder.rglob("*"))
+    result = check(suite, "--init", bad)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == "wrote nothing, as no log could be propagated"
+    assert check(suite, "--init", folder / "logs" / "spin.csv", "-k", "none").exit_code == 2
+    assert sorted(folder.rglob("*")) == before
+    result = check(suite, "--init", bad, folder / "logs" / "spin.csv")
+    assert result.exit_code == 2
+    lock = suite.with_name("ci.lock.json")
+    assert result.stderr.splitlines()[-1] == (
+        f"wrote {suite}, {lock} and the references of 1 of 2 cases"
+    )
+    assert suite.exists()
+    assert list(json.loads(lock.read_text())["cases"]) == ["spin"]
+
+
 def test_a_case_can_be_explained(folder):
     """What it depends on, what of it has changed, and how it is judged; nothing is run."""
     suite = write(folder, stored("spin", "spin.csv", 'method = "mean"') + TRUTH)

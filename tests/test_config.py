@@ -116,7 +116,7 @@ RUNS = {
 
 @pytest.mark.parametrize("name", RUNS)
 def test_an_output_is_made_again_from_its_own_metadata(tmp_path, monkeypatch, name):
-    """To the byte, whatever the options were and wherever they were given."""
+    """To the byte, whatever the options were and wherever they were given, in another folder."""
     monkeypatch.chdir(tmp_path)
     for file, text in (("imu.yaml", IMU), ("run.toml", CONFIG)):
         Path(file).write_text(text)
@@ -129,11 +129,32 @@ def test_an_output_is_made_again_from_its_own_metadata(tmp_path, monkeypatch, na
     shown = run("info", out, "--as-config")
     assert shown.exit_code == 0, shown.output
     assert shown.stdout.startswith(f"# quatprop propagate {SAMPLES / log} -o OUT --config")
-    Path("again.toml").write_text(shown.stdout)
     Path("again").mkdir()
-    again = run("propagate", SAMPLES / log, "-o", f"again/{out}", "--config", "again.toml")
+    Path("again/again.toml").write_text(shown.stdout)
+    monkeypatch.chdir("again")
+    again = run("propagate", SAMPLES / log, "-o", out, "--config", "again.toml")
     assert again.exit_code == 0, again.output
-    assert Path("again", out).read_bytes() == Path(out).read_bytes()
+    if str(tmp_path) not in shown.stdout:
+        assert Path(out).read_bytes() == (tmp_path / out).read_bytes()
+    # Paths of files that options name are recorded in full then.
+    expected, series = read_attitudes(tmp_path / out), read_attitudes(out)
+    np.testing.assert_array_equal(series.t_ns, expected.t_ns)
+    np.testing.assert_array_equal(series.wxyz, expected.wxyz)
+
+
+def test_a_configuration_of_an_output_names_files_wherever_it_is_kept(tmp_path, monkeypatch):
+    """Paths are those of the current folder, and a comment says what is not recorded."""
+    monkeypatch.chdir(tmp_path)
+    Path("imu.yaml").write_text(IMU)
+    run(
+        "propagate", SAMPLES / "spin.csv", "-o", "a.parquet", "--imu", "imu.yaml", "--q0", "1,0,0,0"
+    )
+    assert run("info", "a.parquet", "--as-config").stdout.splitlines()[2:] == [
+        "# imu: what the files held is not recorded, only where they were",
+        f'imu = "{tmp_path / "imu.yaml"}"',
+        'layout = "scalar-first"',
+        'q0 = "1,0,0,0"',
+    ]
 
 
 def test_settings_of_the_library_are_text_in_metadata(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import closing
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from quatprop.cli.options import named_option
 from quatprop.cli.types import PATH
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
@@ -113,25 +113,23 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     from quatprop.check.cases import load_cases
     from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
-    from quatprop.check.suite import write_suite
 
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
-    if options["init"]:
-        write_suite(suite, logs)
-    loaded, all_cases = load_cases(suite)
-    cases = _select(suite, all_cases, options["patterns"])
-    locked = read_lock(loaded.lock)
-    pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
-    deleted = {name: pin for name, pin in locked.items() if name not in pins}
-    if options["explain"]:
-        click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
-        return
-    _refuse_overlap(loaded, all_cases, options["junit"])
-    lock = loaded.lock if options["update"] or options["init"] else None
-    results = _run(cases, pins, lock, options)
+    with _new_suite(suite, logs) if options["init"] else nullcontext():
+        loaded, all_cases = load_cases(suite)
+        cases = _select(suite, all_cases, options["patterns"])
+        locked = read_lock(loaded.lock)
+        pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
+        deleted = {name: pin for name, pin in locked.items() if name not in pins}
+        if options["explain"]:
+            click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
+            return
+        _refuse_overlap(loaded, all_cases, options["junit"])
+        lock = loaded.lock if options["update"] or options["init"] else None
+        results = _run(cases, pins, lock, options)
     if options["init"] and not options["as_json"]:
-        click.echo(f"wrote {suite}, {loaded.lock} and the references", err=True)
+        _report_new(loaded, results)
     if options["as_json"]:
         click.echo(json.dumps(_report(loaded, results, deleted), indent=2))
     _report_to_ci(loaded, results, options["junit"])
@@ -141,6 +139,32 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     missing = strict and deleted and lock is None
     if code := exit_code(results, strict=strict) or int(bool(missing)):
         raise click.exceptions.Exit(code)
+
+
+@contextmanager
+def _new_suite(path: str, logs: Iterable[str]) -> Iterator[None]:
+    """Write a new suite, and remove it again, with its lock, if no case gets a reference."""
+    from quatprop.check.lock import read_lock
+    from quatprop.check.suite import write_suite
+
+    write_suite(path, logs)
+    try:
+        yield
+    finally:
+        lock = Path(path).with_suffix(".lock.json")
+        if not read_lock(lock):
+            Path(path).unlink()
+            lock.unlink(missing_ok=True)
+
+
+def _report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
+    """Say what of a new suite was written."""
+    written = sum(result.pin is not None for result in results)
+    if not written:
+        click.echo("wrote nothing, as no log could be propagated", err=True)
+        return
+    of = "" if written == len(results) else f" of {written} of {len(results)} cases"
+    click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
 
 
 def _select(

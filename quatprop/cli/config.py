@@ -83,7 +83,16 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
     ]
     if provenance.get("conversions"):
         lines.append("# converted afterwards, which this does not repeat")
-    for name, value in settings.items():
+    # As it may be kept in any folder.
+    files = {
+        name: str(file)
+        for name, value in settings.items()
+        if isinstance(value, str) and (file := file_beside(name, value, Path.cwd()))
+    }
+    if files:
+        keys = ", ".join(option(Setting(name))[2:] for name in files)
+        lines.append(f"# {keys}: what the files held is not recorded, only where they were")
+    for name, value in {**settings, **files}.items():
         lines.append(f"{option(Setting(name))[2:]} = {json.dumps(value)}")
     return "\n".join(lines)
 
