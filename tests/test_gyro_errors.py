@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -624,6 +625,10 @@ reference-log = "out.csv"
     for arguments in (["--update"], []):
         result = CliRunner().invoke(cli, ["check", str(suite), *arguments])
         assert result.exit_code == 0, result.output
+    result = CliRunner().invoke(cli, ["check", str(suite), "-v"])
+    # The reference has the digits of the log's attitudes, not their last bits.
+    shown = re.search(r"at \+0 ns, largest error (\S+) of 0\.1 sigma\n", result.output)
+    assert float(shown[1]) < 1e-9
     # An error of 1 rad at the end is far more than the errors of the sensor explain.
     *before, last = out.read_text().splitlines()
     stamp, *_ = last.split(",")
@@ -633,6 +638,40 @@ reference-log = "out.csv"
     result = CliRunner().invoke(cli, ["check", str(suite), "--update"])
     assert result.exit_code == 1
     assert "sigma, at most 0.1 sigma" in result.output
+
+
+def test_a_suite_says_which_key_gives_standard_deviations(tmp_path):
+    """Not the option of the command line, nor the name alone."""
+    log, suite = tmp_path / "log.csv", tmp_path / "suite.toml"
+    log.write_text("t_ns,wx,wy,wz\n" + "".join(f"{row * SECOND},0,0,0\n" for row in range(3)))
+    bare = tmp_path / "bare.csv"
+    bare.write_text("t_ns,qw,qx,qy,qz\n" + "".join(f"{row * SECOND},1,0,0,0\n" for row in range(3)))
+    suite.write_text(
+        '[case.still]\nlog = "log.csv"\nrate-unit = "rad/s"\nreference-log = "bare.csv"\n'
+        "max-sigma = 3\n"
+    )
+    result = CliRunner().invoke(cli, ["check", str(suite), "--update"])
+    assert "neither series has standard deviations, which max-sigma needs; write them with " in (
+        " ".join(result.output.split())
+    )
+    assert "sigma = true" in result.output
+
+
+def test_the_picture_shows_a_tolerance_in_sigma(tmp_path):
+    """A line at so many times one standard deviation, of each series, and the verdict."""
+    out, _, _ = run(tmp_path, "out.csv")
+    for number, limit in ((1, "3sigma"), (2, "0.001sigma")):
+        picture = tmp_path / f"{number}.html"
+        arguments = ["plot", *[str(out)] * number, "--reference", str(tmp_path / "turned.csv")]
+        rows = [row.split(",")[:5] for row in out.read_text().splitlines()]
+        turned = [[*row[:1], "0.99999", "0.004472125", "0", "0"] for row in rows[1:]]
+        text = "\n".join(",".join(row) for row in [rows[0], *turned])
+        (tmp_path / "turned.csv").write_text(text + "\n")
+        result = CliRunner().invoke(cli, [*arguments, "--tol", limit, "-o", str(picture)])
+        assert result.exit_code in {0, 1}, result.output
+        shown = picture.read_text()
+        assert f"tolerance ({limit.replace('sigma', ' sigma')}" in shown
+        assert "largest error" in shown
 
 
 def test_the_picture_of_an_error_shows_what_was_expected(tmp_path):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.check.case import Case
+    from quatprop.comparison.criteria import Criterion
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries
 
@@ -67,8 +68,9 @@ class CaseComparison:
         Why the error is not accepted; empty where it is.
     cause
         The likely cause of the error; empty where none is known.
-    coverage
-        How much of the reference was compared, percent; None where that is no criterion.
+    also
+        What else was judged: errors in sigma, and how much of the reference was
+        compared; may be empty.
     report
         The report of the comparison, JSON-ready; None where there is none.
     """
@@ -77,7 +79,7 @@ class CaseComparison:
     where: str = ""
     failure: str = ""
     cause: str = ""
-    coverage: float | None = None
+    also: str = ""
     report: Mapping[str, object] | None = None
 
 
@@ -146,7 +148,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         where=f"at {_since(result.worst.t_ns, first_ns)}",
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes if one),
-        coverage=next((one.value for one in result.criteria if one.unit == "%"), None),
+        also="".join(map(_also, result.criteria)),
         report=result.report(),
     )
 
@@ -193,9 +195,16 @@ def error_text(case: Case, comparison: CaseComparison) -> str:
         for angle in (comparison.error_rad, case.comparison.limit_rad)
         if math.isfinite(angle)
     )
-    covered = comparison.coverage
-    coverage = "" if covered is None else f", {covered:.4g} % of the reference covered"
-    return f"{' of '.join([error, *limit])} {comparison.where}{coverage}"
+    return f"{' of '.join([error, *limit])} {comparison.where}{comparison.also}"
+
+
+def _also(criterion: Criterion) -> str:
+    """Return what is said of a criterion beside the worst error; a failure says more itself."""
+    if criterion.unit == "%":
+        return f", {criterion.value:.4g} % of the reference covered"
+    if criterion.unit == "sigma" and criterion.passed:
+        return f", {criterion.label} {criterion.value:.3g} of {criterion.limit:.6g} sigma"
+    return ""
 
 
 def _since(t_ns: int, first_ns: int) -> str:

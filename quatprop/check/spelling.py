@@ -17,6 +17,9 @@ KEY_NAMES = {"kind": "from"}
 ONCE = {"normalize", "on_invalid"}
 """Settings of attitudes that a case has once, not with ``reference-`` for the reference."""
 
+FLAGS = {"normalize", "sigma"}
+"""Settings that are on or off."""
+
 COMMAND_OPTIONS = {"update"}
 """Settings that are options of the command, not keys of a case."""
 
@@ -36,11 +39,16 @@ def suite_key(setting: Setting, side: str = "") -> str:
     return f"{name} = " + " or ".join(f'"{value}"' for value in setting.value.split("|"))
 
 
+def _as_set(setting: Setting, side: str = "") -> str:
+    """Return a setting as a sentence has it: ``sigma = true`` where it is on or off."""
+    return suite_key(setting, side) + (" = true" if setting.name in FLAGS else "")
+
+
 def sentence(error: QuatpropError) -> str:
     """Return the sentence of an error, with keys in place of the settings it mentions."""
-    return error.text.spelled(partial(suite_key, side=error.side))
+    return error.text.spelled(partial(_as_set, side=error.side))
 
 
 def spelled(text: str | Text) -> str:
     """Return a remark, with keys in place of the settings it mentions."""
-    return text.spelled(suite_key) if isinstance(text, Text) else text
+    return text.spelled(_as_set) if isinstance(text, Text) else text

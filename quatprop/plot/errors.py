@@ -98,6 +98,7 @@ def error_page(
     lines = [_plotted(file) for file in files]
     if len(files) == 1:
         lines += _beside(first)
+    lines += [line for file in files for line in _sigma_tolerance(file, single=len(files) == 1)]
     drawn = picture(lines, title, facts, warnings[:2])
     return Page(
         heading=title,
@@ -130,6 +131,18 @@ def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
         text = f"the final error is {sigma_text(sigmas.final)}"
         line = _line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad, text)
         yield replace(line, band=True)
+
+
+def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFile]:
+    """Yield the largest error that a tolerance in sigma allows, in the direction of each error."""
+    for criterion in file.comparison.criteria:
+        sigmas, is_largest = file.comparison.sigmas, criterion.setting in {"tol", "max_sigma"}
+        if sigmas and criterion.unit == "sigma" and is_largest:
+            name = f"tolerance ({criterion.limit:g} sigma{'' if single else f', {file.name}'})"
+            angles = criterion.limit * sigmas.one_sigma_rad
+            yield _line(
+                name, file.comparison.t_ns, angles, criterion_text(criterion, file.comparison)
+            )
 
 
 def _line(
@@ -203,7 +216,7 @@ def _warnings(
                 f"{first.t_ns} ns: {degrees_text(first.error_rad, DIGITS)}"
             )
         for criterion in comparison.criteria:
-            if not criterion.passed and criterion.setting != "tol":
+            if not criterion.passed and (criterion.setting, criterion.unit) != ("tol", "rad"):
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):
