@@ -476,7 +476,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
             selection=wanted.selection,
             meaning=Meaning(convention, direction),
             sign=sign,
-            representation=representation,
+            representation=str(representation).lower(),
             normalize=wanted.normalize,
             drop=wanted.drop,
         )

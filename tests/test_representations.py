@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop import RemarkWarning, read_attitudes, write
+from quatprop import RemarkWarning, convert, read_attitudes, write
 from quatprop.cli import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
@@ -380,4 +380,13 @@ def test_angles_that_have_no_place_are_refused(tmp_path, output, options, senten
     assert (
         "--euler-unit goes with euler-zyx and other sequences"
         in run(source, out, "--with", "rotvec", "--euler-unit", "deg", code=2).stderr
+    )
+
+
+def test_the_library_takes_a_sequence_in_capitals_too(tmp_path):
+    """As scipy writes intrinsic rotations, and as the command line takes it."""
+    path = written(tmp_path, "qw,qx,qy,qz", [(0.5, 0.5, 0.5, 0.5)])
+    convert(path, tmp_path / "out.csv", representation="euler-XYZ")
+    assert (tmp_path / "out.csv").read_text().splitlines()[0] == (
+        "t_ns,euler_xyz_1_rad,euler_xyz_2_rad,euler_xyz_3_rad"
     )
