@@ -140,9 +140,8 @@ def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFil
         if sigmas and criterion.unit == "sigma" and is_largest:
             name = f"tolerance ({criterion.limit:g} sigma{'' if single else f', {file.name}'})"
             angles = criterion.limit * sigmas.one_sigma_rad
-            yield _line(
-                name, file.comparison.t_ns, angles, criterion_text(criterion, file.comparison)
-            )
+            text = f"the largest is {sigma_text(criterion.value)}"
+            yield _line(name, file.comparison.t_ns, angles, text)
 
 
 def _line(
