@@ -540,6 +540,17 @@ def test_unknown_covariances_are_left_out():
     assert (sigmas.max, sigmas.final) == pytest.approx((2, 1), rel=1e-9)
 
 
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_unknown_standard_deviations_come_back_from_a_table(tmp_path, suffix):
+    """As unknown: a table that this package writes is one that it reads."""
+    covariance = np.tile(1e-4 * np.eye(3), (3, 1, 1))
+    covariance[1] = np.nan
+    wxyz = np.tile([1.0, 0, 0, 0], (3, 1))
+    table = tmp_path / f"a.{suffix}"
+    write(AttitudeSeries(np.arange(3) * SECOND, wxyz, covariance=covariance), table)
+    np.testing.assert_allclose(read_attitudes(table).covariance, covariance, rtol=1e-12)
+
+
 def test_correlated_errors_are_a_mahalanobis_distance():
     """As SciPy computes it from the inverse of the covariance."""
     random = np.random.default_rng(3)

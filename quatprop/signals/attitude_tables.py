@@ -214,7 +214,9 @@ def _covariances(
             # A row without an attitude needs no standard deviations.
             has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
             sigmas = np.where(has_attitude, numbers[:, split : split + AXES], 0.0)
-            is_usable = np.isfinite(sigmas) & (sigmas >= 0)
+            # Unknown ones are written as three NaN.
+            is_unknown = np.isnan(sigmas).all(axis=1, keepdims=True)
+            is_usable = is_unknown | (np.isfinite(sigmas) & (sigmas >= 0))
             if not is_usable.all():
                 row, axis = np.argwhere(~is_usable)[0]
                 raise LogError(
