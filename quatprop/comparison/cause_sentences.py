@@ -118,25 +118,25 @@ def _alternative(trial: Trial) -> str:
 def _sentence_and_remedy(
     trial: Trial, intervals: Sequence[float]
 ) -> tuple[str, Setting | Text | None]:
-    found: tuple[str, Setting | Text | None]
+    cause: tuple[str, Setting | Text | None]
     match trial.value:
         case TimeOffset():
-            found = _offset(trial.value, intervals)
+            cause = _offset(trial.value, intervals)
         case RateRatio(value):
-            found = f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
+            cause = f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
         case ClockDrift():
-            found = _drift(trial.value), DRIFT_REMEDY
+            cause = _drift(trial.value), DRIFT_REMEDY
         case MethodPair():
-            found = _methods(trial.value, intervals[0])
+            cause = _methods(trial.value, intervals[0])
         case np.ndarray() if trial.name == "axes":
-            found = _axes(trial.value)
+            cause = _axes(trial.value)
         case np.ndarray():
             turn = float(geodesic_angle(IDENTITY, trial.value))
             sentence = f"the body frames differ by {degrees_text(turn)}"
-            found = sentence, Text(Setting("align", "mount"), " takes it out")
+            cause = sentence, Text(Setting("align", "mount"), " takes it out")
         case _:
-            found = _misreading(trial)
-    return found
+            cause = _misreading(trial)
+    return cause
 
 
 def _misreading(trial: Trial) -> tuple[str, Text | None]:

@@ -74,18 +74,19 @@ def compare_files(
     with open_attitudes(a) as file_a, open_attitudes(b) as file_b:
         files = file_a, file_b
         beginnings = [_Beginning(file) for file in files]
-        is_long = any(one.is_long for one in beginnings)
-        has_sigmas = any(one.has_covariances for one in beginnings)
+        is_long = any(beginning.is_long for beginning in beginnings)
+        has_sigmas = any(beginning.has_covariances for beginning in beginnings)
         if is_long and not keep and not has_sigmas and _is_streamable(files, settings):
             try:
-                of_a, of_b = (one.batches() for one in beginnings)
+                of_a, of_b = (beginning.batches() for beginning in beginnings)
                 comparison = _streamed(of_a, of_b, settings)
             except _InMemoryError:
                 beginnings = [_Beginning(file) for file in files]
             else:
                 return file_a.facts(), file_b.facts(), comparison
         first, second = (
-            file.load(one.batches()) for file, one in zip(files, beginnings, strict=True)
+            file.load(beginning.batches())
+            for file, beginning in zip(files, beginnings, strict=True)
         )
     return first, second, compare(first.series, second.series, settings)
 

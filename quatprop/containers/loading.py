@@ -156,11 +156,10 @@ def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[ChunkGroup[
         return ChunkGroup(chunks, buffers.take(sum(sizes)), list(accumulate(sizes, initial=0))[:-1])
 
     for chunk, size in sized:
-        alone = size is None or size > LARGE
-        if chunks and (size is None or alone or sum(sizes) + size > limit):
+        if chunks and (size is None or size > LARGE or sum(sizes) + size > limit):
             yield group()
             chunks, sizes, limit = [], [], min(BUFFER, 2 * limit)
-        if size is None or alone:
+        if size is None or size > LARGE:
             yield ChunkGroup([chunk], None, [0], is_large=size is not None)
         else:
             chunks.append(chunk)

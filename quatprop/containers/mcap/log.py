@@ -154,10 +154,10 @@ class McapLog(MessageLog):
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
-        ids_by_channel: dict[Channel, list[int]] = {}
+        ids_of: dict[Channel, list[int]] = {}
         for channel, ids in self._ids.items():
-            ids_by_channel.setdefault(completed(channel), []).extend(ids)
-        self._ids = ids_by_channel
+            ids_of.setdefault(completed(channel), []).extend(ids)
+        self._ids = ids_of
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which a metadata record may carry, as JSON."""
