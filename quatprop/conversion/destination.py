@@ -15,6 +15,7 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.writers import (
     WRITERS,
+    format_remarks,
     holds_covariances,
     keeps_provenance,
     kind_of,
@@ -168,8 +169,7 @@ def remarks_on(
     lost_columns
         Columns of other representations that the source has and the output has not.
     """
-    if kind_of(job.output.path, job.output.to) == "kitti":
-        yield "the timestamps are not kept: kitti has no place for them"
+    yield from format_remarks(job.output.path, job.output.to)
     if positions_lost:
         yield "the positions beside the attitudes are not kept: the output has no place for them"
     if sigma_lost:

@@ -18,7 +18,7 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
-from quatprop.writers import keeps_provenance, kind_of, layout_of, open_writer
+from quatprop.writers import format_remarks, keeps_provenance, kind_of, layout_of, open_writer
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -135,7 +135,11 @@ def run(
             for series in attitudes:
                 writer.write(series)
             report = stream.report(layout=output.layout, digest=stored or digest.result())
-            report = replace(report, settings={**report.settings, **output.given})
+            report = replace(
+                report,
+                settings={**report.settings, **output.given},
+                remarks=(*report.remarks, *format_remarks(output.path, output.to)),
+            )
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = report.timed(time.perf_counter() - began)

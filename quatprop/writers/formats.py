@@ -35,6 +35,8 @@ class Format:
         Encodings of the messages that it holds; empty where it holds none.
     layout
         The layout that the format's own definition prescribes; None where there is a choice.
+    has_stamps
+        Whether it has a place for timestamps.
     is_text
         Whether it may go to stdout.
     comments
@@ -50,6 +52,7 @@ class Format:
     columns: bool = False
     encodings: tuple[str, ...] = ()
     layout: str | None = None
+    has_stamps: bool = True
     is_text: bool = False
     comments: bool = False
     keeps_provenance: bool = False
@@ -99,7 +102,9 @@ WRITERS: Mapping[str, Format] = {
     "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
     "tum": _text((".tum",), "tables.trajectories:TumTable", layout="scalar-last", comments=True),
     "euroc": _text((), "tables.trajectories:EurocTable", layout="scalar-first", comments=True),
-    "kitti": _text((".kitti",), "tables.trajectories:KittiTable", layout="scalar-first"),
+    "kitti": _text(
+        (".kitti",), "tables.trajectories:KittiTable", layout="scalar-first", has_stamps=False
+    ),
     "mcap": _messages(
         (".mcap",), "mcap.writer:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
     ),
@@ -180,6 +185,25 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
         "folder, or say ",
         Setting("to", "|".join(WRITERS)),
     )
+
+
+def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ...]:
+    """Return what a file has no place for, though every attitude has it.
+
+    Parameters
+    ----------
+    target, kind
+        As for :func:`kind_of`.
+
+    Examples
+    --------
+    >>> format_remarks("attitude.csv"), format_remarks("attitude.kitti")
+    ((), ('the timestamps are not kept: kitti has no place for them',))
+    """
+    kind = kind_of(target, kind)
+    if WRITERS[kind].has_stamps:
+        return ()
+    return (f"the timestamps are not kept: {kind} has no place for them",)
 
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
