@@ -54,6 +54,7 @@ def test_every_module_imports_and_says_what_it_is(name):
 
 LAYERS = (
     {
+        "arrays",
         "errors",
         "text",
         "times",

@@ -20,9 +20,8 @@ from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, 
 from quatprop.text import Setting, Text, listed, quoted
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64
 
-    Float64 = NDArray[np.float64]
 
 MIN_MOTIONS = 10
 """Least relative rotations from which a mounting is estimated."""

@@ -17,12 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Self
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.series import AttitudeSeries
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 Side = Literal["A", "B"]
 

@@ -16,8 +16,7 @@ from quatprop.times import NS_PER_S, duration_text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.comparison.trials import Trial
 
 _CONJUGATE = (
@@ -224,7 +223,7 @@ def _if_propagated(a: Setting, b: Setting) -> Text:
     return Text("if A was propagated, propagate it with ", a, "; if B was, with ", b)
 
 
-def _axes(matrix: NDArray[np.float64]) -> tuple[str, Text]:
+def _axes(matrix: Float64) -> tuple[str, Text]:
     """Describe y = M x, x in B's axes and y in A's."""
     sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
     if np.linalg.det(matrix) > 0:
@@ -240,7 +239,7 @@ def _axes(matrix: NDArray[np.float64]) -> tuple[str, Text]:
     )
 
 
-def _signed(matrix: NDArray[np.float64]) -> str:
+def _signed(matrix: Float64) -> str:
     names = []
     for row in matrix:
         place = int(np.argmax(np.abs(row)))

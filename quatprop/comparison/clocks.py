@@ -29,11 +29,9 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.series import AttitudeSeries
 
-    Float64 = NDArray[np.float64]
 
 MIN_POINTS = 16
 """Least samples from which a delay is estimated."""
@@ -185,7 +183,7 @@ def _correlations(x: Float64, y: Float64) -> Float64:
     return correlation
 
 
-def _sums(values: Float64, span: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Float64:
+def _sums(values: Float64, span: tuple[Int64, Int64]) -> Float64:
     total = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray(total[span[1]] - total[span[0]])
 

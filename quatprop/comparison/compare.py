@@ -26,14 +26,11 @@ from quatprop.series import AttitudeSeries, blocks
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.diagnosis import Cause
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import WindowStatistics
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 UNIT_LENGTH = 1e-3
 """Difference from unit length that is remarked on; decimals of a text file stay below it."""

@@ -34,13 +34,11 @@ from quatprop.text import Text
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
     from quatprop.series import AttitudeSeries
     from quatprop.text import Setting
 
-    Float64 = NDArray[np.float64]
 
 FACTOR = 10.0
 """Without a cause found in the errors themselves, at most the error over this remains."""

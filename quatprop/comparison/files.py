@@ -30,14 +30,11 @@ from quatprop.signals.attitude_input import open_attitudes
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.signals.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 SHORT = 1 << 17
 """Samples of a series that is compared in memory, where both are no longer."""

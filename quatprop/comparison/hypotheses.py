@@ -18,11 +18,9 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
 
-    Float64 = NDArray[np.float64]
 
 CLEAR = 10.0
 """A quantity this many times larger than the rest is significant."""

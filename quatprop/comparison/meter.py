@@ -14,12 +14,9 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.timeline.stamps import MEDIAN_WINDOW
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 PIECE = 16_384
 """Pairs that are measured together: their arrays stay in the cache."""

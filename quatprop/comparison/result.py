@@ -10,9 +10,7 @@ from quatprop.provenance import as_json
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching
     from quatprop.comparison.clocks import ClockOffset
@@ -87,8 +85,8 @@ class Comparison:
         What else a reader should know.
     """
 
-    t_ns: NDArray[np.int64]
-    errors: NDArray[np.float64]
+    t_ns: Int64
+    errors: Float64
     association: Matching
     time_offset: AppliedOffset
     alignment: Alignment

@@ -15,12 +15,9 @@ from quatprop.kinematics.rates import rotation_vectors_between
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.series import AttitudeSeries
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 METHOD_SAMPLES = 5_000
 """Samples from which the integration rules are compared."""

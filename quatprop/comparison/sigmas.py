@@ -11,14 +11,11 @@ from quatprop.kinematics.quaternion import conjugate, log, multiply
 from quatprop.series import blocks
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Pairs
     from quatprop.series import AttitudeSeries
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 RELATIVE_FLOOR = 1e-7
 """Standard deviations below this share of the largest are rounding errors of a covariance: 0."""

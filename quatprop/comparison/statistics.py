@@ -15,10 +15,8 @@ from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64, Int64
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 NS_PER_S = 1e9
 S_PER_H = 3600.0

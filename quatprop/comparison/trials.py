@@ -16,12 +16,9 @@ from quatprop.kinematics.quaternion import rotate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Intp
     from quatprop.comparison.windows import Angles, BodyAngle
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 SIGNED_AXES = sorted(
     (
@@ -293,7 +290,7 @@ def size(values: Float64) -> float:
     return float(np.sqrt((values**2).sum(axis=1).mean()))
 
 
-def _blocks(starts: Float64, length: float) -> NDArray[np.intp]:
+def _blocks(starts: Float64, length: float) -> Intp:
     """Return the block of each window; windows of blocks that are not neighbours do not overlap."""
     span = float(starts[-1] - starts[0])
     block = max(length, min(BLOCK_S, span / MIN_BLOCKS))

@@ -14,11 +14,9 @@ from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.comparison.windows import Angles
 
-    Float64 = NDArray[np.float64]
 
 NO_DIFFERENCE = 1e-9
 """RMS difference, rad, that needs no explanation."""

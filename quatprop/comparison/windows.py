@@ -19,12 +19,9 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.series import AttitudeSeries
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 LENGTHS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 """Lengths of windows: the one in which the motion stands out most clearly is used."""

@@ -18,8 +18,7 @@ from quatprop.conditioning.time_range import absolute_range, clipped
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.conditioning.bias_series import BiasSeries, BiasSeriesReport
     from quatprop.conditioning.static_detection import Rest
     from quatprop.conditioning.time_range import PartOfLog, PartReader
@@ -95,11 +94,11 @@ class ConditioningReport:
         The part of the log that was read, where it was not the whole.
     """
 
-    bias_rad_s: NDArray[np.float64] | None
+    bias_rad_s: Float64 | None
     rest: Rest | None
     bias_series: BiasSeriesReport | None
-    calibration: NDArray[np.float64] | None
-    mount: NDArray[np.float64] | None
+    calibration: Float64 | None
+    mount: Float64 | None
     mount_frames: tuple[str, ...] | None
     start_ns: int | None
     end_ns: int | None
@@ -219,9 +218,7 @@ def _look_ahead(
     return int(cells["first_ns"].min()), int(cells["last_ns"].max()), rest
 
 
-def _product(
-    one: NDArray[np.float64] | None, other: NDArray[np.float64] | None
-) -> NDArray[np.float64] | None:
+def _product(one: Float64 | None, other: Float64 | None) -> Float64 | None:
     """Return the product of two matrices; None stands for the identity."""
     if one is None or other is None:
         return other if one is None else one
@@ -231,8 +228,8 @@ def _product(
 def conditioned(
     batches: Iterable[GyroSeries],
     *,
-    bias: NDArray[np.float64] | BiasSeries | None = None,
-    matrix: NDArray[np.float64] | None = None,
+    bias: Float64 | BiasSeries | None = None,
+    matrix: Float64 | None = None,
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.
 
@@ -259,7 +256,7 @@ def conditioned(
         yield batch.with_rate(rate)
 
 
-def _transformed(rate: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transformed(rate: Float64, matrix: Float64) -> Float64:
     """Return ``rate @ matrix.T``, each row rounded alike wherever it is in its batch.
 
     How a matrix product rounds depends on the blocks and threads it is computed with.

@@ -13,10 +13,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64, Int64
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64
 
-    Float64 = NDArray[np.float64]
 
 _unusable = partial(unusable, "calibration")
 

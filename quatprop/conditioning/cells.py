@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Bool, Float64, Int64, Intp
+
     Rows: TypeAlias = Iterable[tuple[Int64, Float64]]
     Cells: TypeAlias = NDArray[np.void]
 
@@ -40,7 +40,7 @@ def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int 
         if not len(t_ns):
             continue
         origin_ns = int(t_ns[0]) if origin_ns is None else origin_ns
-        finite: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(values), axis=1)
+        finite: Bool = np.logical_and.reduce(np.isfinite(values), axis=1)
         known = np.where(finite[:, None], values, 0.0)
         cells = np.zeros(len(t_ns), dtype=kind)
         cells["index"] = (t_ns - origin_ns) // cell_ns
@@ -79,7 +79,7 @@ def _by_index(rows: Cells) -> Cells:
     return merged(rows, np.flatnonzero(np.diff(rows["index"], prepend=rows["index"][0] - 1)))
 
 
-def merged(rows: Cells, starts: NDArray[np.intp]) -> Cells:
+def merged(rows: Cells, starts: Intp) -> Cells:
     """Add up the rows from each start to the next."""
     merged = rows[starts]
     merged["first_ns"] = np.minimum.reduceat(rows["first_ns"], starts)

@@ -12,7 +12,7 @@ from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize, rotation_m
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64
 
 AXES = {"x": 0, "y": 1, "z": 2}
 
@@ -29,11 +29,11 @@ class FrameMounting:
         The frames on the way, from the sensor's to the body's.
     """
 
-    matrix: NDArray[np.float64]
+    matrix: Float64
     frames: tuple[str, ...]
 
 
-def mounting(text: str) -> NDArray[np.float64]:
+def mounting(text: str) -> Float64:
     """Return the matrix that takes sensor axes to body axes.
 
     Parameters
@@ -83,5 +83,5 @@ def mounting(text: str) -> NDArray[np.float64]:
             f"the mounting {quoted(text)} has the length {length:.6g}, so it is not a rotation; "
             "scale it to 1"
         )
-    matrix: NDArray[np.float64] = rotation_matrix(normalize(wxyz))
+    matrix: Float64 = rotation_matrix(normalize(wxyz))
     return matrix

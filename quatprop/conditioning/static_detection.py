@@ -20,12 +20,10 @@ from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning.cells import Cells
     from quatprop.conditioning.inputs import ConditioningInputs
 
-    Float64 = NDArray[np.float64]
 
 AT_REST = 0.05
 """rad/s: rates that scatter more than this are not at rest."""
@@ -103,14 +101,14 @@ class _Steadiness:
     cells: Cells
     agreement: float | Float64
 
-    def changes(self, start: int, stop: int) -> NDArray[np.bool_]:
+    def changes(self, start: int, stop: int) -> Bool:
         """Return which cells differ from the mean of those before them, from `start` on."""
         cells = self.cells[start:stop]
         count = np.cumsum(cells["count"])[:-1]
         before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
         apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
         error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
-        changed: NDArray[np.bool_] = apart > np.maximum(self.agreement, NOISE * error)
+        changed: Bool = apart > np.maximum(self.agreement, NOISE * error)
         return changed
 
 
@@ -169,7 +167,7 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
     )
 
 
-def _quiet_rates(rates: Cells) -> NDArray[np.intp]:
+def _quiet_rates(rates: Cells) -> Intp:
     """Return the cells in which rates could be those of a gyroscope at rest, by themselves."""
     # A cell that is not full, or of a sensor that has not begun to measure, is no evidence.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
@@ -189,11 +187,11 @@ def _quiet_rates(rates: Cells) -> NDArray[np.intp]:
             Setting("bias", "X,Y,Z"),
         )
     cells = cells[slow]
-    quiet: NDArray[np.intp] = cells[_quiet(rates, cells, QUIET)]
+    quiet: Intp = cells[_quiet(rates, cells, QUIET)]
     return quiet
 
 
-def _quiet_forces(forces: Cells, cells: NDArray[np.intp], size: float) -> NDArray[np.intp]:
+def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
     """Return in which of some cells the specific force, of a usual size, scatters little."""
     scatter = scatter_of(forces[cells])
     steady = scatter <= FORCE_AT_REST * size
@@ -203,24 +201,22 @@ def _quiet_forces(forces: Cells, cells: NDArray[np.intp], size: float) -> NDArra
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
     cells = cells[steady]
-    quiet: NDArray[np.intp] = cells[_quiet(forces, cells, FORCE_QUIET * size)]
+    quiet: Intp = cells[_quiet(forces, cells, FORCE_QUIET * size)]
     return quiet
 
 
-def _quiet(signal: Cells, cells: NDArray[np.intp], floor: float) -> NDArray[np.bool_]:
+def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
     """Return in which of some cells a signal scatters about as little as in the quietest pair."""
     scatter = scatter_of(signal[cells])
     pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][cells]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples may be large or small by chance.
     by_chance = 2 / np.sqrt(6 * (signal["count"][cells] - 1))
-    quiet: NDArray[np.bool_] = scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest)
+    quiet: Bool = scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest)
     return quiet
 
 
-def _periods(
-    rates: Cells, quiet: NDArray[np.intp], signals: list[_Steadiness]
-) -> list[NDArray[np.intp]]:
+def _periods(rates: Cells, quiet: Intp, signals: list[_Steadiness]) -> list[Intp]:
     """Return runs of at least two neighbouring cells over which no signal changes its mean."""
     neighbours = np.diff(rates["index"][quiet]) == 1
     neighbours &= np.diff(quiet) == 1
@@ -248,9 +244,7 @@ def _end_of_agreement(signals: list[_Steadiness], start: int, stop: int) -> int:
         size *= 4
 
 
-def _not_turning(
-    rates: Cells, orientations: Cells, periods: list[NDArray[np.intp]]
-) -> list[NDArray[np.intp]]:
+def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list[Intp]:
     """Return the periods in which the orientation does not turn as the rates say.
 
     An orientation that drifts or settles while the rates say otherwise shows no rotation.

@@ -23,11 +23,8 @@ import numpy as np
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Bool, Float64, Int64, Intp
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
-    Bool = NDArray[np.bool_]
 
 MAX_RATIO: Final = 4.0
 """No cubic passes through samples whose neighbouring intervals differ by more than this factor: it
@@ -109,7 +106,7 @@ class Curvature(NamedTuple):
         deviation += cross(average, lever)
         return deviation
 
-    def at(self, intervals: NDArray[np.intp]) -> Curvature:
+    def at(self, intervals: Intp) -> Curvature:
         """Return the curvature in some intervals."""
         return Curvature(self.a[:, intervals], self.b[:, intervals], self.h[intervals])
 

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64
 
-    Float64 = NDArray[np.float64]
 
 TERMS = 5
 """Of the series for cosine and ratio: enough for steps of 11 degrees."""

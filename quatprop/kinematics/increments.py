@@ -22,10 +22,8 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64, Int64
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
     Rule = Callable[[Float64, Float64, Float64], Float64]
 
 

@@ -16,9 +16,10 @@ import numpy as np
 from quatprop.kinematics.half_angle import half_angle
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64
+
 
 IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
 """The attitude of a body whose axes coincide with those of the reference."""

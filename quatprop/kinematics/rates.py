@@ -16,10 +16,9 @@ from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
+    from quatprop.arrays import Float64, Int64
 
 
 def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Float64:

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from fractions import Fraction
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64, Int64
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 PIECE = 1 << 17
 """Times at once: bounds memory, and products with the period of a regular rate fit in 64 bits."""

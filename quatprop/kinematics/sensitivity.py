@@ -16,9 +16,10 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64
+
 
 NEXT_BETTER: Final = {
     "start": "mean",

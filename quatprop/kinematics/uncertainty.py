@@ -25,11 +25,9 @@ from quatprop.kinematics.quaternion import rotation_matrix
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.series import GyroSeries
 
-    Float64 = NDArray[np.float64]
 
 TILE: Final = 8192
 """Samples computed together, from fixed sample indices: few enough for the caches."""

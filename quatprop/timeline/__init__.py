@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Bool, Float64, Int64, Intp
     from quatprop.timeline.policy import Policy
 
-    Places: TypeAlias = NDArray[np.intp]
+    Places: TypeAlias = Intp
     Kept: TypeAlias = tuple[GyroSeries, Places | None]
     """A batch, and which samples of what was read it holds; None: all."""
 
@@ -48,7 +47,7 @@ class Timeline:
         self.path = path
         self.counts = Counts()
         self._stamps = StampChecks(path, policy, self.counts)
-        self._last_finite: NDArray[np.float64] | None = None
+        self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
@@ -131,7 +130,7 @@ class Timeline:
         if np.isfinite(total):
             self._last_finite = batch.rate[-1]
             return batch, None
-        good: NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
+        good: Bool = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
         event = self.counts.nonfinite
         event.add(np.flatnonzero(~good), self.counts.read, batch.t_ns)
         if self.policy.on_nonfinite == "error" and event.count:
@@ -147,7 +146,7 @@ class Timeline:
             return self._hold(batch, good), None
         return batch, None
 
-    def _hold(self, batch: GyroSeries, good: NDArray[np.bool_]) -> GyroSeries:
+    def _hold(self, batch: GyroSeries, good: Bool) -> GyroSeries:
         """Replace each rate that is not finite by the last one before it that is."""
         latest_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
         rate = batch.rate[latest_good]
@@ -182,7 +181,7 @@ class Timeline:
         self.counts.backwards.add(back, 0, log.t_ns, np.concatenate(places))
         yield log[np.argsort(log.t_ns, kind="stable")]
 
-    def _measure(self, batch: GyroSeries, intervals: NDArray[np.int64]) -> None:
+    def _measure(self, batch: GyroSeries, intervals: Int64) -> None:
         """Measure the rates of a batch; the intervals end at its last samples."""
         counts = self.counts
         # Not by einsum, which rounds in another way where the processor fuses multiply and add.

@@ -11,9 +11,7 @@ from quatprop.times import NS_PER_S, duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64, Intp
     from quatprop.timeline.policy import Policy
 
 LISTED_GAPS = 1000
@@ -51,10 +49,10 @@ class Event:
 
     def add(
         self,
-        where: NDArray[np.intp],
+        where: Intp,
         start: int,
-        t_ns: NDArray[np.int64],
-        kept: NDArray[np.intp] | None = None,
+        t_ns: Int64,
+        kept: Intp | None = None,
     ) -> None:
         """Count the sample positions `where` of a batch that starts at index `start`.
 

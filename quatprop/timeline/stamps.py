@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Bool, Int64, Intp
 
-    Int64 = NDArray[np.int64]
 
 Batch = TypeVar("Batch")
 
@@ -73,9 +72,7 @@ class StampChecks:
                 yield t_ns
                 self.counts.read += len(t_ns)
 
-    def backward(
-        self, t_ns: Int64, kept: NDArray[np.intp] | None = None
-    ) -> NDArray[np.bool_] | None:
+    def backward(self, t_ns: Int64, kept: Intp | None = None) -> Bool | None:
         """Return which stamps are earlier than one before, or None where none is.
 
         Parameters
