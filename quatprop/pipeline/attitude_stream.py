@@ -20,6 +20,7 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.series import reblock
 from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.conditioning_inputs import conditioning_inputs
 from quatprop.signals.rates import UNITS
@@ -130,7 +131,8 @@ class AttitudeStream:
         if not self._reads_ahead():
             yield from self._attitudes(self._batches)
             return
-        with closing(in_background(self._batches)) as batches:
+        # In blocks: handing over each batch of a few chunks would cost as much as decoding it.
+        with closing(in_background(reblock(self._batches))) as batches:
             yield from self._attitudes(batches)
 
     def _reads_ahead(self) -> bool:
