@@ -69,10 +69,11 @@ def convert(job: Conversion) -> ConversionReport:
         ):
             # A reference that is turned into the body is no place for a position.
             keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
-            poses = source.poses if keeps else None
-            read = (source.covariances if sigma else None) or poses or source.rows
+            rows = source.read(
+                positions=keeps and source.has_positions, covariances=sigma is not None
+            )
             write: Callable[[Any], None] = target.write
-            for series in _as_written(job, check.apply(read()), signs):
+            for series in _as_written(job, check.apply(rows), signs):
                 write(series)
             if not check.counts.used:
                 raise NoSamplesError(job.log, source.name)
@@ -82,7 +83,7 @@ def convert(job: Conversion) -> ConversionReport:
                 *remarks_on(
                     job,
                     getattr(target, "locked_rows", 0),
-                    positions_lost=source.poses is not None and not keeps,
+                    positions_lost=source.has_positions and not keeps,
                     sigma_lost=known and sigma is None,
                     lost_columns=[name for name in source.rotation_columns if name not in columns],
                 ),
@@ -106,9 +107,9 @@ def convert(job: Conversion) -> ConversionReport:
 
 def _covariances(source: AttitudeSignal) -> bool:
     """Tell whether a source has standard deviations, or covariances that are no constant."""
-    if source.sigma_axes is not None or source.covariances is None:
+    if source.sigma_axes is not None or not source.may_have_covariances:
         return source.sigma_axes is not None
-    first = next(iter(source.covariances()), None)
+    first = next(source.read(covariances=True), None)
     return first is not None and first[-1] is not None
 
 

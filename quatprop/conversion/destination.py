@@ -82,11 +82,10 @@ def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:
     another direction or convention changes what they are about.
     """
     output = job.output
-    if source.covariances is None or job.meaning != HAMILTON or job.representation != QUATERNION:
-        return None
-    if not holds_covariances(kind_of(output.path, output.to), output.message):
-        return None
-    return source.sigma_axes or "body"
+    has_place = holds_covariances(kind_of(output.path, output.to), output.message)
+    is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
+    kept = has_place and is_plain and source.may_have_covariances
+    return (source.sigma_axes or "body") if kept else None
 
 
 def open_destination(

@@ -240,12 +240,14 @@ class AttitudeFile:
         """
         wanted, signal = self._wanted, self.signal
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        poses = signal.poses if wanted.positions else None
-        read = signal.covariances or poses or signal.rows
+        rows = signal.read(
+            positions=wanted.positions and signal.has_positions,
+            covariances=signal.may_have_covariances,
+        )
         self._zeros = 0
         ends: list[int] = []
         with errors_of(wanted.side):
-            for batch in self._check.apply(read()):
+            for batch in self._check.apply(rows):
                 self._zeros += int(np.count_nonzero(batch.t_ns == 0))
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
                 yield batch

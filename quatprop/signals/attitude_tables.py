@@ -24,14 +24,10 @@ from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.signal import Covariances, Poses, Rows
+    from quatprop.signals.signal import Float64, Int64, Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
     from quatprop.text import Text
@@ -81,10 +77,10 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         clock=columns.clock,
         remarks=_remarks(columns),
         provenance=provenance,
-        rows=partial(_rows, log, columns, meaning),
+        read=partial(_read, log, columns, meaning, sigma_axes),
         representation=representation,
-        poses=_poses(log, columns, meaning),
-        covariances=_covariances(log, columns, meaning, sigma_axes),
+        has_positions=bool(_positions(log)),
+        may_have_covariances=meaning == HAMILTON and sigma_axes is not None,
         sigma_axes=sigma_axes,
         rotation_columns=_rotation_columns(log, representation),
     )
@@ -130,27 +126,7 @@ def _remarks(columns: ColumnMatch) -> tuple[str | Text, ...]:
     )
 
 
-def _rows(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Rows:
-    for t_ns, numbers in log.metered_rows(columns.timed):
-        yield t_ns, meaning.converted(_attitudes(numbers, columns))
-
-
-def _poses(log: TableLog, columns: ColumnMatch, meaning: Meaning) -> Callable[[], Poses] | None:
-    """Return what reads the positions beside attitudes; None where there is no single set."""
-    places = _positions(log)
-    if not places:
-        return None
-    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *places))
-
-    def poses() -> Poses:
-        for t_ns, numbers in log.metered_rows(timed):
-            wxyz = _attitudes(numbers[:, :-AXES], columns)
-            yield t_ns, meaning.converted(wxyz), numbers[:, -AXES:]
-
-    return poses
-
-
-def _attitudes(numbers: NDArray[np.float64], columns: ColumnMatch) -> NDArray[np.float64]:
+def _attitudes(numbers: Float64, columns: ColumnMatch) -> Float64:
     """Return the quaternions that columns hold, in whatever representation."""
     if columns.representation == "quaternion":
         return _marked(numbers)
@@ -192,49 +168,62 @@ def _sigma_axes(log: TableLog, provenance: JsonObject) -> str | None:
     return "reference" if axes == "reference" else "body"
 
 
-def _covariances(
-    log: TableLog, columns: ColumnMatch, meaning: Meaning, axes: str | None
-) -> Callable[[], Covariances] | None:
-    """Return what reads the standard deviations beside attitudes; None where there are none.
+def _read(  # noqa: PLR0913  # what to read, and how
+    log: TableLog,
+    columns: ColumnMatch,
+    meaning: Meaning,
+    sigma_axes: str | None,
+    *,
+    positions: bool = False,
+    covariances: bool = False,
+) -> Rows:
+    """Yield attitudes, and positions and covariances if they are wanted.
 
-    Reading raises LogError at one that is negative or not finite.
+    Raises
+    ------
+    LogError
+        A standard deviation is negative or not finite.
     """
-    if meaning != HAMILTON or axes is None:
-        return None
-    names = [parse_name(name).key for name in log.columns()]
-    positions = _positions(log)
-    beside = (*(names.index(name) for name in SIGMA_COLUMNS), *positions)
+    beside = _positions(log) if positions else []
+    if covariances:
+        names = [parse_name(name).key for name in log.columns()]
+        beside += [names.index(name) for name in SIGMA_COLUMNS]
     timed = replace(columns.timed, numbers=(*columns.timed.numbers, *beside))
-
-    def covariances() -> Covariances:
-        read = 0
-        for t_ns, numbers in log.metered_rows(timed):
-            split = numbers.shape[1] - len(beside)
-            wxyz = meaning.converted(_attitudes(numbers[:, :split], columns))
-            # A row without an attitude needs no standard deviations.
-            has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
-            sigmas = np.where(has_attitude, numbers[:, split : split + AXES], 0.0)
-            # Unknown ones are written as three NaN.
-            is_unknown = np.isnan(sigmas).all(axis=1, keepdims=True)
-            is_usable = is_unknown | (np.isfinite(sigmas) & (sigmas >= 0))
-            if not is_usable.all():
-                row, axis = np.argwhere(~is_usable)[0]
-                raise LogError(
-                    log.path,
-                    f"{SIGMA_COLUMNS[axis]} is {sigmas[row, axis]:g} in row {read + row} at "
-                    f"{t_ns[row]} ns, which is not a standard deviation; correct it, or leave out "
-                    f"the columns {', '.join(SIGMA_COLUMNS)}",
-                )
-            read += len(t_ns)
+    read = 0
+    for t_ns, numbers in log.metered_rows(timed):
+        split = numbers.shape[1] - len(beside)
+        wxyz = meaning.converted(_attitudes(numbers[:, :split], columns))
+        position = numbers[:, split : split + AXES] if positions else None
+        covariance = None
+        if covariances:
+            sigmas = _checked(log, numbers[:, -AXES:], wxyz, t_ns, read)
             covariance = sigmas[:, :, None] ** 2 * np.eye(AXES)
-            if axes == "reference":
+            if sigma_axes == "reference":
                 covariance = reference_covariance(conjugate(wxyz), covariance)
-            yield t_ns, wxyz, numbers[:, split + AXES :] if positions else None, covariance
+        yield t_ns, wxyz, position, covariance
+        read += len(t_ns)
 
-    return covariances
+
+def _checked(log: TableLog, sigmas: Float64, wxyz: Float64, t_ns: Int64, first: int) -> Float64:
+    """Return standard deviations that can be used; `first` is the number of the first row."""
+    # A row without an attitude needs no standard deviations.
+    has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
+    sigmas = np.where(has_attitude, sigmas, 0.0)
+    # Unknown ones are written as three NaN.
+    is_unknown = np.isnan(sigmas).all(axis=1, keepdims=True)
+    is_usable = is_unknown | (np.isfinite(sigmas) & (sigmas >= 0))
+    if not is_usable.all():
+        row, axis = np.argwhere(~is_usable)[0]
+        raise LogError(
+            log.path,
+            f"{SIGMA_COLUMNS[axis]} is {sigmas[row, axis]:g} in row {first + row} at "
+            f"{t_ns[row]} ns, which is not a standard deviation; correct it, or leave out "
+            f"the columns {', '.join(SIGMA_COLUMNS)}",
+        )
+    return sigmas
 
 
-def _marked(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+def _marked(numbers: Float64) -> Float64:
     """Return quaternions, NaN where a mark behind them says that they are absent."""
     wxyz = numbers[:, :4]
     for absent in numbers[:, 4:].T:

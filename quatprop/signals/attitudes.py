@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -30,14 +30,14 @@ from quatprop.tables.base import is_table
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.conventions import Meaning
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.message_values import MessageReader
-    from quatprop.signals.signal import Covariances, Poses, Rows
+    from quatprop.signals.signal import Float64, Rows
     from quatprop.tables.base import TableLog
 
 
@@ -133,20 +133,17 @@ def _of_field(
     order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
     meaning = meaning_of(log.path, selection, recorded)
     clock = choose_clock(log, channel, field.stamps, selection)
-    groups = (field.fields, [field.absent])
-    reader = FieldReader(log, channel, clock, *groups)
-    rows = partial(_message_rows, log, channel, reader, order, meaning)
-    poses = covariances = None
-    if field.position is not None:
-        pose_reader = FieldReader(log, channel, clock, *groups, [field.position])
-        poses = partial(_message_poses, log, channel, pose_reader, order, meaning)
-    if field.covariance is not None and meaning == HAMILTON:
-        beside = [field.position], [field.covariance]
-        covariance_reader = FieldReader(log, channel, clock, *groups, *beside)
-        covariances = partial(_message_covariances, log, channel, covariance_reader, order)
+    reader = partial(FieldReader, log, channel, clock, field.fields, [field.absent])
+
+    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
+        position = [field.position] if positions else []
+        covariance = [field.covariance] if covariances else []
+        rows = timed_values(log, channel, reader(position, covariance))
+        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
+
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
     placeholder = _is_beside_rate(channel, field, log.path) and are_all(
-        (np.abs(wxyz) for _, wxyz in rows()), IDENTITY, PLACEHOLDER_MESSAGES
+        (np.abs(wxyz) for _, wxyz, *_ in read()), IDENTITY, PLACEHOLDER_MESSAGES
     )
     if placeholder:
         remarks += ("it is the identity in every message: a placeholder, not an attitude",)
@@ -159,10 +156,10 @@ def _of_field(
         clock=clock.name,
         remarks=remarks + clock.remarks,
         provenance=provenance,
-        rows=rows,
-        stamps=partial(stamps_logged, log, channel, reader),
-        poses=poses,
-        covariances=covariances,
+        read=read,
+        stamps=partial(stamps_logged, log, channel, reader()),
+        has_positions=field.position is not None,
+        may_have_covariances=field.covariance is not None and meaning == HAMILTON,
         placeholder=placeholder,
     )
 
@@ -191,6 +188,12 @@ def _of_transforms(
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
     reader = TransformReader(log, channel, frames, clock)
     stamps = partial(stamps_logged, log, channel, reader)
+
+    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
+        rows = timed_values(log, channel, reader)
+        order = SCALAR_FIRST.order
+        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
+
     if clock.name == "header" and are_all((t_ns for t_ns, _ in stamps()), 0):
         raise zero_stamps(log, channel)
     return AttitudeSignal(
@@ -201,60 +204,42 @@ def _of_transforms(
         meaning=meaning,
         clock=clock.name,
         provenance=provenance,
-        rows=partial(_message_rows, log, channel, reader, SCALAR_FIRST.order, meaning),
+        read=read,
         stamps=stamps,
-        poses=partial(_message_poses, log, channel, reader, SCALAR_FIRST.order, meaning),
+        has_positions=True,
     )
 
 
-def _message_rows(
-    log: MessageLog,
-    channel: Channel,
-    reader: MessageReader,
+def _in_terms(
+    values: Iterator[tuple[Any, ...]],
     order: tuple[int, ...],
     meaning: Meaning,
+    *,
+    positions: bool,
+    covariances: bool,
 ) -> Rows:
-    """Yield the attitudes that a channel stores in the order `order` and means as `meaning`."""
-    places = [order.index(part) for part in range(4)]
-    for t_ns, stored, *_ in timed_values(log, channel, reader):
-        yield t_ns, meaning.converted(stored[:, places])
-
-
-def _message_poses(
-    log: MessageLog,
-    channel: Channel,
-    reader: MessageReader,
-    order: tuple[int, ...],
-    meaning: Meaning,
-) -> Poses:
-    """Yield the attitudes of :func:`_message_rows`, and the positions beside them."""
-    places = [order.index(part) for part in range(4)]
-    for t_ns, stored, position in timed_values(log, channel, reader):
-        yield t_ns, meaning.converted(stored[:, places]), position
-
-
-def _message_covariances(
-    log: MessageLog, channel: Channel, reader: MessageReader, order: tuple[int, ...]
-) -> Covariances:
-    """Yield attitudes, positions or None, and covariances about body axes.
+    """Yield attitudes that are stored in the order `order`, and what is beside them.
 
     A covariance that is the same in all of the first messages is a constant of the sensor's
     driver, not what is known of the attitude: there is none then.
     """
     places = [order.index(part) for part in range(4)]
-    varies: bool | None = None
-    for t_ns, stored, *position, numbers in timed_values(log, channel, reader):
-        wxyz = stored[:, places]
+    varies = None if covariances else False
+    for t_ns, stored, *beside in values:
+        wxyz = meaning.converted(stored[:, places])
         if varies is None:
-            varies = bool((numbers != numbers[:1]).any())
-        covariance = None
-        if varies:
-            size = math.isqrt(numbers.shape[1])
-            of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
-            is_known = np.isfinite(of_rotation).all(axis=(1, 2))
-            is_known &= (np.diagonal(of_rotation, axis1=1, axis2=2) >= 0).all(axis=1)
-            of_rotation[~is_known] = np.nan
-            # Quaternions are not checked yet.
-            with np.errstate(over="ignore", invalid="ignore"):
-                covariance = reference_covariance(conjugate(wxyz), of_rotation)
-        yield t_ns, wxyz, position[0] if position else None, covariance
+            varies = bool((beside[-1] != beside[-1][:1]).any())
+        covariance = _about_body(wxyz, beside[-1]) if varies else None
+        yield t_ns, wxyz, beside[0] if positions else None, covariance
+
+
+def _about_body(wxyz: Float64, numbers: Float64) -> Float64:
+    """Return covariances about body axes, NaN where they are marked as unknown."""
+    size = math.isqrt(numbers.shape[1])
+    of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
+    is_known = np.isfinite(of_rotation).all(axis=(1, 2))
+    is_known &= (np.diagonal(of_rotation, axis1=1, axis2=2) >= 0).all(axis=1)
+    of_rotation[~is_known] = np.nan
+    # Quaternions are not checked yet.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return reference_covariance(conjugate(wxyz), of_rotation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -19,9 +19,13 @@ if TYPE_CHECKING:
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
-    Rows: TypeAlias = Iterator[tuple[Int64, Float64]]
-    Poses: TypeAlias = Iterator[tuple[Int64, Float64, Float64]]
-    Covariances: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
+    Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
+
+    class ReadRows(Protocol):
+        """Reads attitudes from the beginning."""
+
+        def __call__(self, *, positions: bool = False, covariances: bool = False) -> Rows:
+            """Yield stamps, quaternions and, if they are wanted, what is beside them."""
 
 
 def no_parts() -> None:
@@ -138,10 +142,12 @@ class AttitudeSignal(Signal):
 
     Parameters
     ----------
-    rows
+    read
         Reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body -> reference,
         batch after batch in the order of the log. They are not checked: see
-        :class:`quatprop.signals.quaternion_check.QuaternionCheck`.
+        :class:`quatprop.signals.quaternion_check.QuaternionCheck`. Beside them positions of the
+        body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
+        ``(N, 3, 3)``, rad^2; None where they are not wanted or not there.
     layout
         How they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
         components have names and no such order; ``""`` for other representations.
@@ -151,12 +157,10 @@ class AttitudeSignal(Signal):
         How the attitudes were made, as their file says.
     representation
         ``"quaternion"`` or a key of :data:`quatprop.conventions.representations.REPRESENTATIONS`.
-    poses
-        Reads positions of the body in the reference frame beside them, shape ``(N, 3)``, m; None
-        where there are none.
-    covariances
-        Reads stamps, quaternions, positions or None, and covariances about body axes, shape
-        ``(N, 3, 3)``, rad^2, or None; None where there is no place for them.
+    has_positions
+        Whether there are positions.
+    may_have_covariances
+        Whether there is a place for covariances.
     placeholder
         Whether it is the identity in every message of a sensor: never set.
     sigma_axes
@@ -165,13 +169,17 @@ class AttitudeSignal(Signal):
         Columns of a table that hold the same attitudes in other representations.
     """
 
-    rows: Callable[[], Rows]
+    read: ReadRows
     layout: str
     meaning: Meaning
     provenance: JsonObject
     representation: str = "quaternion"
-    poses: Callable[[], Poses] | None = None
-    covariances: Callable[[], Covariances] | None = None
+    has_positions: bool = False
+    may_have_covariances: bool = False
     placeholder: bool = False
     sigma_axes: str | None = None
     rotation_columns: tuple[str, ...] = ()
+
+    def rows(self) -> Iterator[tuple[Int64, Float64]]:
+        """Read stamps and quaternions alone."""
+        return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
