@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
+from quatprop.series import reblock
 from quatprop.text import Setting, Text
 from quatprop.times import NS_PER_S
 
@@ -80,42 +81,31 @@ class RateChecks:
         self._lowest = np.full(3, np.inf)
         self._saturation = Saturation()
         self._samples = 0
-        self._columns = np.empty((3, _COLUMN))
-        self._filled = self._old = 0
+        self._last = np.empty((3, 0))
         # Sums over neighbouring samples, per axis: rate, square, product; and how many.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
 
     def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the batches unchanged, and check them."""
-        for batch in batches:
-            self._add(batch.rate)
-            yield batch
+        """Yield the samples in blocks, and check them."""
+        for block in reblock(batches):
+            self._samples += len(block)
+            for start in range(0, len(block), _COLUMN):
+                self._check(block.rate[start : start + _COLUMN].T)
+            yield block
 
-    def _add(self, rate: Float64) -> None:
-        """Gather rates in contiguous columns, and check them when the columns are full."""
-        self._samples += len(rate)
-        start = 0
-        while start < len(rate):
-            stop = min(len(rate), start + _COLUMN - self._filled)
-            filled = self._filled + stop - start
-            self._columns[:, self._filled : filled] = rate[start:stop].T
-            self._filled, start = filled, stop
-            if filled == _COLUMN:
-                self._check()
-
-    def _check(self) -> None:
-        columns = self._columns[:, : self._filled]
+    def _check(self, rate: Float64) -> None:
+        old = self._last.shape[1]
+        # A run may continue from the samples before. Contiguous columns are checked faster.
+        columns = np.empty((3, old + rate.shape[1]))
+        columns[:, :old], columns[:, old:] = self._last, rate
         highest, lowest = np.fmax.reduce(columns, axis=1), np.fmin.reduce(columns, axis=1)
         self._highest = np.fmax(self._highest, highest)
         self._lowest = np.fmin(self._lowest, lowest)
-        repeats = self._repeats(columns, max(self._old - 1, 0))
-        self._saturation.add(columns, self._old, (highest, -lowest), repeats)
-        self._add_motion(columns[:, max(self._old - 1, 0) :])
-        # A run may continue in the samples that come next.
-        last = columns[:, -_OVERLAP:].copy()
-        self._filled = self._old = last.shape[1]
-        self._columns[:, : self._filled] = last
+        repeats = self._repeats(columns, max(old - 1, 0))
+        self._saturation.add(columns, old, (highest, -lowest), repeats)
+        self._add_motion(columns[:, max(old - 1, 0) :])
+        self._last = columns[:, -_OVERLAP:].copy()
 
     def _add_motion(self, columns: Float64) -> None:
         before, after = columns[:, :-1], columns[:, 1:]
@@ -154,8 +144,6 @@ class RateChecks:
         counts
             What was observed of the timestamps.
         """
-        if self._filled:
-            self._check()
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
