@@ -60,6 +60,20 @@ def multiplied(steps, first, *, left=False):
 STEPS = (TRUE[:-1].inv() * TRUE[1:]).as_rotvec()
 
 
+@pytest.mark.parametrize("align", ["none", "first"])
+def test_error_vectors_are_about_the_body_axes(align):
+    """They turn B, once aligned, into A; q and -q are the same attitude."""
+    errors = 0.02 * np.sin(np.outer(SECONDS, [0.3, 0.5, 0.7]))
+    signs = np.where(np.arange(SAMPLES) % 3, 1.0, -1.0)[:, None]
+    reference = (TURN * TRUE if align == "first" else TRUE).as_quat(scalar_first=True)
+    result = compare(
+        series(TRUE * Rotation.from_rotvec(errors)),
+        AttitudeSeries(T_NS, reference * signs),
+        ComparisonSettings(align=align),
+    )
+    np.testing.assert_allclose(result.error_vectors, errors, atol=1e-12)
+
+
 def test_a_series_has_no_error_against_itself():
     """All figures are zero to rounding, and nothing is to be explained."""
     found = compare(A, A)

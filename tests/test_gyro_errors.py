@@ -569,6 +569,8 @@ def test_correlated_errors_are_a_mahalanobis_distance():
     assert sigmas.final == pytest.approx(expected[-1], rel=1e-9)
     one_sigma = np.linalg.norm(errors, axis=1) / expected
     np.testing.assert_allclose(sigmas.one_sigma_rad, one_sigma, rtol=1e-9)
+    about_axes = np.sqrt([np.diag(one) for one in covariance])
+    np.testing.assert_allclose(sigmas.axes_rad, about_axes, rtol=1e-9)
 
 
 def test_errors_of_a_simulated_sensor_are_as_large_as_expected():

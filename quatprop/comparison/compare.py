@@ -26,7 +26,8 @@ from quatprop.series import AttitudeSeries, blocks
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import Float64
+    from quatprop.comparison.association import Pairs
     from quatprop.comparison.diagnosis import Cause
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import WindowStatistics
@@ -98,7 +99,7 @@ def compare(
         offset,
         Coverage.of(meter.covered, reference, 100 * len(pairs) / len(b) if counted else None),
         lambda rising: likely_cause(a, b, match, settings.align, rising),
-        t_ns=pairs.t_ns,
+        pairs=pairs,
         window=window,
         sigmas=sigma_statistics(a, b, pairs, alignment),
         remarks=remarks,
@@ -113,7 +114,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
     covered: Coverage,
     explain: Callable[[Float64], Cause | None],
     *,
-    t_ns: Int64 | None = None,
+    pairs: Pairs | None = None,
     window: WindowStatistics | None = None,
     sigmas: SigmaStatistics | None = None,
     remarks: Iterable[str] = (),
@@ -130,14 +131,14 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         As for :class:`quatprop.comparison.result.Comparison`.
     explain
         Returns the likely cause, given the errors in rising order.
-    t_ns
-        Times of the pairs; None where the result need not have them, nor the errors.
+    pairs
+        What was compared; None where the result need not have it, nor the errors.
     """
     errors = meter.errors()
     final, largest = float(errors[-1]), meter.worst.error_rad
-    if t_ns is None:
+    if pairs is None:
         errors.sort()
-    rising = np.sort(errors) if t_ns is not None else errors
+    rising = errors if pairs is None else np.sort(errors)
     statistics = meter.statistics(rising, final)
     criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, covered, sigmas))
     passed = all(criterion.passed for criterion in criteria)
@@ -154,8 +155,8 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         )
         remarks = (*remarks, exact)
     return Comparison(
-        t_ns=np.empty(0, np.int64) if t_ns is None else t_ns,
-        errors=np.empty(0) if t_ns is None else errors,
+        pairs=pairs,
+        errors=np.empty(0) if pairs is None else errors,
         association=matching,
         time_offset=offset,
         alignment=meter.alignment,

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from quatprop.kinematics.quaternion import conjugate, log, multiply
 from quatprop.provenance import as_json
 
 if TYPE_CHECKING:
@@ -12,7 +15,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
-    from quatprop.comparison.association import Matching
+    from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.criteria import Coverage, Criterion
     from quatprop.comparison.diagnosis import Cause
@@ -21,9 +24,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
     from quatprop.text import Text
 
-_ARRAYS = ("t_ns", "errors")
+_ARRAYS = ("pairs", "errors")
 """Fields of a comparison that its report leaves out."""
-_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("one_sigma_rad",)}
+_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("one_sigma_rad", "axes_rad")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +51,11 @@ class Comparison:
 
     Parameters
     ----------
-    t_ns
-        Times of the pairs that were compared, shape ``(N,)``, int64 ns, in A's clock.
+    pairs
+        What was compared; None where files were compared while they were read, which keeps nothing
+        of a pair.
     errors
-        Their geodesic errors, shape ``(N,)``, rad. Both are empty where files were compared while
-        they were read, which keeps nothing of a pair.
+        Geodesic errors of the pairs, shape ``(N,)``, rad; empty where there are no pairs.
     association
         How the attitudes were matched in time.
     time_offset
@@ -85,7 +88,7 @@ class Comparison:
         What else a reader should know.
     """
 
-    t_ns: Int64
+    pairs: Pairs | None
     errors: Float64
     association: Matching
     time_offset: AppliedOffset
@@ -102,6 +105,19 @@ class Comparison:
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None
     remarks: tuple[str | Text, ...]
+
+    @property
+    def t_ns(self) -> Int64:
+        """Times of the pairs, shape ``(N,)``, ns, in A's clock."""
+        return np.empty(0, np.int64) if self.pairs is None else self.pairs.t_ns
+
+    @property
+    def error_vectors(self) -> Float64:
+        """Rotation vectors that turn B into A, shape ``(N, 3)``, rad, about the body axes."""
+        if self.pairs is None:
+            return np.empty((0, 3))
+        step = multiply(conjugate(self.alignment.apply(self.pairs.b)), self.pairs.a)
+        return log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
 
     def report(self) -> Mapping[str, Any]:
         """Return everything but the arrays, JSON-ready."""

@@ -47,6 +47,8 @@ class SigmaStatistics:
     one_sigma_rad
         The angle of an error of one standard deviation in the direction of each error, shape
         ``(N,)``, rad.
+    axes_rad
+        Standard deviations about the body axes, shape ``(N, 3)``, rad; 0 where they are unknown.
 
     References
     ----------
@@ -60,6 +62,7 @@ class SigmaStatistics:
     final: float
     max_ns: int
     one_sigma_rad: Float64 = field(compare=False, repr=False)
+    axes_rad: Float64 = field(compare=False, repr=False)
 
 
 def sigma_statistics(
@@ -80,13 +83,14 @@ def sigma_statistics(
     if not known:
         return None
     distances, angles = np.empty((2, len(pairs)))
-    is_exact = np.empty(len(pairs), np.bool_)
+    is_exact, axes = np.empty(len(pairs), np.bool_), np.empty((len(pairs), 3))
     for rows in blocks(len(pairs)):
         covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
         for t_ns, covariances in known:
             covariance += _interpolated(t_ns, covariances, pairs.t_ns[rows])
         is_known = np.isfinite(covariance).all(axis=(1, 2))
         covariance[~is_known] = 0.0
+        axes[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_exact[rows] = np.trace(covariance, axis1=1, axis2=2) == 0
         if alignment.name not in EXACT_ALIGNMENTS:
             is_known &= ~is_exact[rows]
@@ -108,6 +112,7 @@ def sigma_statistics(
         final=float(sigmas[-1]),
         max_ns=int(pairs.t_ns[places[sigmas.argmax()]]),
         one_sigma_rad=one_sigma,
+        axes_rad=axes,
     )
 
 
