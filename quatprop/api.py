@@ -19,6 +19,7 @@ from quatprop.text import Setting, Text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from os import PathLike
+    from pathlib import Path
     from typing import Unpack
 
     from quatprop.comparison.result import Comparison
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
+    from quatprop.pipeline.settings import PropagationSettings
     from quatprop.settings import AttitudeOptions, PropagateOptions, RateOptions
 
     StrPath: TypeAlias = str | PathLike[str]
@@ -277,14 +279,15 @@ sample_rate, clock
         if not len(log):
             raise SeriesError("Expected a series with samples, got an empty one")
         in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
-        return _propagated("series", in_memory)
+        return _propagated("series", in_memory, settings)
     path = _path("log", log)
     with (
         use_threads(settings.threads),
         open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
     ):
         signal = choose_rates(opened, settings.selection)
-        return _propagated(path, AttitudeStream(path, signal, settings, opened))
+        stream = AttitudeStream(path, signal, settings, opened)
+        return _propagated(path, stream, settings, opened.definition_files)
 
 
 def compare(
@@ -522,9 +525,16 @@ def _refuse_log_settings(options: Mapping[str, object]) -> None:
             raise UsageError(Setting(name), " is for logs, not for rates in memory", hint)
 
 
-def _propagated(path: str, stream: AttitudeStream) -> PropagatedSeries:
+def _propagated(
+    path: str,
+    stream: AttitudeStream,
+    settings: PropagationSettings,
+    definitions: Iterable[Path] = (),
+) -> PropagatedSeries:
+    from quatprop.pipeline.report import input_files
+
     series = AttitudeSeries.joined(list(stream))
-    report = stream.report()
+    report = replace(stream.report(), files=input_files(settings.inputs, definitions))
     _warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
 

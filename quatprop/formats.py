@@ -171,6 +171,7 @@ def _complete(log: MessageLog | TableLog, folders: list[Path], msg_path: str | P
     else:
         files = MsgFiles(folders)
     log.complete(files.completed)
+    log.definition_files = list(files.used.values())
     types: defaultdict[str, set[str]] = defaultdict(set)
     for channel in log.channels():
         types[channel.topic].add(channel.type_name)

@@ -57,7 +57,8 @@ def as_json(value: object) -> Any:
     if is_dataclass(value):
         items = {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
         # A digest says more about the same thing.
-        return {**items, **items.pop("digest")} if isinstance(items.get("digest"), dict) else items
+        digest = items.pop("digest", {})
+        return {**items, **digest}
     if isinstance(value, Mapping):
         return {str(key): as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

@@ -169,6 +169,28 @@ def test_references_do_not_depend_on_where_they_are_made(made, tmp_path):
         assert (folder / name).read_bytes() == (made / name).read_bytes()
 
 
+def test_references_do_not_depend_on_where_the_command_is_given(tmp_path, monkeypatch):
+    """Nor where cases name other files: their paths in the metadata are those of the suite."""
+    shutil.copyfile(SAMPLE_LOGS / "spin.csv", tmp_path / "spin.csv")
+    (tmp_path / "imu").mkdir()
+    (tmp_path / "imu" / "imu.yaml").write_text("gyroscope_noise_density: 1e-4\n")
+    (tmp_path / "suite.toml").write_text(
+        '[case.spin]\nlog = "spin.csv"\nreference = "spin.parquet"\nimu = "imu/imu.yaml"\n'
+    )
+    contents = []
+    for folder, suite in ((tmp_path, "suite.toml"), ("/", tmp_path / "suite.toml")):
+        monkeypatch.chdir(folder)
+        assert check(suite, "--update").exit_code == 0
+        contents.append((tmp_path / "spin.parquet").read_bytes())
+        (tmp_path / "spin.parquet").unlink()
+        (tmp_path / "suite.lock.json").unlink()
+    assert contents[0] == contents[1]
+    (tmp_path / "imu" / "imu.yaml").write_text("gyroscope_noise_density: 2e-4\n")
+    assert check(suite, "--update").exit_code == 0
+    (tmp_path / "spin.parquet").write_bytes(contents[0])
+    assert "its metadata have imu of SHA-256 '3dc44c013510' instead of '" in check(suite).stdout
+
+
 def test_the_output_is_the_same_for_any_number_of_processes(suite):
     """With two processes the text is that of one, whatever finishes first."""
     edit(suite, 'method = "coning"', 'method = "end"')

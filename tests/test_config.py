@@ -1,5 +1,6 @@
 """Options in a file."""
 
+import hashlib
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
@@ -142,19 +143,38 @@ def test_an_output_is_made_again_from_its_own_metadata(tmp_path, monkeypatch, na
     np.testing.assert_array_equal(series.wxyz, expected.wxyz)
 
 
-def test_a_configuration_of_an_output_names_files_wherever_it_is_kept(tmp_path, monkeypatch):
-    """Paths are those of the current folder, and a comment says what is not recorded."""
+def test_a_configuration_of_an_output_says_which_files_have_changed(tmp_path, monkeypatch):
+    """Paths are those of the current folder; what a file held is compared with what it holds."""
     monkeypatch.chdir(tmp_path)
     Path("imu.yaml").write_text(IMU)
-    run(
-        "propagate", SAMPLES / "spin.csv", "-o", "a.parquet", "--imu", "imu.yaml", "--q0", "1,0,0,0"
-    )
-    assert run("info", "a.parquet", "--as-config").stdout.splitlines()[2:] == [
-        "# imu: what the files held is not recorded, only where they were",
+    Path("at.csv").write_text("t_ns,qw,qx,qy,qz\n1700000000000000000,0,1,0,0\n")
+    log = SAMPLES / "spin.csv"
+    run("propagate", log, "-o", "a.parquet", "--imu", "imu.yaml", "--q0", "1,0,0,0",
+        "--at", "at.csv")  # fmt: skip
+    sums = {name: hashlib.sha256(Path(name).read_bytes()).hexdigest() for name in ("at.csv",
+            "imu.yaml")}  # fmt: skip
+    shown = run("info", "a.parquet", "--as-config")
+    assert shown.stderr == ""
+    assert shown.stdout.splitlines()[2:] == [
+        f"# at.csv: unchanged; its SHA-256 was {sums['at.csv']}",
+        f"# imu.yaml: unchanged; its SHA-256 was {sums['imu.yaml']}",
+        f'at = "{tmp_path / "at.csv"}"',
         f'imu = "{tmp_path / "imu.yaml"}"',
         'layout = "scalar-first"',
         'q0 = "1,0,0,0"',
     ]
+    Path("imu.yaml").write_text(IMU + "\n")
+    Path("at.csv").unlink()
+    shown = run("info", "a.parquet", "--as-config")
+    assert shown.exit_code == 0
+    assert shown.stdout.splitlines()[2:4] == [
+        f"# at.csv: it is missing; its SHA-256 was {sums['at.csv']}",
+        f"# imu.yaml: it has changed since; its SHA-256 was {sums['imu.yaml']}",
+    ]
+    assert shown.stderr == (
+        "Warning: at.csv, which a.parquet was made with: it is missing\n"
+        "Warning: imu.yaml, which a.parquet was made with: it has changed since\n"
+    )
 
 
 def test_settings_of_the_library_are_text_in_metadata(tmp_path):

@@ -163,3 +163,6 @@ def test_definitions_are_named_to_every_command(log, tmp_path):
             log, topic="/gyro", rate_field="angular", rate_unit="rad/s", msg_path=package
         )
     assert len(series) == 50
+    expected = {str(package / "msg" / f"{name}.msg") for name in ("Gyro", "Triple")}
+    assert {file.path for file in series.report.files} == expected
+    assert {file.digest.bytes for file in series.report.files} == {len(GYRO), len(TRIPLE)}

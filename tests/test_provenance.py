@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from mcap.writer import Writer as McapWriter
 
+from quatprop import GyroSeries, propagate
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
@@ -191,6 +192,40 @@ def test_a_propagation_tells_its_source(tmp_path, rates):
     for said in (kept, json.loads(report.read_text())):
         assert said["source"]["bytes"] == len(RATES)
         assert said["source"]["sha256"] == hashlib.sha256(RATES.encode()).hexdigest()
+        assert "digest" not in said["source"]
+
+
+def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
+    """What a setting names is in metadata and reports with size and SHA-256; a topic is not."""
+    monkeypatch.chdir(tmp_path)
+    texts = {
+        "q0.csv": "t_ns,qw,qx,qy,qz\n0,1,0,0,0\n3000000000,1,0,0,0\n",
+        "at.csv": "t_ns,qw,qx,qy,qz\n1500000000,1,0,0,0\n",
+        "bias.csv": "#timestamp,b_w_RS_S_x,b_w_RS_S_y,b_w_RS_S_z\n0,0,0,0\n3000000000,0,0,0\n",
+        "calibration.yaml": "matrix: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n",
+        "imu.yaml": "gyroscope_noise_density: 1e-4\n",
+    }
+    for name, text in texts.items():
+        Path(name).write_text(text)
+    settings = {name.partition(".")[0]: name for name in texts}
+    expected = [
+        {
+            "setting": setting,
+            "path": name,
+            "bytes": len(texts[name]),
+            "sha256": hashlib.sha256(texts[name].encode()).hexdigest(),
+        }
+        for setting, name in sorted(settings.items())
+    ]
+    options = [part for name, file in settings.items() for part in (f"--{name}", file)]
+    Path("rates.csv").write_text(RATES.replace("0,0,1", "0,0,0.1"))
+    run("propagate", "rates.csv", "-o", "out.parquet", "--report", "out.json", *options)
+    assert told("out.parquet")["files"] == json.loads(Path("out.json").read_text())["files"]
+    assert told("out.parquet")["files"] == expected
+    rates = GyroSeries([10**9, 2 * 10**9], [[0, 0, 0.1], [0, 0, 0.2]])
+    series = propagate(rates, **settings)
+    assert as_json(series.report.files) == expected
+    assert propagate(rates, q0="1,0,0,0").report.files == ()
 
 
 def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):

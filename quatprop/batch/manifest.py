@@ -203,7 +203,7 @@ def origin_digest(job: Job, options: str) -> str | None:
     None where a store does not say what it has.
     """
     files: list[tuple[object, ...]] = []
-    for name in (job.log, *job.settings.inputs):
+    for name in (job.log, *job.settings.inputs.values()):
         if is_address(name):
             try:
                 files += objects_of(name)

@@ -112,7 +112,7 @@ def plan(
         An output would replace a log.
     """
     paths = output_paths(logs, folder, suffix)
-    inputs = [*(log.path for log in logs), *job.settings.inputs]
+    inputs = [*(log.path for log in logs), *job.settings.inputs.values()]
     if not is_address(folder):
         refuse_overlap(inputs, [*paths, *manifest.files])
     elif replaced := {log_name(name) for name in inputs} & {log_name(path) for path in paths}:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.check.case import Case
+from quatprop.check.inputs import DIGITS
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
 from quatprop.provenance import digest_of
@@ -70,9 +71,8 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
     target = Path(str(case.reference))
     report = replace(run.report, seconds=None).as_json()
     # The content must not depend on the folder in which it was made.
-    report["source"] = {**report["source"], "path": Path(case.log).name}
-    if "q0" in hashes:
-        report["convention"] = {**report["convention"], "q0_from": case.options["q0"]}
+    names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
+    report = _with_names(report, names)
     report[PROVENANCE_KEY] = {
         "case": case.name,
         "options": dict(case.options),
@@ -83,6 +83,15 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
     with open_writer(target, "parquet", layout="scalar-first") as writer:
         writer.write(run.series)
         writer.commit(report)
+
+
+def _with_names(value: Any, names: Mapping[str, str]) -> Any:
+    """Return JSON with the paths of inputs as the suite has them."""
+    if isinstance(value, dict):
+        return {key: _with_names(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_names(item, names) for item in value]
+    return names.get(value, value) if isinstance(value, str) else value
 
 
 def refuse_replacing(target: Path) -> None:
@@ -131,6 +140,11 @@ def describe_provenance(case: Case, pin: Pin) -> str:
     facts += [
         (key, options.get(key, DEFAULT), case.options.get(key, DEFAULT))
         for key in sorted(options.keys() | case.options.keys())
+    ]
+    facts += [
+        (f"{key} of SHA-256", str(digest)[:DIGITS], pin.inputs[key][:DIGITS])
+        for key, digest in sorted((check.get("inputs") or {}).items())
+        if key in pin.inputs
     ]
     differences = ", ".join(
         f"{plain(key)} {quoted(actual)} instead of {quoted(expected)}"

@@ -11,6 +11,7 @@ import click
 
 from quatprop.cli.spelling import option
 from quatprop.cli.types import PATH
+from quatprop.provenance import as_json
 from quatprop.settings.parsers import file_beside
 from quatprop.text import Setting, did_you_mean, plain, quoted
 
@@ -83,18 +84,40 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
     ]
     if provenance.get("conversions"):
         lines.append("# converted afterwards, which this does not repeat")
+    for file in provenance.get("files", ()):
+        name, was = ("ETag", file["etag"]) if "etag" in file else ("SHA-256", file["sha256"])
+        state = _state(file)
+        lines.append(f"# {plain(file['path'])}: {state}; its {name} was {was}")
+        if state != UNCHANGED:
+            click.echo(
+                f"Warning: {plain(file['path'])}, which {plain(path)} was made with: {state}",
+                err=True,
+            )
     # As it may be kept in any folder.
     files = {
         name: str(file)
         for name, value in settings.items()
         if isinstance(value, str) and (file := file_beside(name, value, Path.cwd()))
     }
-    if files:
-        keys = ", ".join(option(Setting(name))[2:] for name in files)
-        lines.append(f"# {keys}: what the files held is not recorded, only where they were")
     for name, value in {**settings, **files}.items():
         lines.append(f"{option(Setting(name))[2:]} = {json.dumps(value)}")
     return "\n".join(lines)
+
+
+UNCHANGED = "unchanged"
+
+
+def _state(file: Mapping[str, Any]) -> str:
+    """Return whether a file holds what it held when an output was made, in words."""
+    from quatprop.pipeline.report import digest_of_input
+
+    if file["bytes"] is None:
+        return "not known, as it was a pipe"
+    now = as_json(digest_of_input(file["path"]))
+    if now["bytes"] is None:
+        return "it is missing"
+    changed = any(now[key] != file[key] for key in now)
+    return "it has changed since" if changed else UNCHANGED
 
 
 config_option = click.option(

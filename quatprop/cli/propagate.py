@@ -89,7 +89,7 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
 
     settings, output = job.settings, job.output
     resampled = settings.rate is not None or settings.at is not None
-    inputs = [job.log, *settings.inputs]
+    inputs = [job.log, *settings.inputs.values()]
     outputs = [output.path, output.report]
     return PropagationPicture(plot, inputs, outputs, resampled=resampled, spell=spelled)
 

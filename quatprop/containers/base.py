@@ -198,6 +198,8 @@ class Log(ABC):
     remarks
         What may be wrong with the log, though it cannot be told for certain; grows while the log
         is read.
+    definition_files
+        Files beside the log that message definitions were taken from.
     unchecked_chunks
         Chunks of which only selected messages were read, so that the checksum of the whole chunk
         was not compared; grows while the log is read.
@@ -205,6 +207,7 @@ class Log(ABC):
 
     kind: str
     remarks: Sequence[str] = ()
+    definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
 
     def __init__(self, path: Path) -> None:

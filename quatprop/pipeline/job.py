@@ -13,7 +13,7 @@ from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.pipeline.attitude_stream import AttitudeStream
-from quatprop.pipeline.report import ReportFile
+from quatprop.pipeline.report import ReportFile, input_files
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
@@ -90,23 +90,16 @@ def run(
         The result cannot be written.
     """
     began = time.perf_counter()
-    settings, output = job.settings, job.output
+    settings = job.settings
     _refuse_contradictions(job)
-    if not output.into:
-        layout = layout_of(kind_of(output.path, output.to), output.layout).name
-        output = replace(output, layout=layout)
     stored = digest_of_object(job.log) if is_address(job.log) else None
     with (
         use_threads(settings.threads),
         open_log(
-            job.log, settings.kind, msg_path=settings.selection.msg_path, copied=output.into
+            job.log, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
         ) as log,
     ):
-        if output.into:
-            from quatprop.into import copy_kind
-
-            kind = copy_kind(log, output.path, output.to)
-            output = replace(output, to=kind, layout=layout_of(kind, output.layout).name)
+        output = _with_layout(job.output, log)
         source = choose_rates(log, settings.selection)
         # Where no file keeps it, reading the source once more is not worth its time.
         kept = output.report is not None or keeps_provenance(
@@ -138,6 +131,7 @@ def run(
             report = replace(
                 report,
                 settings={**report.settings, **output.given},
+                files=input_files(settings.inputs, log.definition_files) if kept else (),
                 remarks=(*report.remarks, *format_remarks(output.path, output.to)),
             )
             # Everything that can fail comes before the first output is put in its place.
@@ -149,6 +143,17 @@ def run(
             writer.publish()
             report_file.publish()
     return report
+
+
+def _with_layout(output: OutputSettings, log: MessageLog | TableLog) -> OutputSettings:
+    """Return where attitudes go, with the format and the order of its columns."""
+    if output.into:
+        from quatprop.into import copy_kind
+
+        kind = copy_kind(log, output.path, output.to)
+    else:
+        kind = kind_of(output.path, output.to)
+    return replace(output, to=kind, layout=layout_of(kind, output.layout).name)
 
 
 def open_output(
@@ -185,10 +190,12 @@ def open_output(
 
 
 def _refuse_contradictions(job: Job) -> None:
-    settings = job.settings
+    settings, output = job.settings, job.output
+    if not output.into:
+        layout_of(kind_of(output.path, output.to), output.layout)
     if not settings.q0.source:
         unit_q0(settings.q0.wxyz)
-    refuse_overlap([job.log, *settings.inputs], [job.output.path, job.output.report])
+    refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
     if job.log == "-" and settings.needs_second_read:
         raise UsageError(
             *("stdin can be read only once; ", Setting("bias", "static"), ", "),

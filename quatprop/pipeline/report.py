@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.provenance import Digest, JsonObject, as_json
+from quatprop.containers.stores import digest_of_object, is_address, without_secret
+from quatprop.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
     from typing import Self
 
     import numpy as np
@@ -60,6 +62,47 @@ class SourceReport:
     rate: str
     rate_unit: str
     clock: str
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file that was read beside the log.
+
+    Parameters
+    ----------
+    setting
+        The one that names it; for message definitions ``"msg_path"``, wherever they were found.
+    path
+        Where it was.
+    digest
+        Its size and SHA-256.
+    """
+
+    setting: str
+    path: str
+    digest: Digest
+
+
+def input_files(inputs: Mapping[str, str], definitions: Iterable[Path]) -> tuple[InputFile, ...]:
+    """Return what the files held that were read beside a log, by setting and path.
+
+    Parameters
+    ----------
+    inputs
+        Setting -> the path or the address that it names.
+    definitions
+        Files of message definitions.
+    """
+    named = [*inputs.items(), *(("msg_path", str(path)) for path in definitions)]
+    return tuple(
+        InputFile(setting, without_secret(path), digest_of_input(path))
+        for setting, path in sorted(named)
+    )
+
+
+def digest_of_input(path: str) -> Digest:
+    """Return the digest of a file, a folder or an object in a store."""
+    return digest_of_object(path) if is_address(path) else digest_of(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +203,8 @@ class RunReport:
         report is kept nowhere.
     settings
         What was asked for, by the names of settings, as text.
+    files
+        What the files held that were read beside the log; empty where the report is kept nowhere.
     losses
         What of the log could not be read.
     remarks
@@ -181,6 +226,7 @@ class RunReport:
     uncertainty: UncertaintyReport | None
     result: ResultReport
     settings: Mapping[str, str | bool]
+    files: tuple[InputFile, ...] = ()
     unchecked_chunks: int = 0
     seconds: float | None = None
 
@@ -200,6 +246,7 @@ class RunReport:
             "source": as_json(self.source),
             "convention": {**as_json(self.convention), "side": self.convention.side},
             "settings": dict(self.settings),
+            "files": as_json(self.files),
             "policy": as_json(self.policy),
             "counts": as_json(self.counts),
             "losses": as_json(self.losses),

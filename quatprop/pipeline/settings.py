@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import Conditioning
-from quatprop.containers.stores import without_secret
+from quatprop.containers.stores import is_address, without_secret
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
 from quatprop.settings import SELECT_RATES, as_text, parse_all
-from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias
+from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias, file_beside
 from quatprop.text import Setting
 from quatprop.timeline.policy import Policy
 
@@ -106,18 +106,24 @@ class PropagationSettings:
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        is_topic = bool(self.q0.source) and self.q0.source not in self.inputs
+        is_topic = bool(self.q0.source) and "q0" not in self.inputs
         return self.conditioning.looks_ahead or is_topic
 
     @property
-    def inputs(self) -> list[str]:
-        """Files that are read beside the log."""
-        beside = None if self.q0.source in FROM_THE_LOG else self.q0.source
-        series = [path for path in (beside, self.conditioning.bias_from) if path]
-        # What is no file is a topic of the log.
-        there = [path for path in series if Path(path).exists()]
-        paths = (*there, self.at, self.conditioning.calibration, self.errors.imu)
-        return [path for path in paths if path]
+    def inputs(self) -> Mapping[str, str]:
+        """Files that are read beside the log, but for message definitions: setting -> path."""
+        named = {
+            "at": self.at,
+            "bias": self.conditioning.bias_from,
+            "calibration": self.conditioning.calibration,
+            "imu": self.errors.imu,
+            "q0": self.q0.source,
+        }
+        return {
+            name: path
+            for name, path in named.items()
+            if path and (is_address(path) or file_beside(name, path, Path()))
+        }
 
 
 @dataclass(frozen=True, slots=True)
