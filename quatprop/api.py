@@ -473,15 +473,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     wanted = attitude_input(_path("source", source), options)
     report = convert_file(
         Conversion(
-            log=wanted.path,
+            source=wanted,
             output=OutputSettings(_path("output", output), to=to, layout=layout, beside=beside),
-            kind=wanted.kind,
-            selection=wanted.selection,
             meaning=Meaning(convention, direction),
             sign=sign,
             representation=str(representation).lower(),
-            normalize=wanted.normalize,
-            drop=wanted.drop,
         )
     )
     if report.data_lost:

@@ -26,6 +26,7 @@ from quatprop.conversion.settings import Conversion
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
+from quatprop.signals.attitude_input import AttitudeInput
 from quatprop.writers import open_writer
 
 ROWS = 2_000
@@ -137,7 +138,7 @@ def test_scipy_turns_vectors_the_same_way(tmp_path, layout):
     matrices = tmp_path / "matrices.npy"
     convert(
         Conversion(
-            str(tmp_path / "attitude.parquet"),
+            AttitudeInput(str(tmp_path / "attitude.parquet")),
             OutputSettings(str(matrices)),
             representation="matrix",
         )
@@ -236,7 +237,9 @@ def test_angles_and_vectors_mean_to_scipy_what_they_are_called(tmp_path):
         ("rotvec", ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), Rotation.from_rotvec),
     ):  # fmt: skip
         target = tmp_path / f"{form}.parquet"
-        convert(Conversion(str(source), OutputSettings(str(target)), representation=form))
+        convert(
+            Conversion(AttitudeInput(str(source)), OutputSettings(str(target)), representation=form)
+        )
         table = parquet.read_table(target)
         rows = np.column_stack([table[name] for name in columns])
         assert geodesic_angle(rebuild(rows).as_quat(scalar_first=True), WXYZ).max() < 2e-14

@@ -14,6 +14,7 @@ from quatprop.log_kinds import READERS
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
+from quatprop.signals.attitude_input import AttitudeInput
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.writers import WRITERS, open_writer
 
@@ -94,7 +95,7 @@ def test_converted_to_any_other_format_it_is_the_same_to_the_bit(tmp_path, first
     assert read(source)[2] == LAYOUTS[layout].name
     target = tmp_path / f"converted{SUFFIX.get(other, '.' + other)}"
     output = OutputSettings(str(target), to=other, layout=other_layout)
-    convert(Conversion(str(source), output))
+    convert(Conversion(AttitudeInput(str(source)), output))
     t_ns, wxyz, found = read(target)
     assert t_ns.tobytes() == attitudes.t_ns.tobytes()
     assert wxyz.tobytes() == attitudes.wxyz.tobytes()
@@ -117,19 +118,21 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
     """Zero, NaN and a length beyond the tolerance: counted by kind, the first with its stamp."""
     path = written(tmp_path, kind, layout, Unsound())
     target = tmp_path / "converted.parquet"
+    output = OutputSettings(str(target))
     sentence = (
         r"3 of 5 rows are invalid quaternions \(1 all zero, 1 off unit length by up to 0.01, 1 "
         r"absent or not finite\), the first is row 1 at 1000000000 ns; normalize scales those of "
         r"another length, on_invalid='drop' leaves them out"
     )
     with pytest.raises(NotRotationsError, match=sentence):
-        convert(Conversion(str(path), OutputSettings(str(target))))
+        convert(Conversion(AttitudeInput(str(path)), output))
     assert not target.exists()
-    counts = convert(Conversion(str(path), OutputSettings(str(target)), drop=True)).counts
+    counts = convert(Conversion(AttitudeInput(str(path), drop=True), output)).counts
     assert (counts.read, counts.used) == (5, 2)
     assert (counts.zero, counts.not_unit, counts.not_finite) == (1, 1, 1)
     assert (counts.first, counts.first_ns) == (1, 1_000_000_000)
-    report = convert(Conversion(str(path), OutputSettings(str(target)), drop=True, normalize=True))
+    scaled = AttitudeInput(str(path), drop=True, normalize=True)
+    report = convert(Conversion(scaled, output))
     assert report.counts.normalized == 1
     assert read(target)[0].tolist() == [0, 3_000_000_000, 4_000_000_000]
 

@@ -92,39 +92,34 @@ def command(*, quiet: bool, **chosen: Any) -> None:
     from quatprop.conversion.convert import convert
     from quatprop.conversion.settings import Conversion
 
-    wanted = input_of(chosen["log"], chosen)
     job = Conversion(
-        log=wanted.path,
+        source=input_of(chosen["log"], chosen),
         output=output_settings(chosen, "OUT"),
-        kind=wanted.kind,
-        selection=wanted.selection,
         meaning=Meaning(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
         representation=with_unit(chosen["representation"], chosen["euler_unit"]),
-        normalize=wanted.normalize,
-        drop=wanted.drop,
     )
     with progress(quiet=quiet):
         report = convert(job)
     if not quiet:
-        show(_summary(job.output.path, report), indent=5)
+        show(_summary(report), indent=5)
     if report.data_lost:
         raise click.exceptions.Exit(3)
 
 
-def _summary(output: str, report: ConversionReport) -> Iterator[str]:
+def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
     from quatprop.rendering import loss_lines, source_text
 
-    source, stored, written, counts = report.source, report.stored, report.written, report.counts
+    job, source, stored, counts = report.job, report.source, report.signal, report.counts
     order = stored.layout or stored.representation
     stored_as = f"{stored.meaning.convention} {stored.meaning.direction}, {order}"
-    written_as = f"{written.meaning.convention} {written.meaning.direction}"
+    written_as = f"{job.meaning.convention} {job.meaning.direction}"
     name = source_text(source.name, source.type)
     yield f"in   {plain(source.path)} ({source.kind}): {name}; {stored_as}, {source.clock} clock"
     yield (
-        f"out  {plain(output)}: {counts.used:,} rows of {written.representation}, {written_as}, "
-        f"{','.join(written.columns)}"
+        f"out  {plain(job.output.path)}: {counts.used:,} rows of {job.representation}, "
+        f"{written_as}, {','.join(report.columns)}"
     )
     if counts.normalized:
         yield (

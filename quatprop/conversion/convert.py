@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.rates import RATES, rate_batches
-from quatprop.conversion.report import conversion_report, written_columns
+from quatprop.conversion.report import ConversionReport, ConversionSource, written_columns
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import copy_kind
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import Any
 
-    from quatprop.conversion.report import ConversionReport
     from quatprop.conversion.settings import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
@@ -49,23 +49,23 @@ def convert(job: Conversion) -> ConversionReport:
         Settings contradict each other.
     """
     _refuse_contradictions(job)
-    refuse_overlap([job.log], [job.output.path, job.output.report])
-    with open_log(job.log, job.kind, msg_path=job.selection.msg_path) as log:
-        output = job.output
+    wanted, output = job.source, job.output
+    refuse_overlap([wanted.path], [output.path, output.report])
+    with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
         if output.into:
             output = replace(output, to=copy_kind(log, output.path, output.to))
             job = replace(job, output=output)
-        source = choose_attitudes(log, job.selection)
+        source = choose_attitudes(log, wanted.selection)
         known = _covariances(source)
         sigma = kept_sigma(job, source) if known else None
-        check = QuaternionCheck(job.log, normalize=job.normalize, drop=job.drop)
+        check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         signs = Signs(job.applied_sign)
         # The digest takes another pass over the source: only where something keeps it.
         kept = keeps_provenance(output.path, output.to, comment=output.comment)
         with (
             ReportFile(output.report) as report_file,
             open_destination(job, log, sigma) as target,
-            DigestThread(job.log, hashed=kept or output.report is not None) as digest,
+            DigestThread(wanted.path, hashed=kept or output.report is not None) as digest,
         ):
             # A reference that is turned into the body is no place for a position.
             keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
@@ -76,7 +76,7 @@ def convert(job: Conversion) -> ConversionReport:
             for series in _as_written(job, check.apply(rows), signs):
                 write(series)
             if not check.counts.used:
-                raise NoSamplesError(job.log, source.name)
+                raise NoSamplesError(wanted.path, source.name)
             columns = written_columns(job, sigma)
             remarks = (
                 *(*source.remarks, *log.remarks),
@@ -88,14 +88,21 @@ def convert(job: Conversion) -> ConversionReport:
                     lost_columns=[name for name in source.rotation_columns if name not in columns],
                 ),
             )
-            report = conversion_report(
-                job,
-                log,
-                source,
-                counts=check.counts,
-                digest=digest.result(),
-                remarks=remarks,
+            report = ConversionReport(
+                job=job,
+                source=ConversionSource(
+                    path=without_secret(wanted.path),
+                    kind=log.kind,
+                    digest=digest.result(),
+                    name=source.name,
+                    type=source.type_name,
+                    clock=source.clock,
+                ),
+                signal=source,
                 columns=columns,
+                counts=check.counts,
+                losses=tuple(log.losses),
+                remarks=remarks,
             )
             provenance = report.provenance()
             target.finish(provenance)
@@ -118,7 +125,7 @@ def _as_written(
 ) -> Iterator[AttitudeSeries | GyroSeries]:
     """Yield rates, or attitudes with the meaning and the signs that are written."""
     if job.representation in RATES:
-        yield from rate_batches(job.log, batches, RATES[job.representation])
+        yield from rate_batches(job.source.path, batches, RATES[job.representation])
         return
     for series in batches:
         yield replace(series, wxyz=signs.applied(job.meaning.converted(series.wxyz)))

@@ -18,8 +18,6 @@ from quatprop.writers import (
     format_remarks,
     holds_covariances,
     keeps_provenance,
-    kind_of,
-    layout_of,
     open_table,
 )
 from quatprop.writers.base import AttitudeWriter
@@ -31,7 +29,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import MessageLog
     from quatprop.conversion.settings import Conversion
-    from quatprop.pipeline.settings import OutputSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
@@ -81,8 +78,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:
     They are kept where both sides have a place for them, and are Hamilton and body to reference:
     another direction or convention changes what they are about.
     """
-    output = job.output
-    has_place = holds_covariances(kind_of(output.path, output.to), output.message)
+    has_place = holds_covariances(job.kind, job.output.message)
     is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
     kept = has_place and is_plain and source.may_have_covariances
     return (source.sigma_axes or "body") if kept else None
@@ -116,16 +112,16 @@ def open_destination(
         return ColumnTable(table(RATE_COLUMNS), lambda series: series.rate)
     if job.meaning == HAMILTON:
         return open_output(
-            output, log, lambda again: choose_attitudes(again, job.selection).stamps(), sigma
+            output, log, lambda again: choose_attitudes(again, job.source.selection).stamps(), sigma
         )
-    kind = kind_of(output.path, output.to)
-    _refuse_other_conventions(output, kind)
-    layout = layout_of(kind, output.layout)
+    _refuse_other_conventions(job)
+    layout = job.layout
     return ColumnTable(table(layout.columns), lambda series: series.wxyz[:, list(layout.order)])
 
 
-def _refuse_other_conventions(output: OutputSettings, kind: str) -> None:
+def _refuse_other_conventions(job: Conversion) -> None:
     """Refuse formats that define a convention themselves."""
+    output, kind = job.output, job.kind
     if not WRITERS[kind].columns:
         raise OutputError(
             output.path,

@@ -6,19 +6,16 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.containers.stores import without_secret
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
 from quatprop.series import SIGMA_COLUMNS
-from quatprop.writers import WRITERS, kind_of, layout_of
+from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.containers.base import Log, Loss
-    from quatprop.conventions import Meaning
-    from quatprop.conventions.layout import Layout
+    from quatprop.containers.base import Loss
     from quatprop.conversion.settings import Conversion
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
@@ -50,60 +47,34 @@ class ConversionSource:
 
 
 @dataclass(frozen=True, slots=True)
-class AttitudeFormat:
-    """How attitudes are stored.
-
-    Parameters
-    ----------
-    representation
-        ``"quaternion"`` or a key of :data:`quatprop.conventions.REPRESENTATIONS`.
-    layout
-        Order of the components; None where there are none.
-    meaning
-        What the numbers mean.
-    columns
-        Field or columns.
-    """
-
-    representation: str
-    layout: str | None
-    meaning: Meaning
-    columns: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class ConversionReport:
     """What a conversion read and wrote.
 
     Parameters
     ----------
+    job
+        What was to be done.
     source
         Where the attitudes came from.
-    stored, written
-        How they were stored, and how they are now.
-    sign
-        The choice between q and -q.
-    normalize
-        Whether rows were scaled to unit length.
+    signal
+        How they were stored there, and how they were made.
+    columns
+        The names of what is written beside timestamps.
     counts
         Valid and invalid rows.
     losses
         What could not be read.
     remarks
         What a reader should know.
-    history
-        The provenance of the source.
     """
 
+    job: Conversion
     source: ConversionSource
-    stored: AttitudeFormat
-    written: AttitudeFormat
-    sign: str
-    normalize: bool
+    signal: AttitudeSignal
+    columns: tuple[str, ...]
     counts: QuaternionCounts
     losses: tuple[Loss, ...]
     remarks: tuple[str | Text, ...]
-    history: Mapping[str, Any]
 
     @property
     def data_lost(self) -> bool:
@@ -112,45 +83,46 @@ class ConversionReport:
 
     def provenance(self) -> Mapping[str, Any]:
         """Return the provenance of the output, JSON-ready."""
-        source, stored, written = as_json(self.source), self.stored, self.written
-        layout = {"layout": written.layout} if written.layout else {}
+        job, signal, history = self.job, self.signal, self.signal.provenance
+        source = as_json(self.source)
+        is_quaternion = job.representation == QUATERNION
         terms = {
-            "representation": written.representation,
-            **asdict(written.meaning),
-            **layout,
-            "columns": list(written.columns),
-            "sign": self.sign,
+            "representation": job.representation,
+            **asdict(job.meaning),
+            **({"layout": job.layout.name} if is_quaternion else {}),
+            "columns": list(self.columns),
+            "sign": job.applied_sign,
         }
         step = {
             "quatprop": __version__,
             "source": source,
             "from": {
-                "representation": stored.representation,
-                "layout": stored.layout,
-                **asdict(stored.meaning),
-                "field": ",".join(stored.columns),
+                "representation": signal.representation,
+                "layout": signal.layout,
+                **asdict(signal.meaning),
+                "field": signal.field,
             },
             "to": terms,
-            "normalize": self.normalize,
+            "normalize": job.source.normalize,
             "counts": as_json(self.counts),
             "losses": as_json(self.losses),
             "remarks": as_json(self.remarks),
         }
-        convention = _entry(self.history, "convention", dict)
-        hamilton = written.meaning.convention == "hamilton"
+        convention = _entry(history, "convention", dict)
+        hamilton = job.meaning.convention == "hamilton"
         return {
-            **self.history,
+            **history,
             "quatprop": __version__,
-            "source": self.history.get("source", source),
+            "source": history.get("source", source),
             "convention": {
                 "time": "int64 nanoseconds",
                 **{name: value for name, value in convention.items() if name != "layout"},
                 "product": "Hamilton, ij = k" if hamilton else "JPL, ij = -k",
-                "attitude": written.meaning.description,
+                "attitude": job.meaning.description,
                 **terms,
             },
-            "conversions": [*_entry(self.history, "conversions", list), step],
-            "data_lost": bool(self.history.get("data_lost") or self.data_lost),
+            "conversions": [*_entry(history, "conversions", list), step],
+            "data_lost": bool(history.get("data_lost") or self.data_lost),
         }
 
 
@@ -160,45 +132,10 @@ def written_columns(job: Conversion, sigma: str | None) -> tuple[str, ...]:
         return RATE_COLUMNS
     if job.representation != QUATERNION:
         return REPRESENTATIONS[job.representation].columns
-    columns, output = _layout(job).columns, job.output
-    if output.beside is not None:
-        columns += REPRESENTATIONS[output.beside].columns
-    has_columns = WRITERS[kind_of(output.path, output.to)].columns
-    return columns + (SIGMA_COLUMNS if sigma and has_columns else ())
-
-
-def _layout(job: Conversion) -> Layout:
-    return layout_of(kind_of(job.output.path, job.output.to), job.output.layout)
-
-
-def conversion_report(  # noqa: PLR0913  # the parts of a conversion
-    job: Conversion,
-    log: Log,
-    source: AttitudeSignal,
-    *,
-    counts: QuaternionCounts,
-    digest: Digest,
-    remarks: tuple[str | Text, ...],
-    columns: tuple[str, ...],
-) -> ConversionReport:
-    """Return the report of a conversion."""
-    layout = _layout(job).name if job.representation == QUATERNION else None
-    path = without_secret(job.log)
-    return ConversionReport(
-        source=ConversionSource(
-            path, log.kind, digest, source.name, source.type_name, source.clock
-        ),
-        stored=AttitudeFormat(
-            source.representation, source.layout, source.meaning, (source.field,)
-        ),
-        written=AttitudeFormat(job.representation, layout, job.meaning, columns),
-        sign=job.applied_sign,
-        normalize=job.normalize,
-        counts=counts,
-        losses=tuple(log.losses),
-        remarks=remarks,
-        history=source.provenance,
-    )
+    columns, beside = job.layout.columns, job.output.beside
+    if beside is not None:
+        columns += REPRESENTATIONS[beside].columns
+    return columns + (SIGMA_COLUMNS if sigma and WRITERS[job.kind].columns else ())
 
 
 def _entry(provenance: Mapping[str, Any], name: str, kind: type[Any]) -> Any:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from quatprop.conventions import HAMILTON, Meaning
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
-from quatprop.selection import AttitudeSelection
+from quatprop.writers import kind_of, layout_of
 
 if TYPE_CHECKING:
+    from quatprop.conventions.layout import Layout
     from quatprop.pipeline.settings import OutputSettings
+    from quatprop.signals.attitude_input import AttitudeInput
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +21,10 @@ class Conversion:
 
     Parameters
     ----------
-    log
-        Path, or ``"-"`` for CSV on stdin.
+    source
+        Which attitudes.
     output
-        Where the attitudes go, in which format and layout.
-    kind
-        Kind of the log; None: by content and suffix.
-    selection
-        Which attitudes, and what their numbers mean where the log does not say it.
+        Where they go, in which format and layout.
     meaning
         What the written numbers mean.
     sign
@@ -35,21 +33,23 @@ class Conversion:
     representation
         ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
         :data:`quatprop.conversion.rates.RATES`.
-    normalize
-        Scale rows to unit length.
-    drop
-        Leave out invalid quaternions.
     """
 
-    log: str
+    source: AttitudeInput
     output: OutputSettings
-    kind: str | None = None
-    selection: AttitudeSelection = field(default_factory=AttitudeSelection)
     meaning: Meaning = HAMILTON
     sign: str = "keep"
     representation: str = QUATERNION
-    normalize: bool = False
-    drop: bool = False
+
+    @property
+    def kind(self) -> str:
+        """The format that is written, a key of :data:`quatprop.writers.WRITERS`."""
+        return kind_of(self.output.path, self.output.to)
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of quaternions, where those are written."""
+        return layout_of(self.kind, self.output.layout)
 
     @property
     def applied_sign(self) -> str:
