@@ -3,6 +3,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+READY_DEMO := $(VENV)/.ready-demo
 READY := $(VENV)/.ready-dev
 READY_BENCH := $(VENV)/.ready-bench
 # Exact versions, so that the sample logs and the test results are the same on every machine.
@@ -28,15 +29,19 @@ $(BIN)/python:
 		{ echo 'quatprop needs Python 3.11 or newer: make PYTHON=/path/to/python3'; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
+$(READY_DEMO): pyproject.toml .ci/constraints.txt | $(BIN)/python
+	$(INSTALL) --editable '.[plot]'
+	@touch $@
+
 $(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python
 	$(INSTALL) --editable '.[dev]'
-	@touch $@
+	@touch $@ $(READY_DEMO)
 
 $(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python
 	$(INSTALL) --editable '.[dev,bench]'
-	@touch $@ $(READY)
+	@touch $@ $(READY) $(READY_DEMO)
 
-demo: $(READY)
+demo: $(READY_DEMO)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh sample_logs/demo.sh
 
 test: $(READY)

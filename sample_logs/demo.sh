@@ -29,7 +29,7 @@ run quatprop info sample_logs/spin.csv sample_logs/coning.mcap sample_logs/tumbl
     sample_logs/tumbling_ros2 sample_logs/rest.parquet
 
 printf '\nFrom a log to its attitude series:\n'
-run quatprop propagate sample_logs/tumbling.bag -o "$out/tumbling.csv" --method coning
+run quatprop propagate sample_logs/tumbling.bag -o "$out/tumbling.csv" --method coning --plot "$out/tumbling.png"
 run head -n 3 "$out/tumbling.csv"
 
 printf '\nHow far that is from the truth, which is known in closed form:\n'
@@ -42,4 +42,4 @@ errors tumbling.bag tumbling.truth.csv start mean coning cubic
 errors tumbling_ros2 tumbling.truth.csv coning
 errors rest.parquet rest.truth.parquet start
 printf '\nA constant rate is exact with every method; moving axes need coning or cubic; a gyroscope at rest\n'
-printf 'with a bias drifts with it. The results are in %s.\n' "$out"
+printf 'with a bias drifts with it. The results and a picture are in %s.\n' "$out"

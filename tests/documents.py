@@ -104,10 +104,10 @@ class Document:
             result = CliRunner().invoke(cli, shlex.split(words, comments=True)[1:])
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
-        path = f"{self.folder / '.bin'}{os.pathsep}{os.environ['PATH']}"
+        folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
         done = subprocess.run(
             ["/bin/bash", "-c", command],
-            env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
+            env={**os.environ, "PATH": os.pathsep.join(map(str, folders)), "PYTHONPATH": str(ROOT)},
             capture_output=True,
             text=True,
             check=False,

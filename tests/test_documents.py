@@ -10,6 +10,10 @@ from click.testing import CliRunner
 from documents import GUIDES, ROOT, Document
 
 from quatprop.cli import cli
+from quatprop.containers.base import Channel
+from quatprop.messages.message_types import MESSAGE_TYPES
+from quatprop.messages.signal_fields import rate_fields
+from quatprop.messages.stamps import Stamp
 
 README = ROOT / "README.md"
 DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]
@@ -62,6 +66,16 @@ def test_the_library_guide_is_true(ran):
     assert recorded == ["coning [1.0, 0.0, 0.0, 0.0]"] * 3
     assert len(document.names["attitudes"]) == 1000
     assert (document.folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg")
+
+
+def test_the_development_guide_adds_a_message_type(ran, monkeypatch):
+    """With its row, the rate of such a message is found with unit and time."""
+    ((name, row),) = ran(GUIDES / "development.md").names["row"].items()
+    monkeypatch.setitem(MESSAGE_TYPES, name, row)
+    channel = Channel("/t", name, "cdr", "ros2msg", b"uint64 stamp_us\nfloat64[3] rate\n")
+    (field,) = rate_fields(channel, "log")
+    assert (field.name, field.unit, field.absent) == ("rate", "deg/s", None)
+    assert field.stamps == (Stamp(("stamp_us",), "us"),)
 
 
 def test_a_batch_of_one_machine_is_done(ran, tmp_path):
