@@ -187,7 +187,7 @@ def test_stamps_are_exact_for_rates_that_divide_no_second():
 def test_noise_and_bias_are_as_told():
     """White noise has deviation N sqrt(rate), the mean is the bias."""
     told = Gyroscope(Fraction(400), 100_000, noise=2e-3, bias=(0.1, 0.0, -0.2), seed=5)
-    batches = [measured.rate for measured, _ in record(motion_named("rest", SHAPE), told)]
+    batches = [series.rate for series in record(motion_named("rest", SHAPE), told)]
     rate = np.concatenate(batches)
     assert len(batches) > 1
     np.testing.assert_allclose(rate.std(axis=0), 0.04, rtol=0.01)
@@ -203,21 +203,21 @@ def test_batches_cannot_be_seen(name, monkeypatch):
     (whole,) = record(motion_named(name, SHAPE), told)
     monkeypatch.setattr(gyroscope, "BATCH", 7)
     parts = list(record(motion_named(name, SHAPE), told))
-    rate = np.concatenate([measured.rate for measured, _ in parts])
-    wxyz = np.concatenate([truth.wxyz for _, truth in parts])
-    np.testing.assert_array_equal(rate, whole[0].rate)
-    np.testing.assert_allclose(wxyz, whole[1].wxyz, rtol=0, atol=3e-16)
+    rate = np.concatenate([part.rate for part in parts])
+    wxyz = np.concatenate([part.wxyz for part in parts])
+    np.testing.assert_array_equal(rate, whole.rate)
+    np.testing.assert_allclose(wxyz, whole.wxyz, rtol=0, atol=3e-16)
 
 
 def test_the_first_attitude_turns_the_whole_truth():
     """q0 stands on the left of every attitude, made unit length; rates do not feel it."""
     told = Gyroscope(Fraction(10), 20)
     q0 = (2.0, 0.0, -2.0, 1.0)
-    ((plain, truth),) = record(motion_named("tumbling", SHAPE), told)
-    ((turned, turned_truth),) = record(motion_named("tumbling", SHAPE), told, q0)
+    (plain,) = record(motion_named("tumbling", SHAPE), told)
+    (turned,) = record(motion_named("tumbling", SHAPE), told, q0)
     np.testing.assert_array_equal(turned.rate, plain.rate)
-    np.testing.assert_allclose(turned_truth.wxyz[0], np.array(q0) / 3, rtol=1e-15)
-    gap = rotation(turned_truth.wxyz).inv() * rotation(np.array(q0)) * rotation(truth.wxyz)
+    np.testing.assert_allclose(turned.wxyz[0], np.array(q0) / 3, rtol=1e-15)
+    gap = rotation(turned.wxyz).inv() * rotation(np.array(q0)) * rotation(plain.wxyz)
     assert gap.magnitude().max() < 1e-15
 
 

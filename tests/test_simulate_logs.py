@@ -11,10 +11,9 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series import AttitudeSeries
 from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.imu import GRAVITY, ImuEncoder
-from quatprop.simulate.logs import open_log_writer
+from quatprop.simulate.logs import GRAVITY, ImuEncoder, open_log_writer
 from quatprop.simulate.motion import Shape, motion_named
 from quatprop.simulate.run import simulate, truth_beside
 from quatprop.writers import GENERAL_KINDS, WRITERS
@@ -31,8 +30,9 @@ def test_messages_are_what_the_library_would_encode(encoding):
     store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
     types = store.types
     s = np.sqrt(0.5)
-    measured = GyroSeries(np.array([1_700_000_000_123_456_789]), np.array([[0.1, -0.2, 3.0]]))
-    truth = AttitudeSeries(measured.t_ns, np.array([[s, s, 0.0, 0.0]]))
+    series = AttitudeSeries(
+        [1_700_000_000_123_456_789], [[s, s, 0.0, 0.0]], rate=np.array([[0.1, -0.2, 3.0]])
+    )
     stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=123_456_789)
     seq = {"seq": 41} if encoding == "ros1" else {}
     vector = types["geometry_msgs/msg/Vector3"]
@@ -47,7 +47,7 @@ def test_messages_are_what_the_library_would_encode(encoding):
         linear_acceleration_covariance=np.zeros(9),
     )
     encoder = ImuEncoder(0.5, ros1=encoding == "ros1")
-    *_, message = [encoder.encode(measured, truth, "a")[0] for _ in range(42)]
+    *_, message = [encoder.encode(series, "a")[0] for _ in range(42)]
     serialize = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
     assert message.tobytes() == bytes(serialize(expected, "sensor_msgs/msg/Imu"))
 
@@ -56,8 +56,8 @@ def test_accelerations_are_the_reaction_to_gravity():
     """A tilted sensor at rest feels g along what is up for it."""
     tilt = Rotation.from_euler("xyz", [20, -40, 70], degrees=True)
     wxyz = np.roll(tilt.as_quat(), 1)
-    ((measured, truth),) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
-    (message,) = ImuEncoder(0.0, ros1=False).encode(measured, truth, "a")
+    (series,) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
+    (message,) = ImuEncoder(0.0, ros1=False).encode(series, "a")
     imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(
         message.tobytes(), "sensor_msgs/msg/Imu"
     )
@@ -75,12 +75,12 @@ KINDS_AND_COMPRESSIONS = [(kind, c) for kind in GENERAL_KINDS for c in WRITERS[k
 def log_of(tmp_path, kind, compression=None, name="log"):
     """Write a log of 300 samples, twice the same, and return path, stamps and rates."""
     told = Gyroscope(Fraction(100), 300, noise=1e-3, seed=2)
-    ((measured, truth),) = record(motion_named("tumbling", SHAPE), told)
+    (series,) = record(motion_named("tumbling", SHAPE), told)
     path = tmp_path / (name + (WRITERS[kind].suffixes or ("",))[0])
     with open_log_writer(path, kind, compression=compression) as writer:
-        writer.write(measured, truth)
+        writer.write(series)
         writer.commit({})
-    return path, measured
+    return path, series
 
 
 def content(path):
@@ -141,11 +141,11 @@ def test_mcap_reads_simulated_logs(tmp_path, compression):
 def test_a_failed_log_leaves_nothing(tmp_path, kind):
     """An exception midway leaves no file, no folder, and no stray."""
     told = Gyroscope(Fraction(100), 300)
-    ((measured, truth),) = record(motion_named("spin", SHAPE), told)
+    (series,) = record(motion_named("spin", SHAPE), told)
 
     def fail_midway():
         with open_log_writer(tmp_path / "log", kind) as writer:
-            writer.write(measured, truth)
+            writer.write(series)
             raise RuntimeError("midway")
 
     with pytest.raises(RuntimeError, match="midway"):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPRESENTATIONS
@@ -20,56 +18,16 @@ from quatprop.writers import (
     keeps_provenance,
     open_table,
 )
-from quatprop.writers.base import AttitudeWriter
+from quatprop.writers.base import ColumnTable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
 
     from quatprop.containers.base import MessageLog
     from quatprop.conversion.settings import Conversion
-    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import TableWriter
-
-    Float64 = NDArray[np.float64]
-
-
-class ColumnTable(AttitudeWriter):
-    """Series as a table of numbers that are made of them.
-
-    Parameters
-    ----------
-    table
-        The table.
-    values
-        Returns the columns of a series, shape ``(N, k)``.
-    locked
-        Returns in how many rows of columns the angles are not unique.
-
-    Attributes
-    ----------
-    locked_rows
-        How many there were.
-    """
-
-    def __init__(
-        self,
-        table: TableWriter,
-        values: Callable[[Any], Float64],
-        locked: Callable[[Float64], int] = lambda _values: 0,
-    ) -> None:
-        super().__init__(table)
-        self._table, self._values, self._locked = table, values, locked
-        self.locked_rows = 0
-
-    def write(self, series: AttitudeSeries | GyroSeries) -> None:
-        """Append a batch."""
-        values = self._values(series)
-        self._table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
-        self.locked_rows += self._locked(values)
+    from quatprop.writers.base import AttitudeWriter, TableWriter
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series import AttitudeSeries
 from quatprop.simulate.product import hamilton
 from quatprop.times import NS_PER_S, regular_stamps
 
@@ -85,8 +85,8 @@ class Gyroscope:
 
 def record(
     motion: Motion, gyroscope: Gyroscope, q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
-) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
-    """Yield the measured rates and the true attitudes, batch after batch.
+) -> Iterator[AttitudeSeries]:
+    """Yield the true attitudes with the measured rates, batch after batch.
 
     Parameters
     ----------
@@ -96,11 +96,6 @@ def record(
         The gyroscope that samples it.
     q0
         True attitude at the first sample, body -> reference, wxyz; made unit length.
-
-    Yields
-    ------
-    measured, truth
-        Series of the same stamps.
 
     Raises
     ------
@@ -119,10 +114,8 @@ def record(
             noise = random.standard_normal(rate.shape) * gyroscope.deviation
             rate = rate + np.round(noise, NOISE_DECIMALS)
         t_ns = elapsed + gyroscope.start_ns
-        yield (
-            GyroSeries(t_ns, rate + np.array(gyroscope.bias)),
-            AttitudeSeries(t_ns, _unit(hamilton(first, wxyz))),
-        )
+        measured = rate + np.array(gyroscope.bias)
+        yield AttitudeSeries(t_ns, _unit(hamilton(first, wxyz)), rate=measured)
 
 
 def samples_in(duration_ns: int, sample_rate: Fraction) -> int:

@@ -7,75 +7,81 @@ it arrived, a little later.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.errors import OutputError, UsageError
-from quatprop.simulate.imu import ImuEncoder, arrival_ns
 from quatprop.text import listed, quoted
 from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table
-from quatprop.writers.base import SeriesWriter
+from quatprop.writers.base import AttitudeMessages, ColumnTable
+from quatprop.writers.messages.encoders import ABSENT, RosEncoder
+from quatprop.writers.messages.kinds import Message
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.writers.base import MessageWriter, TableWriter
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
+    from quatprop.writers.base import AttitudeWriter
 
 RATE_COLUMNS = ("wx", "wy", "wz")
 
 DEFAULT_COMPRESSIONS = {"rosbag2-mcap": "none"}
 """Where a recorder's default is not that of the attitude writer."""
 
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2."""
 
-class LogWriter(SeriesWriter):
-    """Takes batches of samples in order."""
-
-    @abstractmethod
-    def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:
-        """Append a batch; the truth is for what depends on attitude, such as accelerations."""
-
-
-class RateTable(LogWriter):
-    """Rates as a table with the columns :data:`RATE_COLUMNS`."""
-
-    def __init__(self, table: TableWriter) -> None:
-        super().__init__(table)
-        self._table = table
-
-    def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:  # noqa: ARG002
-        """Append a batch."""
-        self._table.write(measured.t_ns, list(measured.rate.T))
+_TRANSPORT_NS = 1_000_000
+_JITTER_NS = 100_000
+_SCRAMBLE = 0x9E3779B1
+"""Multiplier that spreads neighbouring integers (Knuth, The Art of Computer Programming, 6.4)."""
 
 
-class ImuMessages(LogWriter):
-    """Samples as messages.
+class ImuEncoder(RosEncoder):
+    """Encodes samples as messages on ``/imu``.
+
+    The orientation is marked absent; the acceleration is that of a sensor that only rotates, in a
+    reference frame whose z axis points up: the reaction to gravity.
 
     Parameters
     ----------
-    container
-        Takes the messages.
-    encoder
-        Encodes the samples.
-    target
-        The log, for errors.
+    deviation
+        Standard deviation of the rates' noise, rad/s, for the covariance.
+    ros1
+        Whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2.
     """
 
-    def __init__(self, container: MessageWriter, encoder: ImuEncoder, target: Path | str) -> None:
-        super().__init__(container)
-        self._container = container
-        self._encoder = encoder
-        self._target = target
+    def __init__(self, deviation: float, *, ros1: bool) -> None:
+        constants = {
+            "covariance": np.reshape(ABSENT, (3, 3)),
+            "rate_covariance": (deviation**2 * np.eye(3)).ravel(),
+        }
+        super().__init__(Message("Imu", "/imu", child="imu"), ros1=ros1, constants=constants)
 
-    def write(self, measured: GyroSeries, truth: AttitudeSeries) -> None:
-        """Append a batch."""
-        messages = self._encoder.encode(measured, truth, self._target)
-        self._container.write(arrival_ns(measured), messages)
+    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+        """Return the messages of a batch of true attitudes and measured rates, shape ``(N,)``."""
+        rows = self._records.stamped(series.t_ns, target)
+        rows["rate"], rows["acceleration"] = series.rate, _reaction(series.wxyz)
+        return rows
 
-    def finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # as of a recorder
-        """Write the log to its end, without provenance."""
-        self._container.finish({})
+
+def arrival_ns(t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return when each message arrives: 1 to 1.1 ms after its stamp, unevenly.
+
+    The jitter is a scrambled stamp, not a random number, so that it depends on neither seed nor
+    batches. Up to 10 kHz messages arrive in order.
+    """
+    return t_ns + _TRANSPORT_NS + (t_ns * _SCRAMBLE & 0xFFFFFFFF) % _JITTER_NS
+
+
+def _reaction(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the upward reaction to gravity in the body frame, m/s^2: ``q* (0, 0, g) q``."""
+    w, x, y, z = wxyz.T
+    up = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    return GRAVITY * np.stack(up, axis=1)
 
 
 def open_log_writer(
@@ -84,7 +90,7 @@ def open_log_writer(
     *,
     deviation: float = 0.0,
     compression: str | None = None,
-) -> LogWriter:
+) -> AttitudeWriter:
     """Open a writer of a simulated log.
 
     Parameters
@@ -97,6 +103,11 @@ def open_log_writer(
         Standard deviation of the rates' noise, rad/s, for the messages' covariance.
     compression
         ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default.
+
+    Returns
+    -------
+    AttitudeWriter
+        Takes true attitudes with the measured rates.
 
     Raises
     ------
@@ -117,7 +128,8 @@ def open_log_writer(
             f"choose {listed(compressions)}"
         )
     if WRITERS[kind].columns:
-        return RateTable(open_table(target, RATE_COLUMNS, kind))
+        return ColumnTable(open_table(target, RATE_COLUMNS, kind), lambda series: series.rate)
     encoder = ImuEncoder(deviation, ros1="ros1" in WRITERS[kind].encodings)
     compression = compression or DEFAULT_COMPRESSIONS.get(kind)
-    return ImuMessages(open_messages(target, kind, encoder.topic, compression), encoder, target)
+    container = open_messages(target, kind, encoder.topic, compression)
+    return AttitudeMessages(container, encoder, target, arrival_ns)

@@ -11,7 +11,7 @@ from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import record
 from quatprop.simulate.logs import open_log_writer
 from quatprop.simulate.motion import motion_named
-from quatprop.writers import kind_of, open_writer
+from quatprop.writers import WRITERS, kind_of, open_writer
 from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
@@ -82,15 +82,17 @@ def simulate(  # noqa: PLR0913  # a recording in full
         )
         attitudes = stack.enter_context(open_writer(truth)) if truth is not None else None
         recorded = record(motion_named(motion, shape), gyroscope, q0)
-        for measured, true in metered(recorded, gyroscope.samples, lambda pair: len(pair[0])):
-            log.write(measured, true)
+        for series in metered(recorded, gyroscope.samples, len):
+            log.write(series)
             if attitudes is not None:
-                attitudes.write(true)
-        written = [log] if attitudes is None else [attitudes, log]
-        for file in written:
-            file.finish(provenance)
-        for file in written:
-            file.publish()
+                attitudes.write(series)
+        if attitudes is not None:
+            attitudes.finish(provenance)
+        # Recorders put no provenance into their messages.
+        log.finish({} if WRITERS[kind_of(target, kind)].encodings else provenance)
+        if attitudes is not None:
+            attitudes.publish()
+        log.publish()
 
 
 def _provenance(

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
-    from quatprop.series import AttitudeSeries
+    from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.writers.atomic import OutputFile, OutputPath
     from quatprop.writers.messages.encoders import AttitudeEncoder
 
     Int64 = NDArray[np.int64]
+    Float64 = NDArray[np.float64]
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:
@@ -244,6 +245,41 @@ class AttitudeTable(AttitudeWriter):
                 covariance = reference_covariance(series.wxyz, covariance)
             columns += [np.sqrt(covariance[:, axis, axis]) for axis in range(3)]
         self._table.write(series.t_ns, columns)
+
+
+class ColumnTable(AttitudeWriter):
+    """Series as a table of numbers that are made of them.
+
+    Parameters
+    ----------
+    table
+        The table.
+    values
+        Returns the columns of a series, shape ``(N, k)``.
+    locked
+        Returns in how many rows of columns the angles are not unique.
+
+    Attributes
+    ----------
+    locked_rows
+        How many there were.
+    """
+
+    def __init__(
+        self,
+        table: TableWriter,
+        values: Callable[[Any], Float64],
+        locked: Callable[[Float64], int] = lambda _values: 0,
+    ) -> None:
+        super().__init__(table)
+        self._table, self._values, self._locked = table, values, locked
+        self.locked_rows = 0
+
+    def write(self, series: AttitudeSeries | GyroSeries) -> None:
+        """Append a batch."""
+        values = self._values(series)
+        self._table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
+        self.locked_rows += self._locked(values)
 
 
 class AttitudeMessages(AttitudeWriter):

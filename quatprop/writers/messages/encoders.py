@@ -13,7 +13,7 @@ from quatprop.writers.messages.ros_records import HEADER_TIME, RosRecords
 from quatprop.writers.messages.topics import ros_topic
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
     from pathlib import Path
 
     import numpy as np
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.writers.messages.topics import Topic
 
 
-_ABSENT = [-1.0, *[0.0] * 8]
+ABSENT = (-1.0, *[0.0] * 8)
 """The covariance of a part of an Imu message that is not known."""
 
 
@@ -87,9 +87,13 @@ class RosEncoder:
         What to encode.
     ros1
         Whether as in ROS 1 rather than in CDR, as in ROS 2.
+    constants
+        What parts are in every message; others are zero where they are not written.
     """
 
-    def __init__(self, message: Message, *, ros1: bool) -> None:
+    def __init__(
+        self, message: Message, *, ros1: bool, constants: Mapping[str, object] | None = None
+    ) -> None:
         definition = message.definition
         self.topic = ros_topic(message.topic_name, definition.name, ros1=ros1)
         formats: dict[str, str | bytes] = {
@@ -109,7 +113,7 @@ class RosEncoder:
         self._has_covariance = definition.has_covariance
         self.holds_positions = "position" in definition.parts
         fields = {part: formats[part] for part in definition.parts}
-        constants = {"count": 1, "acceleration_covariance": _ABSENT}
+        constants = constants or {"count": 1, "acceleration_covariance": ABSENT}
         self._records = RosRecords(
             fields, {name: constants[name] for name in constants if name in fields}, ros1=ros1
         )
@@ -129,7 +133,7 @@ class RosEncoder:
                 rows["pose_covariance"][:, 3:, 3:] = covariance
         if "rate" in self._parts:
             if series.rate is None:
-                rows["rate_covariance"] = _ABSENT
+                rows["rate_covariance"] = ABSENT
             else:
                 rows["rate"] = series.rate
         return rows
