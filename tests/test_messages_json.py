@@ -148,6 +148,37 @@ def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
     np.testing.assert_allclose(np.degrees(series.rate), [[1, 2, k] for k in range(1, 4)])
 
 
+@pytest.mark.parametrize(
+    ("field", "name", "unit", "factor"),
+    [
+        ("gyro_dps", "gyro_dps", "deg/s", np.pi / 180),
+        ("gyro_x_dps,gyro_y_dps,gyro_z_dps", None, "deg/s", np.pi / 180),
+        ("imu.gyro_rad_s", "gyro_rad_s", "rad/s", 1.0),
+        ("gyro_mdps", "gyro_mdps", "deg/s", np.pi / 180_000),
+    ],
+)
+def test_a_field_whose_name_ends_in_a_unit_declares_it(tmp_path, field, name, unit, factor):
+    """As a column of that name does, also where that is a list of three."""
+    rate = {name: [1, 2, 3]} if name else {f"gyro_{axis}_dps": k for k, axis in enumerate("xyz", 1)}
+    sample = {"imu": rate} if "." in field else rate
+    raw = [json.dumps({"t": stamp, **sample}).encode() for stamp in (1, 2)]
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", raw)})
+    with open_log(path) as log:
+        signal = choose_rates(log, RateSelection(rate_field=field, clock="log"))
+        (series,) = signal.batches()
+    assert signal.unit == unit
+    np.testing.assert_allclose(series.rate, [[factor, 2 * factor, 3 * factor]] * 2, rtol=1e-15)
+    other = "rad/s" if unit == "deg/s" else "deg/s"
+    with open_log(path) as log:
+        signal = choose_rates(log, RateSelection(rate_field=field, clock="log", rate_unit=other))
+    assert (signal.unit, len(signal.remarks)) == (other, 1)
+    assert f"by definition; they are read as {other}, as asked for" in signal.remarks[0]
+    table = tmp_path / "rates.jsonl"
+    table.write_bytes(b"".join(line.replace(b'"t"', b'"t_ns"') + b"\n" for line in raw))
+    with open_log(table) as log:
+        assert choose_rates(log, RateSelection()).unit == unit
+
+
 def test_the_order_of_parts_is_that_of_their_names():
     """An object has no order; a vector does."""
     sample = {"w": {"z": 3, "y": 2, "x": 1}}

@@ -58,7 +58,7 @@ class RateField:
     fields
         One path of three numbers x, y, z, or three paths of one.
     unit
-        ``"rad/s"``, or None where only the user can know.
+        ``"rad/s"``, one that a name declares, or None where only the user can know.
     absent
         A number that is -1 where the rate is absent.
     stamps

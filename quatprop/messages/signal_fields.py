@@ -23,6 +23,7 @@ from quatprop.messages.message_types import (
 )
 from quatprop.messages.schema import Struct, find, numbers, structs
 from quatprop.messages.stamps import stamps_around
+from quatprop.tables.matching.column_names import rate_unit_of
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -126,8 +127,8 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
     Returns
     -------
     RateField or None
-        That of a recognised type where the path leads to its rate; otherwise without unit, and
-        with the stamps of the headers around it.
+        That of a recognised type where the path leads to its rate; otherwise with the unit in its
+        name, and with the stamps of the headers around it.
 
     Raises
     ------
@@ -147,7 +148,7 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
             f"field {quoted(rate_field)} of {quoted(channel.type_name)} is not three numbers; "
             "name a field of x, y, z or three numbers as a,b,c",
         )
-    return RateField(names, unit=None, stamps=stamps_around(root, names[0]))
+    return RateField(names, unit=rate_unit_of(names), stamps=stamps_around(root, names[0]))
 
 
 def orientation_field_at(

@@ -17,6 +17,7 @@ from quatprop.signals.message_values import stamps_logged, timed_values
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
 from quatprop.tables.base import is_table
+from quatprop.tables.matching.column_names import SCALED_RATE_UNITS
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -142,13 +143,16 @@ def _candidates(
 def _of_field(
     log: MessageLog, channel: Channel, field: RateField, selection: RateSelection
 ) -> RateSignal:
-    unit = selection.rate_unit or field.unit
+    unit, scale = SCALED_RATE_UNITS.get(field.unit or "", (field.unit, 1.0))
+    if selection.rate_unit is not None:
+        unit, scale = selection.rate_unit, 1.0
     if unit is None:
         raise UndeclaredError(
             log.path,
             f"the unit of field {quoted(field.name)} in topic {quoted(channel.topic)}",
             Setting("rate_unit", "rad/s|deg/s"),
         )
+    scale *= UNITS[unit]
     clock = choose_clock(log, channel, field.stamps, selection)
     reader = partial(rate_reader, log, channel, field, clock)
     return RateSignal(
@@ -156,13 +160,13 @@ def _of_field(
         type_name=channel.type_name,
         field=field.name,
         clock=clock.name,
-        remarks=(*_remarks(channel, field, unit), *clock.remarks),
+        remarks=(*_remarks(channel, field, selection.rate_unit), *clock.remarks),
         stamps=lambda: stamps_logged(log, channel, reader()),
-        batches=lambda: _samples(log, channel, field, reader(), UNITS[unit]),
+        batches=lambda: _samples(log, channel, field, reader(), scale),
         unit=unit,
         method=field.method,
         increments=field.span is not None,
-        part_reader=partial(_part_reader, log, channel, field, reader, UNITS[unit]),
+        part_reader=partial(_part_reader, log, channel, field, reader, scale),
     )
 
 
@@ -185,12 +189,12 @@ def _part_reader(
     )
 
 
-def _remarks(channel: Channel, field: RateField, unit: str) -> Iterator[str]:
+def _remarks(channel: Channel, field: RateField, unit: str | None) -> Iterator[str]:
     if field.span is not None:
         yield "the samples are angle increments: the sensor itself has summed up its rate"
     elif field.burst is not None:
         yield "several samples a message: the time of each is counted back from the stamp"
-    if field.unit not in (None, unit):
+    if unit and field.unit not in (None, unit):
         yield (
             f"{channel.type_name} has its rates in {field.unit}, by definition; they are read as "
             f"{unit}, as asked for"

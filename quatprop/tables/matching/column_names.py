@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from quatprop.tables.matching.dialects import (
     AXIS_FIRST,
@@ -14,6 +15,9 @@ from quatprop.tables.matching.dialects import (
     ROTATION_VECTOR,
     TIME_NAMES,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 RATE_UNITS = {
     "rad/s": (
@@ -67,7 +71,8 @@ _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
 # "sec" and "nanosec" are left out: at the end of a name they are the two halves of a timestamp.
 _SUFFIXES = sorted({*UNITS} - {"sec", "secs", "nsec", "nsecs", "nanosec", "nanosecs"})
-_SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})")
+_SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})(\.[xyz]|\[[012]\])?")
+"""A name, a unit, and an axis where the unit is that of a list or of parts x, y and z."""
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
@@ -117,10 +122,27 @@ def parse_name(text: str) -> ColumnName:
         unit = "".join(bracketed[2].lower().split())
         return ColumnName(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
     name = _CAPITAL.sub("_", name)
-    suffixed = _SUFFIX.fullmatch(name)
-    if suffixed and any(re.fullmatch(stem, _key(suffixed[1])) for stem in _MAY_HAVE_SUFFIX):
-        return ColumnName(text, _key(suffixed[1]), UNITS[suffixed[2].lower()])
+    if suffixed := _SUFFIX.fullmatch(name):
+        stem, suffix, axis = suffixed.groups(default="")
+        key, unit = _key(stem + axis), UNITS[suffix.lower()]
+        # PX4's gyro_rad[0] is in rad/s.
+        may_have_it = unit not in ANGLE_UNITS if axis else True
+        if may_have_it and any(re.fullmatch(known, key) for known in _MAY_HAVE_SUFFIX):
+            return ColumnName(text, key, unit)
     return ColumnName(text, _key(name))
+
+
+def rate_unit_of(fields: Sequence[str]) -> str | None:
+    """Return the unit of rates that names declare, three of an axis or one of a vector.
+
+    Examples
+    --------
+    >>> rate_unit_of(["imu.gyro_dps"]), rate_unit_of(["gx_dps", "gy_dps", "gz_dps"])
+    ('deg/s', 'deg/s')
+    """
+    names = fields if len(fields) > 1 else [f"{fields[0]}[0]"]
+    unit, *others = {parse_name(name).unit for name in names}
+    return None if others or unit not in {*RATE_UNITS, *SCALED_RATE_UNITS} else unit
 
 
 def _spelling(unit: str) -> str:
