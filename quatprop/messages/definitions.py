@@ -1,8 +1,9 @@
 """Message definitions as logs carry them, read into trees of types.
 
-rosbags parses them; this module repairs what real logs do to the grammar, and adds two differences
-between the encodings that a definition does not show: a ROS 1 ``time`` is unsigned, and an empty
-message takes a byte in CDR and none in ROS 1.
+A .msg definition has a field on each line, and is read here: importing a parser would take longer
+than propagating a small log. rosbags reads IDL, and has the standard types. Two differences between
+the encodings are not in a definition: a ROS 1 ``time`` is unsigned, and an empty message takes a
+byte in CDR and none in ROS 1.
 """
 
 from __future__ import annotations
@@ -26,13 +27,15 @@ from quatprop.messages.schema import (
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
-
-    from rosbags.interfaces.typing import FieldDesc, Typesdict
+    from typing import Any
 
     from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type
+
+    Kind = tuple[int, Any]
+    Fields = Iterable[tuple[str, Kind]]
 
 NUMBERS: Mapping[str, Primitive] = {
     "bool": Primitive("b1"),
@@ -50,6 +53,8 @@ NUMBERS: Mapping[str, Primitive] = {
     "float64": Primitive("f8"),
 }
 """Names of numbers in definitions."""
+
+STRINGS = {"string", "wstring"}
 
 ROS1_TIMES: Mapping[str, Struct] = {
     name: Struct(name, (("sec", NUMBERS[number]), ("nanosec", NUMBERS[number])))
@@ -73,11 +78,25 @@ PLACEHOLDER = "structure_needs_at_least_one_member"
 MAX_DEFINITION = 1 << 19
 """Most bytes of a definition: parsing more takes seconds, and no real message needs it."""
 
-_RULE = "=" * 80
-_SECTION = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
-_COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
-_CONSTANT = re.compile(r"^[ \t]*\S+[ \t]+\w+[ \t]*=.*$", re.MULTILINE)
-_TRAILING = re.compile(r"[ \t]+$", re.MULTILINE)
+_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4
+"""Kinds of types, as ``rosbags.interfaces.Nodetype`` numbers them."""
+
+_SHORT_NAMES = {
+    "time": "builtin_interfaces/msg/Time",
+    "duration": "builtin_interfaces/msg/Duration",
+    "Header": "std_msgs/msg/Header",
+}
+"""Types that a .msg definition names without their package."""
+
+_RULE = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
+_NO_FIELD = re.compile(r"[ \t]*(?:$|#|@[a-z]+[ \t]*$|\S+[ \t]+\w+[ \t]*=)")
+"""Blank lines, comments, annotations and constants."""
+_FIELD = re.compile(
+    r"[ \t]*((?:\w+/)*[A-Za-z]\w*)(?:<=\d+)?(?:\[((?:<=)?\d*)\])?"
+    r"[ \t]+([A-Za-z]\w*)(?:[ \t#].*)?",
+    re.ASCII,
+)
+"""Type, length of an array, and name; behind them a default or a comment."""
 
 
 def message_type(channel: Channel, path: Path | str) -> Struct:
@@ -119,10 +138,8 @@ def _message_type(type_name: str, ros1: bool, schema_encoding: str, schema: byte
     return _Builder(own, ros1).struct(type_name)
 
 
-def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
+def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> dict[str, Fields]:
     """Return the definitions that a log carries, by type name."""
-    from rosbags.typesys import TypesysError, get_types_from_idl, get_types_from_msg
-
     if len(schema) > MAX_DEFINITION:
         raise BadDefinitionError(
             f"the definition of {quoted(type_name)} has {len(schema)} bytes, over the limit of "
@@ -131,13 +148,10 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
     text = schema.decode("utf-8", "replace").replace("\r\n", "\n").lstrip("\ufeff").strip("\0")
     try:
         if schema_encoding in {"ros1msg", "ros2msg"}:
-            types = get_types_from_msg(without_comments(text), type_name)
-            # The grammar has its own idea of the spelling of service and action types.
-            return {**types, type_name: types.get(type_name) or next(iter(types.values()))}
+            return _from_msg(text, type_name)
         if schema_encoding in {"ros2idl", "omgidl"}:
-            parts = [get_types_from_idl(part) for part in idl_parts(text)]
-            return {name: kind for part in parts for name, kind in part.items()}
-    except (TypesysError, AssertionError, LookupError, RecursionError, TypeError, ValueError):
+            return _from_idl(text)
+    except (AssertionError, LookupError, RecursionError, TypeError, ValueError):
         # The parser's own message would contain the whole definition.
         raise BadDefinitionError(
             f"the definition of {quoted(type_name)} that the log carries cannot be parsed as "
@@ -149,33 +163,72 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> Typesdict:
     )
 
 
-def without_comments(text: str) -> str:
-    """Return a .msg definition without constants, comments and trailing blanks.
+def _from_msg(text: str, type_name: str) -> dict[str, Fields]:
+    """Return the types of a .msg definition: its own, and those below rules and headings."""
+    own, *others = _RULE.split(text)
+    types = {type_name: _fields(type_name, own)}
+    for part in others:
+        head, _, lines = part.strip().partition("\n")
+        if not head.startswith("MSG:"):
+            raise ValueError
+        name = _full_name(head.removeprefix("MSG:").strip(), type_name)
+        types[name] = _fields(name, lines)
+    return types
 
-    Real ones break the grammar: lower-case constants, separators of other lengths.
-    """
-    text = _COMMENT.sub("", _SECTION.sub(_RULE, text))
-    return _TRAILING.sub("", _CONSTANT.sub("", text)).strip() + "\n"
+
+def _fields(type_name: str, lines: str) -> Fields:
+    """Return name and type of each field in the lines of a .msg definition."""
+    fields: list[tuple[str, Kind]] = []
+    for line in lines.split("\n"):
+        if _NO_FIELD.match(line):
+            continue
+        if (match := _FIELD.fullmatch(line)) is None:
+            raise ValueError
+        kind, length, name = match.groups()
+        is_base = kind in NUMBERS or kind in STRINGS
+        own: Kind = (_BASE, (kind, 0)) if is_base else (_NAME, _full_name(kind, type_name))
+        if length is not None:
+            own = (_ARRAY, (own, int(length))) if length.isdecimal() else (_SEQUENCE, (own, 0))
+        fields.append((name, own))
+    return fields
 
 
-def idl_parts(text: str) -> list[str]:
-    """Return the IDL documents in a definition: one, or several with headings ``IDL: name``."""
-    parts = [part.strip() for part in _SECTION.split(text)]
-    return [part.partition("\n")[2] if part.startswith("IDL:") else part for part in parts if part]
+def _full_name(name: str, owner: str) -> str:
+    """Return the full name of a type that the definition of another one names."""
+    *folders, own = name.split("/")
+    if len(folders) > 1:
+        return name
+    package = folders[0] if folders else owner.partition("/")[0]
+    return _SHORT_NAMES.get(name, f"{package}/msg/{own}")
+
+
+def _from_idl(text: str) -> dict[str, Fields]:
+    """Return the types of IDL documents: one, or several with headings ``IDL: name``."""
+    from rosbags.typesys import TypesysError, get_types_from_idl
+
+    types: dict[str, Fields] = {}
+    for part in filter(None, map(str.strip, _RULE.split(text))):
+        document = part.partition("\n")[2] if part.startswith("IDL:") else part
+        try:
+            types |= {name: kind[1] for name, kind in get_types_from_idl(document).items()}
+        except TypesysError as error:
+            raise ValueError from error
+    return types
 
 
 @lru_cache(maxsize=2)
-def _standard(ros1: bool) -> Typesdict:
+def _standard(ros1: bool) -> dict[str, Fields]:
     """Return the standard types of ROS 1, or of the latest ROS 2."""
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST).fielddefs
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    return {name: kind[1] for name, kind in store.fielddefs.items()}
 
 
 class _Builder:
     """Builds types from parsed definitions, each type once."""
 
-    def __init__(self, own: Typesdict, ros1: bool) -> None:
+    def __init__(self, own: Mapping[str, Fields], ros1: bool) -> None:
         self.own = own
         self.ros1 = ros1
         self.types: dict[str, Struct] = dict(ROS1_TIMES) if ros1 else {}
@@ -194,7 +247,7 @@ class _Builder:
             self.types[name] = self._build(name, definition)
         return self.types[name]
 
-    def _build(self, name: str, fields: list[tuple[str, FieldDesc]]) -> Struct:
+    def _build(self, name: str, fields: Fields) -> Struct:
         if name in self.open or len(self.open) >= MAX_DEPTH:
             raise BadDefinitionError(
                 f"the definition of {quoted(self.open[0])} contains itself or is nested deeper "
@@ -207,31 +260,25 @@ class _Builder:
             parts = ((PLACEHOLDER, NUMBERS["uint8"]),)
         return Struct(name, parts)
 
-    def _definition(self, name: str) -> list[tuple[str, FieldDesc]] | None:
+    def _definition(self, name: str) -> Fields | None:
         # A log's own definition comes first: another distribution's may differ.
-        if name in self.own:
-            return self.own[name][1]
-        standard = _standard(self.ros1)
-        return standard[name][1] if name in standard else None
+        return self.own[name] if name in self.own else _standard(self.ros1).get(name)
 
-    def _type(self, kind: FieldDesc) -> Type:
-        from rosbags.interfaces import Nodetype
-
-        if kind[0] == Nodetype.BASE:
+    def _type(self, kind: Kind) -> Type:
+        if kind[0] == _BASE:
             return self._base(kind[1][0])
-        if kind[0] == Nodetype.NAME:
+        if kind[0] == _NAME:
             return self._named(kind[1])
         element, length = kind[1]
         inner = self._type(element)
-        return Array(inner, length) if kind[0] == Nodetype.ARRAY else Sequence(inner)
+        return Array(inner, length) if kind[0] == _ARRAY else Sequence(inner)
 
     def _base(self, name: str) -> Type:
-        if name in {"string", "wstring"}:
+        if name in STRINGS:
             return String(wide=name == "wstring")
         return NUMBERS.get(name) or Unknown(name)
 
     def _named(self, name: str) -> Type:
         if name in self.types or self._definition(name) is not None:
             return self.struct(name)
-        # The .msg grammar takes wide strings for a message type.
-        return String(wide=True) if name.endswith("/wstring") else Unknown(name)
+        return Unknown(name)
