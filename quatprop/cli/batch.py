@@ -13,7 +13,7 @@ import click
 
 from quatprop.cli import propagate
 from quatprop.cli.help import Command
-from quatprop.cli.options import named_option, quiet_option
+from quatprop.cli.options import QUIET, own_options, with_options
 from quatprop.cli.types import PATH, OneOf
 from quatprop.writers import WRITERS
 
@@ -37,6 +37,35 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 
 
+OPTIONS = own_options(
+    {
+        "--to": f"FORMAT  {', '.join(WRITERS)}.",
+        "--list list_file": "FILE|-  Also take names from FILE or stdin, one a line.  [default: "
+        "none]",
+        "--root": "DIR  Outputs keep the path of their log below DIR.  [default: the folder that "
+        "is searched, the fixed part of a GLOB, and for a LOG its own folder]",
+        "--shard": "I/N  Only the I-th of N parts of the logs, I from 1, as for array jobs; every "
+        "part must be given the same names.  [default: all]",
+        "-j processes": "N  Logs at a time: each in a process of its own.  [default: the cores]",
+        "--dask": "ADDRESS  Use the workers of the Dask cluster whose scheduler has this address; "
+        "they must see the same paths.  [default: this machine]",
+        "--skip-existing": "Leave out logs whose output is up to date: made by the same version, "
+        "with the same options, from the log as it is (size and time).",
+        "--retries": "N  Try a log again, up to N times, whose process was killed.",
+        "--json as_json": "JSON on stdout: the report of each log.",
+        **QUIET,
+    },
+    {
+        "--to": OneOf(tuple(WRITERS)),
+        "--shard": click.STRING,
+        "-j processes": click.IntRange(min=1),
+        "--dask": click.STRING,
+        "--retries": click.IntRange(min=0),
+    },
+    {"--to": "parquet", "--retries": 0},
+)
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("names", type=PATH, metavar="LOG|DIR|GLOB...", nargs=-1)
 @click.option(
@@ -49,49 +78,7 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
     help="Where the attitude series go: each under the name of its log, and the manifest; a "
     "folder, or a prefix such as s3://bucket/runs.",
 )
-@named_option("--to FORMAT", OneOf(tuple(WRITERS)), f"{', '.join(WRITERS)}.", "parquet")
-@named_option(
-    "--list list_file FILE|-",
-    PATH,
-    "Also take names from FILE or stdin, one a line.  [default: none]",
-)
-@named_option(
-    "--root DIR",
-    PATH,
-    "Outputs keep the path of their log below DIR.  [default: the folder that is searched, "
-    "the fixed part of a GLOB, and for a LOG its own folder]",
-)
-@click.option(
-    "--shard",
-    metavar="I/N",
-    help="Only the I-th of N parts of the logs, I from 1, as for array jobs; every part must be "
-    "given the same names.  [default: all]",
-)
-@named_option(
-    "-j processes N",
-    click.IntRange(min=1),
-    "Logs at a time: each in a process of its own.  [default: the cores]",
-)
-@click.option(
-    "--dask",
-    metavar="ADDRESS",
-    help="Use the workers of the Dask cluster whose scheduler has this address; they must see the "
-    "same paths.  [default: this machine]",
-)
-@click.option(
-    "--skip-existing",
-    is_flag=True,
-    help="Leave out logs whose output is up to date: made by the same version, with the same "
-    "options, from the log as it is (size and time).",
-)
-@named_option(
-    "--retries N",
-    click.IntRange(min=0),
-    "Try a log again, up to N times, whose process was killed.",
-    0,
-)
-@click.option("--json", "as_json", is_flag=True, help="JSON on stdout: the report of each log.")
-@quiet_option
+@with_options(OPTIONS)
 def command(names: tuple[str, ...], **options: Any) -> None:
     """Turn the body rates of each LOG into an attitude series in DIR.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import named_option
+from quatprop.cli.options import JSON, own_options, with_options
 from quatprop.cli.types import PATH
 
 if TYPE_CHECKING:
@@ -32,6 +32,29 @@ EXAMPLES = (
 )
 
 
+OPTIONS = own_options(
+    {
+        "-j processes": "N  Cases at a time, each in a process of its own; the output is the same "
+        "for any N.",
+        "--update": "Write the references of cases that are new, changed or fail, and show what "
+        "changed. Cases that pass are left as they are.",
+        "--init": "Write SUITE.toml, with a case for each LOG, and the references.",
+        "--explain": "Show what the cases depend on, what is pinned, and how they are judged; run "
+        "nothing.",
+        "--artifacts": "DIR  Keep the attitudes, a page with the error, and the commands of each "
+        "case that fails in DIR/CASE.  [default: none]",
+        "--strict": "Fail, too, if a case that is pinned is no longer in the suite, or if one "
+        "passes that is known to fail.",
+        "--junit": "FILE  Also write the results as JUnit XML.  [default: none]",
+        **JSON,
+        "-q --quiet": "Only failures and the totals.",
+        "-v --verbose": "A line for every case that passes.",
+    },
+    {"-j processes": click.IntRange(min=1)},
+    {"-j processes": 1},
+)
+
+
 @click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
 @click.argument("suite", type=PATH, metavar="SUITE.toml")
 @click.argument("logs", type=PATH, metavar="[LOG...]", nargs=-1)
@@ -43,44 +66,7 @@ EXAMPLES = (
     help="Only cases whose names contain EXPR, or match it where it has *, ? or [...]; can be "
     "repeated.  [default: all]",
 )
-@named_option(
-    "-j processes N",
-    click.IntRange(min=1),
-    "Cases at a time, each in a process of its own; the output is the same for any N.",
-    1,
-)
-@click.option(
-    "--update",
-    is_flag=True,
-    help="Write the references of cases that are new, changed or fail, and show what changed. "
-    "Cases that pass are left as they are.",
-)
-@click.option(
-    "--init",
-    is_flag=True,
-    help="Write SUITE.toml, with a case for each LOG, and the references.",
-)
-@click.option(
-    "--explain",
-    is_flag=True,
-    help="Show what the cases depend on, what is pinned, and how they are judged; run nothing.",
-)
-@named_option(
-    "--artifacts DIR",
-    PATH,
-    "Keep the attitudes, a page with the error, and the commands of each case that fails in "
-    "DIR/CASE.  [default: none]",
-)
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Fail, too, if a case that is pinned is no longer in the suite, or if one passes that is "
-    "known to fail.",
-)
-@named_option("--junit FILE", PATH, "Also write the results as JUnit XML.  [default: none]")
-@click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
-@click.option("-q", "--quiet", is_flag=True, help="Only failures and the totals.")
-@click.option("-v", "--verbose", is_flag=True, help="A line for every case that passes.")
+@with_options(OPTIONS)
 def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     """Compare recorded logs with references.
 

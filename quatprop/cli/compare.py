@@ -10,8 +10,10 @@ import click
 
 from quatprop.cli.help import Command
 from quatprop.cli.options import (
+    JSON,
+    PLOT,
     input_of,
-    plot_option,
+    own_options,
     refuse_stdin_twice,
     setting_options,
     with_options,
@@ -37,13 +39,13 @@ EXAMPLES = (
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("a", type=PATH, metavar="A")
 @click.argument("b", type=PATH, metavar="B")
-@with_options(setting_options(COMPARE, log="B"))
-@with_options(setting_options(CHECK_ATTITUDES))
-@plot_option
-@click.option("--json", "as_json", is_flag=True, help="JSON on stdout instead of text.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing; the exit code only.")
-@with_options(setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"))
-@with_options(setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"))
+@with_options(
+    setting_options(COMPARE, log="B"),
+    setting_options(CHECK_ATTITUDES),
+    own_options({**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."}),
+    setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
+    setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
+)
 def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> None:
     """Measure the geodesic error between two attitude series, A and B.
 

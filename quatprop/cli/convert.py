@@ -7,21 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import (
-    input_of,
-    named_option,
-    quiet_option,
-    report_option,
-    setting_options,
-    with_options,
-)
-from quatprop.cli.output_options import (
-    EULER,
-    OUTPUT_OPTIONS,
-    into_option,
-    output_settings,
-    with_unit,
-)
+from quatprop.cli.options import QUIET, REPORT, input_of, own_options, setting_options, with_options
+from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
@@ -40,46 +27,47 @@ EXAMPLES = (
 )
 
 
+OPTIONS = own_options(
+    {
+        "--convention": "Convention of OUT.",
+        "--direction": "Which coordinates OUT turns into which.",
+        "--sign": "Of q and -q, which are the same attitude: the one that is there, the one nearer "
+        "to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose first "
+        "component that is not zero is positive).",
+        "--as representation": "quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates  What "
+        "to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' and x'' "
+        "(or angles of another sequence, such as euler-xyz or euler-zxz), matrices row by row, or "
+        "the rates in rad/s that lead from each attitude to the next: propagated with --method "
+        "start, they give the attitudes back.",
+        **REPORT,
+        **QUIET,
+    },
+    {
+        "--convention": OneOf(CONVENTIONS),
+        "--direction": OneOf(DIRECTIONS),
+        "--sign": OneOf(("keep", "continuous", "positive")),
+        "--as representation": OneOf(
+            ("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")
+        ),
+    },
+    {
+        "--convention": "hamilton",
+        "--direction": "body-to-ref",
+        "--sign": "keep",
+        "--as representation": "quaternion",
+    },
+)
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", type=PATH, metavar="IN")
 @click.argument("output", type=PATH, metavar="[OUT]", required=False)
-@into_option
-@with_options(setting_options(READ_ATTITUDES, log="IN", signal="attitudes"))
-@with_options(OUTPUT_OPTIONS)
-@click.option(
-    "--convention",
-    type=OneOf(CONVENTIONS),
-    default="hamilton",
-    show_default=True,
-    help="Convention of OUT.",
+@with_options(
+    own_options(INTO),
+    setting_options(READ_ATTITUDES, log="IN", signal="attitudes"),
+    OUTPUT_OPTIONS,
+    OPTIONS,
 )
-@click.option(
-    "--direction",
-    type=OneOf(DIRECTIONS),
-    default="body-to-ref",
-    show_default=True,
-    help="Which coordinates OUT turns into which.",
-)
-@click.option(
-    "--sign",
-    type=OneOf(("keep", "continuous", "positive")),
-    default="keep",
-    show_default=True,
-    help="Of q and -q, which are the same attitude: the one that is there, the one nearer to the "
-    "row before, or the one with w >= 0 (of half turns, w = 0, the one whose first component that "
-    "is not zero is positive).",
-)
-@named_option(
-    "--as representation quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates",
-    OneOf(("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")),
-    "What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' "
-    "and x'' (or angles of another sequence, such as euler-xyz or euler-zxz), matrices row by row, "
-    "or the rates in rad/s that lead from each attitude to the next: propagated with --method "
-    "start, they give the attitudes back.",
-    "quaternion",
-)
-@report_option
-@quiet_option
 def command(*, quiet: bool, **chosen: Any) -> None:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 

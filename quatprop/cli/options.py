@@ -1,11 +1,13 @@
-"""Options that several commands share: each is described once and means the same everywhere.
+"""Options from tables: what help says of each, and the parser of its value.
 
-An option that is a setting of the library takes its name and its parser from there; what help says
-of it is in :data:`HELP`.
+An option that is a setting of the library takes its name and its parser from there, and means the
+same everywhere; what help says of it is in :data:`HELP`. What a command has beside them is in a
+table of its own, for :func:`own_options`.
 """
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
@@ -172,68 +174,82 @@ def setting_options(
     prefix
         Begins the help of each.
     """
-    return [
-        _setting_option(name, parser, HELP[name].format(log=log, signal=signal), side, prefix)
-        for name, parser in parsers.items()
-    ]
+    options = []
+    for name, parser in parsers.items():
+        short = "-t " if name == "topic" and not side else ""
+        names = f"{short}{option_name(Setting(name), side)} {name}_{side}".rstrip("_")
+        text = HELP[name].format(log=log, signal=signal)
+        options.append(_option(names, parser, text, prefix=prefix))
+    return options
 
 
-def _setting_option(name: str, parser: Parser, text: str, side: str, prefix: str) -> Option:
-    names = [option_name(Setting(name), side), f"{name}_{side}" if side else name]
-    if name == "topic" and not side:
-        names.insert(0, "-t")
-    if parser is flag:
-        return click.option(*names, is_flag=True, help=prefix + text)
-    if isinstance(parser, Choice):
-        return click.option(*names, type=OneOf(parser.names), help=prefix + text)
-    value, _, text = text.partition("  ")
-    return named_option(" ".join((*names, value)), parser, prefix + text)
-
-
-def named_option(names: str, kind: Parser | ParamType, text: str, default: object = None) -> Option:
-    """Return an option with a value.
+def own_options(
+    texts: Mapping[str, str],
+    kinds: Mapping[str, Parser | ParamType] | None = None,
+    defaults: Mapping[str, object] | None = None,
+) -> list[Option]:
+    """Return the options of one command.
 
     Parameters
     ----------
-    names
-        Its names, and last what help calls the value, between blanks.
-    kind
-        The type of the value, or its parser.
-    text
-        What help says.
-    default
-        None is none, or said in the text.
+    texts
+        Names as click takes them, between blanks -> what help says, as in :data:`HELP`.
+    kinds
+        Names -> the type or the parser of the value, where that is not a path. An option without
+        a value is a flag.
+    defaults
+        Names -> the default, which help shows; without one it is None, or said in the text.
     """
-    *declared, value = names.split()
+    kinds, defaults = kinds or {}, defaults or {}
+    return [
+        _option(names, kinds.get(names), text, defaults.get(names)) for names, text in texts.items()
+    ]
+
+
+def _option(
+    names: str,
+    kind: Parser | ParamType | None,
+    text: str,
+    default: object = None,
+    prefix: str = "",
+) -> Option:
+    """Return an option; its text begins with what help calls the value, and two spaces."""
+    value, _, rest = text.partition("  ")
+    if " " in value:
+        value, rest = "", text
+    if kind is flag or not (kind or value):
+        return click.option(*names.split(), is_flag=True, help=prefix + rest)
+    if isinstance(kind, Choice):
+        kind = OneOf(kind.names)
+    elif kind is not None and not isinstance(kind, click.ParamType):
+        kind = Parsed(kind, value)
     return click.option(
-        *declared,
-        type=kind if isinstance(kind, click.ParamType) else Parsed(kind, value),
-        metavar=value,
+        *names.split(),
+        type=kind or PATH,
+        metavar=value or None,
         default=default,
         show_default=default is not None,
-        help=text,
+        help=prefix + rest,
     )
 
 
-report_option = named_option(
-    "--report PATH|-",
-    PATH,
-    "Write a JSON report: source, conventions, counts, policies, version.  [default: none]",
-)
-plot_option = named_option(
-    "--plot PIC",
-    PATH,
-    "Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.  "
+REPORT = {
+    "--report": "PATH|-  Write a JSON report: source, conventions, counts, policies, version.  "
     "[default: none]",
-)
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="No summary; errors only.")
+}
+PLOT = {
+    "--plot": "PIC  Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in "
+    "it.  [default: none]",
+}
+QUIET = {"-q --quiet": "No summary; errors only."}
+JSON = {"--json as_json": "JSON on stdout instead of text."}
 
 
-def with_options(options: Iterable[Option]) -> Callable[[Command], Command]:
+def with_options(*options: Iterable[Option]) -> Callable[[Command], Command]:
     """Return a decorator that gives a command these options, in this order."""
 
     def decorated(command: Command) -> Command:
-        for option in reversed(tuple(options)):
+        for option in reversed([*chain(*options)]):
             command = option(command)
         return command
 

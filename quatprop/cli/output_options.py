@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import named_option
-from quatprop.cli.types import PATH, OneOf
+from quatprop.cli.options import own_options
+from quatprop.cli.types import OneOf
 from quatprop.settings import EULER_SEQUENCES, LAYOUTS
 from quatprop.writers import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
@@ -21,61 +21,38 @@ if TYPE_CHECKING:
 EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 """Representations by Euler angles."""
 
-output_kind_option = named_option(
-    "--to FORMAT",
-    OneOf(tuple(WRITERS)),
-    f"{', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag folder]",
-)
-layout_option = click.option(
-    "--layout",
-    type=OneOf(LAYOUTS),
-    help="Order of the quaternion: a matter of storage only.  [default: scalar-first, "
-    "but what the format prescribes for tum, euroc and ROS messages]",
-)
-comment_option = click.option(
-    "--header-comment",
-    "comment",
-    is_flag=True,
-    help="Begin csv, tsv, tum or euroc with the report in a # comment.",
-)
-into_option = named_option(
-    "--into PATH",
-    PATH,
-    "Instead: write PATH, a copy of the log with a topic of attitudes added and everything "
-    "else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
+INTO = {
+    "--into": "PATH  Instead: write PATH, a copy of the log with a topic of attitudes added and "
+    "everything else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
     "[default: off]",
-)
-MESSAGE_OPTIONS = (
-    click.option(
-        "--message",
-        type=OneOf(tuple(MESSAGES)),
-        help="What mcap and bags hold: the attitude, a pose, or a transform. FrameTransform and "
-        "PoseInFrame are Foxglove's own, for mcap only.  [default: QuaternionStamped]",
-    ),
-    click.option(
-        "--out-topic",
-        metavar="NAME",
-        help="Topic of the messages.  [default: /attitude, or /tf for transforms]",
-    ),
-    click.option(
-        "--frames",
-        metavar="REFERENCE,BODY",
-        help="Names of the two frames in the messages.  [default: reference,body]",
-    ),
-)
-with_option = named_option(
-    "--with beside euler-zyx|...",
-    OneOf(("rotvec", *EULER, "matrix")),
-    "Also write angles, a rotation vector or a matrix; in further columns of a table: "
-    "euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; rotvec; matrix.  "
-    "[default: none]",
-)
-euler_unit_option = click.option(
-    "--euler-unit", type=OneOf(("rad", "deg")), help="Unit of Euler angles.  [default: rad]"
-)
-OUTPUT_OPTIONS = (
-    *(output_kind_option, layout_option, with_option, euler_unit_option, comment_option),
-    *MESSAGE_OPTIONS,
+}
+OUTPUT_OPTIONS = own_options(
+    {
+        "--to": f"FORMAT  {', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag "
+        "folder]",
+        "--layout": "Order of the quaternion: a matter of storage only.  [default: scalar-first, "
+        "but what the format prescribes for tum, euroc and ROS messages]",
+        "--with beside": "euler-zyx|...  Also write angles, a rotation vector or a matrix; in "
+        "further columns of a table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another "
+        "sequence; rotvec; matrix.  [default: none]",
+        "--euler-unit": "Unit of Euler angles.  [default: rad]",
+        "--header-comment comment": "Begin csv, tsv, tum or euroc with the report in a # comment.",
+        "--message": "What mcap and bags hold: the attitude, a pose, or a transform. "
+        "FrameTransform and PoseInFrame are Foxglove's own, for mcap only.  [default: "
+        "QuaternionStamped]",
+        "--out-topic": "NAME  Topic of the messages.  [default: /attitude, or /tf for transforms]",
+        "--frames": "REFERENCE,BODY  Names of the two frames in the messages.  [default: "
+        "reference,body]",
+    },
+    {
+        "--to": OneOf(tuple(WRITERS)),
+        "--layout": OneOf(LAYOUTS),
+        "--with beside": OneOf(("rotvec", *EULER, "matrix")),
+        "--euler-unit": OneOf(("rad", "deg")),
+        "--message": OneOf(tuple(MESSAGES)),
+        "--out-topic": click.STRING,
+        "--frames": click.STRING,
+    },
 )
 """How an attitude series is written."""
 

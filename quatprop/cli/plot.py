@@ -9,9 +9,9 @@ import click
 from quatprop.cli.compare import settings_of
 from quatprop.cli.help import Command
 from quatprop.cli.options import (
+    QUIET,
     input_of,
-    named_option,
-    quiet_option,
+    own_options,
     refuse_stdin_twice,
     setting_options,
     with_options,
@@ -43,6 +43,32 @@ EXAMPLES = (
 )
 
 
+OPTIONS = own_options(
+    {
+        "--show": "What to draw.  [default: attitudes where an option says which, else the rates "
+        "of a file that has some, else its attitudes]",
+        "--components": "Draw the four components of the quaternion.  [default: yaw, pitch and "
+        "roll]",
+        "--unwrap": "Draw yaw and roll beyond half a turn.  [default: from -180 to 180 deg]",
+        "--size": "W[xH]UNIT  Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: "
+        "7.5in wide]",
+        "--dpi": "N  Dots an inch of a PNG.  [default: 200]",
+        "--font-size": "PT  Size of the letters in points.  [default: 8.5]",
+        "--no-title": "Leave out the lines above and below the panels.",
+    },
+    {
+        "--show": OneOf(("rates", "attitude")),
+        "--size": Parsed(picture_size, "SIZE"),
+        "--dpi": click.IntRange(min=10, max=2400),
+        "--font-size": click.FloatRange(min=2, max=72),
+    },
+)
+REFERENCE = {
+    "--reference": "REF  Draw the geodesic error of each FILE against this attitude series; holds "
+    "both in memory.  [default: what is in FILE]",
+}
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("files", type=PATH, metavar="FILE...", nargs=-1, required=True)
 @click.option(
@@ -53,50 +79,16 @@ EXAMPLES = (
     required=True,
     help="Where the picture goes: .png, .svg, .pdf, or .html for a report with the picture in it.",
 )
-@click.option(
-    "--show",
-    type=OneOf(("rates", "attitude")),
-    help="What to draw.  [default: attitudes where an option says which, else the rates of a file "
-    "that has some, else its attitudes]",
-)
-@click.option(
-    "--components",
-    is_flag=True,
-    help="Draw the four components of the quaternion.  [default: yaw, pitch and roll]",
-)
-@click.option(
-    "--unwrap",
-    is_flag=True,
-    help="Draw yaw and roll beyond half a turn.  [default: from -180 to 180 deg]",
-)
-@named_option(
-    "--size W[xH]UNIT",
-    Parsed(picture_size, "SIZE"),
-    "Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: 7.5in wide]",
-)
-@named_option("--dpi N", click.IntRange(min=10, max=2400), "Dots an inch of a PNG.  [default: 200]")
-@named_option(
-    "--font-size PT",
-    click.FloatRange(min=2, max=72),
-    "Size of the letters in points.  [default: 8.5]",
-)
-@click.option("--no-title", is_flag=True, help="Leave out the lines above and below the panels.")
-@with_options(setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"))
-@named_option(
-    "--reference REF",
-    PATH,
-    "Draw the geodesic error of each FILE against this attitude series; holds both in "
-    "memory.  [default: what is in FILE]",
-)
 @with_options(
-    setting_options(
-        {name: COMPARE[name] for name in ERROR}, log="REF", prefix="(with --reference) "
-    )
+    OPTIONS,
+    setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"),
+    own_options(REFERENCE),
+    setting_options(ERROR, log="REF", prefix="(with --reference) "),
+    own_options(QUIET),
+    setting_options(READ_RATES, log="FILE"),
+    setting_options(ATTITUDES, log="FILE", signal="attitudes"),
+    setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"),
 )
-@quiet_option
-@with_options(setting_options(READ_RATES, log="FILE"))
-@with_options(setting_options(ATTITUDES, log="FILE", signal="attitudes"))
-@with_options(setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"))
 def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 

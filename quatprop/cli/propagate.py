@@ -9,14 +9,8 @@ import click
 
 from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
-from quatprop.cli.options import (
-    plot_option,
-    quiet_option,
-    report_option,
-    setting_options,
-    with_options,
-)
-from quatprop.cli.output_options import OUTPUT_OPTIONS, into_option, output_settings
+from quatprop.cli.options import PLOT, QUIET, REPORT, own_options, setting_options, with_options
+from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import file_beside
@@ -37,24 +31,23 @@ EXAMPLES = (
 )
 
 
+VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", type=PATH)
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="PATH|-",
-    help="Where the attitudes go; - is stdout.  [default: none, required without --into]",
-)
-@into_option
-@with_options(OUTPUT_OPTIONS)
-@with_options(setting_options(PROPAGATE))
-@config_option
-@report_option
-@plot_option
-@quiet_option
-@click.option(
-    "-v", "--verbose", is_flag=True, help="A longer summary: conventions, policies, timings."
+@with_options(
+    own_options(
+        {
+            "-o --output": "PATH|-  Where the attitudes go; - is stdout.  [default: none, required "
+            "without --into]",
+            **INTO,
+        }
+    ),
+    OUTPUT_OPTIONS,
+    setting_options(PROPAGATE),
+    [config_option],
+    own_options({**REPORT, **PLOT, **QUIET, **VERBOSE}),
 )
 def command(**chosen: Any) -> None:
     """Turn the body rates of LOG into its attitude series.

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import named_option
+from quatprop.cli.options import own_options, with_options
 from quatprop.cli.types import PATH, OneOf
 from quatprop.errors import UsageError
 from quatprop.settings.parsers import count, duration, frequency, numbers
 from quatprop.writers import GENERAL_KINDS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MOTIONS = ("rest", "spin", "coning", "tumbling", "random-walk")
 """The keys of :data:`quatprop.simulate.motion.MOTIONS`; spelled out to keep help quick."""
@@ -54,6 +57,54 @@ EXAMPLES = (
 )
 
 
+OPTIONS = own_options(
+    {
+        "--to kind": "Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
+        "--compression": "Compression of a message log.  [default: zstd for mcap, else none]",
+        "--truth": "PATH  Where the true attitudes go, or 'none'.  [default: OUT's name with "
+        ".truth.csv, beside Parquet .truth.parquet, beside - none]",
+        "--motion": "What the body does.",
+        "--rate sample_rate": "HZ  Samples a second.",
+        "--duration": "DUR  How long, such as 20s or 1h; the last sample is just before it.  "
+        "[default: 20s]",
+        "--samples": "N  How many samples, instead of a duration.  [default: by duration]",
+        "--start start_ns": "TIME  Time of the first sample, RFC 3339 or ns.  [default: "
+        "2023-11-14T22:13:20Z]",
+        "--seed": "N  Of noise and random walk: the same seed gives the same log.  [default: 0]",
+        "--noise": "X  Angular random walk, rad/s/sqrt(Hz).  [default: 0]",
+        "--bias": "X,Y,Z  Constant error of the rates, rad/s.  [default: 0,0,0]",
+        "--q0": "W,X,Y,Z  True attitude at the first sample, body to reference, scalar first.",
+        "--frequency": "HZ  Turns a second: of a spin, of coning, of the precession of tumbling.  "
+        "[default: 0.5]",
+        "--axis": "X,Y,Z  Axis of a spin in the body.  [default: 0,0,1]",
+        "--angle": "DEG  Half-angle of the cone, or nutation angle of tumbling.  [default: 10]",
+        "--spin-frequency": "HZ  Turns a second of a tumbling body about its own axis.  [default: "
+        "0.2]",
+        "--walk": "X  Random walk of the rate, rad/s/sqrt(s).  [default: 0.1]",
+        "-q --quiet": "Say nothing.  [default: a line on stderr]",
+    },
+    {
+        "--to kind": OneOf(GENERAL_KINDS),
+        "--compression": OneOf(("none", "lz4", "zstd", "bz2")),
+        "--motion": OneOf(MOTIONS),
+        "--rate sample_rate": frequency,
+        "--duration": duration,
+        "--samples": count,
+        "--start start_ns": _moment,
+        "--seed": click.IntRange(min=0),
+        "--noise": click.FloatRange(min=0),
+        "--bias": numbers("X,Y,Z"),
+        "--q0": numbers("W,X,Y,Z"),
+        "--frequency": _exact,
+        "--axis": numbers("X,Y,Z"),
+        "--angle": _exact,
+        "--spin-frequency": _exact,
+        "--walk": click.FloatRange(min=0),
+    },
+    {"--motion": "spin", "--rate sample_rate": "100", "--q0": "1,0,0,0"},
+)
+
+
 @click.command(
     cls=Command,
     examples=EXAMPLES,
@@ -62,68 +113,7 @@ EXAMPLES = (
     epilog="Rates are in rad/s, body frame.",
 )
 @click.argument("out", type=PATH)
-@click.option(
-    "--to",
-    "kind",
-    type=OneOf(GENERAL_KINDS),
-    help="Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
-)
-@click.option(
-    "--compression",
-    type=OneOf(("none", "lz4", "zstd", "bz2")),
-    help="Compression of a message log.  [default: zstd for mcap, else none]",
-)
-@named_option(
-    "--truth PATH",
-    PATH,
-    "Where the true attitudes go, or 'none'.  [default: OUT's name with .truth.csv, beside "
-    "Parquet .truth.parquet, beside - none]",
-)
-@click.option(
-    "--motion", type=OneOf(MOTIONS), default="spin", show_default=True, help="What the body does."
-)
-@named_option("--rate sample_rate HZ", frequency, "Samples a second.", "100")
-@named_option(
-    "--duration DUR",
-    duration,
-    "How long, such as 20s or 1h; the last sample is just before it.  [default: 20s]",
-)
-@named_option(
-    "--samples N", count, "How many samples, instead of a duration.  [default: by duration]"
-)
-@named_option(
-    "--start start_ns TIME",
-    _moment,
-    "Time of the first sample, RFC 3339 or ns.",
-    "2023-11-14T22:13:20Z",
-)
-@named_option(
-    "--seed N",
-    click.IntRange(min=0),
-    "Of noise and random walk: the same seed gives the same log.",
-    0,
-)
-@named_option("--noise X", click.FloatRange(min=0), "Angular random walk, rad/s/sqrt(Hz).", 0.0)
-@named_option("--bias X,Y,Z", numbers("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0")
-@named_option(
-    "--q0 W,X,Y,Z",
-    numbers("W,X,Y,Z"),
-    "True attitude at the first sample, body to reference, scalar first.",
-    "1,0,0,0",
-)
-@named_option(
-    "--frequency HZ",
-    _exact,
-    "Turns a second: of a spin, of coning, of the precession of tumbling.",
-    "0.5",
-)
-@named_option("--axis X,Y,Z", numbers("X,Y,Z"), "Axis of a spin in the body.", "0,0,1")
-@named_option("--angle DEG", _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10")
-@named_option(
-    "--spin-frequency HZ", _exact, "Turns a second of a tumbling body about its own axis.", "0.2"
-)
-@named_option("--walk X", click.FloatRange(min=0), "Random walk of the rate, rad/s/sqrt(s).", 0.1)
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing.  [default: a line on stderr]")
+@with_options(OPTIONS)
 def command(out: str, **options: Any) -> None:
     """Write a log of a known motion to OUT, and the true attitudes beside it.
 
@@ -134,7 +124,8 @@ def command(out: str, **options: Any) -> None:
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside
 
-    _refuse_unused(options["motion"])
+    motion = options["motion"]
+    _refuse_unused(motion, options)
     if options["samples"] is not None and options["duration"] is not None:
         raise click.UsageError("--samples and --duration exclude each other; give one of them")
     samples = options["samples"] or samples_in(
@@ -142,20 +133,17 @@ def command(out: str, **options: Any) -> None:
     )
     truth = options["truth"] or truth_beside(out, options["kind"])
     truth = None if truth == "none" else truth
-    shape = Shape(
-        **{
-            name: options[name] for name in ("frequency", "axis", "angle", "spin_frequency", "walk")
-        },
-        seed=options["seed"],
-    )
+    given = {name: value for name, value in options.items() if value is not None}
+    shape = Shape(**{name: given[name] for name in (*SHAPED_BY, "seed") if name in given})
     gyroscope = Gyroscope(
-        **{name: options[name] for name in ("sample_rate", "start_ns", "noise", "bias", "seed")},
-        samples=samples,
+        options["sample_rate"],
+        samples,
+        **{name: given[name] for name in ("start_ns", "noise", "bias", "seed") if name in given},
     )
     with progress(quiet=options["quiet"]):
         simulate(
             out,
-            options["motion"],
+            motion,
             shape,
             gyroscope,
             q0=options["q0"],
@@ -165,13 +153,12 @@ def command(out: str, **options: Any) -> None:
         )
     if not options["quiet"]:
         beside = f"; the truth is in {truth}" if truth else ""
-        click.echo(f"{out}: {samples:,} samples of {options['motion']}{beside}", err=True)
+        click.echo(f"{out}: {samples:,} samples of {motion}{beside}", err=True)
 
 
-def _refuse_unused(motion: str) -> None:
+def _refuse_unused(motion: str, options: Mapping[str, Any]) -> None:
     """Refuse options of other motions than the chosen one."""
-    source = click.get_current_context().get_parameter_source
     for name, motions in SHAPED_BY.items():
-        if motion not in motions and source(name) is not click.core.ParameterSource.DEFAULT:
+        if motion not in motions and options[name] is not None:
             option = f"--{name.replace('_', '-')}"
             raise click.UsageError(f"{option} goes with --motion {' or '.join(motions)}")
