@@ -349,14 +349,6 @@ def test_an_angle_without_a_unit_is_refused(text):
         angle_rad(text)
 
 
-def test_unknown_ways_are_refused():
-    """Alignments and matches that do not exist are refused with those that do."""
-    with pytest.raises(UsageError, match=r"^no alignment 'best'; choose one of 'none', 'first'"):
-        compare(A, A, ComparisonSettings(align="best"))
-    with pytest.raises(UsageError, match=r"^no match 'fuzzy'; choose one of 'exact', 'nearest'"):
-        compare(A, A, ComparisonSettings(match="fuzzy"))
-
-
 def test_long_series_are_compared_to_their_ends():
     """Errors and signs count in every block that is computed apart, and so does the last row."""
     rows = 2 * BLOCK + 3

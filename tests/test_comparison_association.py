@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from quatprop.comparison.association import associate, interpolate, shifted
+from quatprop.comparison import association
+from quatprop.comparison.association import interpolate, shifted
+from quatprop.comparison.settings import ComparisonSettings
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import AttitudeSeries
@@ -18,6 +20,11 @@ def random_series(t_ns, seed=0):
     """Return attitudes of arbitrary signs at given times."""
     rotations = Rotation.random(len(t_ns), rng=np.random.default_rng(seed))
     return AttitudeSeries(np.asarray(t_ns, np.int64), rotations.as_quat(scalar_first=True))
+
+
+def associate(a, b, **settings):
+    """Match two series with some settings."""
+    return association.associate(a, b, ComparisonSettings(**settings))
 
 
 def spin(t_ns):
@@ -89,18 +96,18 @@ def test_nothing_is_interpolated_across_a_gap():
     pairs = associate(spin(t_ns), b)
     seconds = (pairs.t_ns - EPOCH_NS) * 1e-9
     assert not ((seconds > 0.99) & (seconds < 1.3)).any()
-    assert len(associate(spin(t_ns), b, match="interpolate", max_dt_ns=400_000_000)) == 99
+    assert len(associate(spin(t_ns), b, match="interpolate", max_dt=400_000_000)) == 99
 
 
 def test_the_nearest_sample_is_near_enough_or_none():
     """Each sample of the sparser series finds the nearest one within --max-dt."""
     a = random_series([0, 100, 200, 300, 400])
     b = random_series([4, 31, 49, 51, 97, 160, 203, 291, 308], seed=1)
-    pairs = associate(a, b, max_dt_ns=9)
+    pairs = associate(a, b, max_dt=9)
     assert (pairs.match, pairs.at) == ("nearest", "A")
     assert pairs.t_ns.tolist() == [0, 100, 200, 300]
     assert np.array_equal(pairs.b, b.wxyz[[0, 4, 6, 8]])
-    assert associate(a, b, max_dt_ns=4, min_matched=0.1).t_ns.tolist() == [0, 100, 200]
+    assert associate(a, b, max_dt=4, min_matched=10).t_ns.tolist() == [0, 100, 200]
 
 
 def test_too_few_pairs_are_refused_with_both_spans():
@@ -131,4 +138,4 @@ def test_one_pair_is_too_few():
     """Two pairs are the least."""
     one = random_series([5])
     with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
-        associate(one, one, min_matched=0.0)
+        associate(one, one, min_matched=0)

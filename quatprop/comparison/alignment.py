@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.settings import ALIGNMENTS
 from quatprop.conventions.representations import from_matrices
-from quatprop.errors import ComparisonError, UsageError
+from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
-from quatprop.text import Setting, Text, listed, quoted
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -75,7 +74,7 @@ class Alignment:
     Parameters
     ----------
     name
-        One of :data:`ALIGNMENTS`.
+        One of :data:`quatprop.comparison.settings.ALIGNMENTS`.
     reference_wxyz, reference_rad
         r, shape ``(4,)``: B's reference -> A's reference, multiplied on the left; its angle, rad.
     mount_wxyz, mount_rad
@@ -116,8 +115,6 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     ------
     ComparisonError
         The motion does not show a mounting.
-    UsageError
-        No such alignment.
     """
     match name:
         case "none":
@@ -126,12 +123,10 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
             return Alignment(name, multiply(a[0], conjugate(b[0])))
         case "mean":
             return Alignment(name, mean_rotation(multiply(a, conjugate(b))))
-        case "mount":
+        case _:
             mount, fit = find_mounting(a, b)
             reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
             return Alignment(name, reference, mount_wxyz=mount, mounting=fit)
-        case _:
-            raise UsageError(f"no alignment {quoted(name)}; choose one of {listed(ALIGNMENTS)}")
 
 
 def mean_rotation(q: Float64) -> Float64:

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.settings import MATCHES
-from quatprop.errors import ComparisonError, UsageError
+from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import normalize, slerp
-from quatprop.text import Setting, Text, listed, quoted
+from quatprop.text import Setting, Text
+from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Self
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import Float64, Int64, Intp
+    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.series import AttitudeSeries
 
 
-Side = Literal["A", "B"]
-
 MIN_PAIRS = 2
 """Least pairs from which a drift and an alignment can be computed."""
-
-GAP_INTERVALS = 10
-"""An interval this many times the median one is a gap: nothing is interpolated across it."""
 
 FAR = np.iinfo(np.int64).max
 """Median interval of a series that has no interval."""
@@ -48,7 +44,7 @@ class Pairs:
     at
         That series: ``"A"`` or ``"B"``.
     match
-        One of :data:`MATCHES`.
+        One of :data:`quatprop.comparison.settings.MATCHES`.
     max_dt_ns
         How far a sample was allowed to be from its partner, ns; 0 for equal stamps.
     candidates
@@ -60,7 +56,7 @@ class Pairs:
     a: Float64
     b: Float64
     index: Int64
-    at: Side
+    at: str
     match: str
     max_dt_ns: int
     candidates: int
@@ -98,14 +94,7 @@ class Matching:
         return cls(pairs.match, pairs.at, pairs.max_dt_ns, len(pairs), pairs.candidates, *ends)
 
 
-def associate(
-    a: AttitudeSeries,
-    b: AttitudeSeries,
-    *,
-    match: str | None = None,
-    max_dt_ns: int | None = None,
-    min_matched: float = 0.5,
-) -> Pairs:
+def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> Pairs:
     """Match two series in time.
 
     The pairs are at the stamps of the series with the longer intervals; the other one is looked
@@ -115,49 +104,46 @@ def associate(
     ----------
     a, b
         The series, in rising order of their stamps, in one clock.
-    match
-        One of :data:`MATCHES`. None: exact where at least half of the samples that could have
-        equal stamps do; else nearest if `max_dt_ns` is given, and interpolate if not.
-    max_dt_ns
-        How far a sample may be from its partner, for interpolation from both neighbours, ns.
-        None: half the median interval for nearest, ten for interpolate, of the series looked up.
-    min_matched
-        Share of the samples in the time that both cover that must be matched, 0 to 1.
+    settings
+        How to compare. Where they leave the match open: exact where at least half of the samples
+        that could have equal stamps do; else nearest if `max_dt` is given, and interpolate if not.
+        Where they leave `max_dt` open: half the median interval of the series looked up for
+        nearest, ten for interpolate.
 
     Raises
     ------
     ComparisonError
         Fewer than two pairs, or fewer than `min_matched`.
-    UsageError
-        There is no such way to match.
     """
-    if match is None:
-        exact = _exact(a, b)
-        if exact.candidates and 2 * len(exact) >= exact.candidates:
-            return _enough(exact, a, b, min_matched)
-        match = "interpolate" if max_dt_ns is None else "nearest"
-    if match not in MATCHES:
-        raise UsageError(f"no match {quoted(match)}; choose one of {listed(MATCHES)}")
-    if match == "exact":
-        return _enough(_exact(a, b), a, b, min_matched)
-    at: Side = "B" if interval_ns(b) > interval_ns(a) else "A"
+    match = settings.match
+    if match in {None, "exact"}:
+        pairs = _exact(a, b)
+        if match is None and not is_mostly_exact(len(pairs), pairs.candidates):
+            match = "interpolate" if settings.max_dt is None else "nearest"
+    if match not in {None, "exact"}:
+        pairs = _near(a, b, str(match), settings.max_dt)
+    spans = [(int(series.t_ns[0]), int(series.t_ns[-1])) for series in (a, b)]
+    require_enough(Matching.of(pairs), spans, settings)
+    return pairs
+
+
+def is_mostly_exact(matched: int, candidates: int) -> bool:
+    """Tell whether so many equal stamps are enough to compare at equal stamps alone."""
+    return 2 * matched >= max(candidates, 1)
+
+
+def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, max_dt_ns: int | None) -> Pairs:
+    at = "B" if interval_ns(b) > interval_ns(a) else "A"
     sparse, dense = (b, a) if at == "B" else (a, b)
     if max_dt_ns is None:
-        max_dt_ns = _default_max_dt_ns(dense, match)
+        interval = interval_ns(dense)
+        reach = GAP_FACTOR * interval if match == "interpolate" else (interval + 1) // 2
+        max_dt_ns = 0 if interval == FAR else reach
     find = _nearest if match == "nearest" else _interpolated
     index, looked_up = find(dense, sparse.t_ns, max_dt_ns)
     kept = sparse.wxyz[index]
-    pairs = Pairs(
-        t_ns=sparse.t_ns[index],
-        a=kept if at == "A" else looked_up,
-        b=looked_up if at == "A" else kept,
-        index=index,
-        at=at,
-        match=match,
-        max_dt_ns=max_dt_ns,
-        candidates=_candidates(a, b),
-    )
-    return _enough(pairs, a, b, min_matched)
+    both = (kept, looked_up) if at == "A" else (looked_up, kept)
+    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, _candidates(a, b))
 
 
 def interval_ns(series: AttitudeSeries) -> int:
@@ -198,16 +184,15 @@ def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
 
 
 def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
-    if np.array_equal(a.t_ns, b.t_ns):
-        index = np.arange(len(a))  # the usual case: nothing needs to be sorted or copied
-        return Pairs(a.t_ns, a.wxyz, b.wxyz, index, "A", "exact", 0, len(a))
     in_a, in_b = equal_stamps(a.t_ns, b.t_ns)
-    pairs = a.t_ns[in_a], a.wxyz[in_a], b.wxyz[in_b], in_a
+    pairs = a.t_ns[in_a], a.wxyz[in_a], b.wxyz[in_b], np.arange(len(a))[in_a]
     return Pairs(*pairs, "A", "exact", 0, _candidates(a, b))
 
 
-def equal_stamps(a: Int64, b: Int64) -> tuple[Int64, Int64]:
+def equal_stamps(a: Int64, b: Int64) -> tuple[Intp | slice, Intp | slice]:
     """Return where the stamps are that two series of rising stamps have in common, in each."""
+    if np.array_equal(a, b):
+        return slice(None), slice(None)  # the usual case: nothing is searched or copied
     place = np.minimum(np.searchsorted(b, a), len(b) - 1)
     (in_a,) = np.nonzero(b[place] == a)
     return in_a, place[in_a]
@@ -241,22 +226,8 @@ def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[I
     return index, interpolate(dense, t_ns[index])
 
 
-def _default_max_dt_ns(dense: AttitudeSeries, match: str) -> int:
-    interval = interval_ns(dense)
-    if interval == FAR:
-        return 0
-    return GAP_INTERVALS * interval if match == "interpolate" else (interval + 1) // 2
-
-
-def _enough(pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries, min_matched: float) -> Pairs:
-    matching = Matching.of(pairs)
-    spans = [(int(series.t_ns[0]), int(series.t_ns[-1])) for series in (a, b)]
-    require_enough(matching, spans, min_matched)
-    return pairs
-
-
 def require_enough(
-    matching: Matching, spans_ns: Sequence[tuple[int, int]], min_matched: float
+    matching: Matching, spans_ns: Sequence[tuple[int, int]], settings: ComparisonSettings
 ) -> None:
     """Refuse what has too few pairs.
 
@@ -266,10 +237,15 @@ def require_enough(
         What was matched.
     spans_ns
         The first and the last stamp of A, and of B, ns.
-    min_matched
-        As for :func:`associate`.
+    settings
+        How to compare.
+
+    Raises
+    ------
+    ComparisonError
+        There are too few.
     """
-    needed = max(MIN_PAIRS, int(np.ceil(min_matched * matching.candidates)))
+    needed = max(MIN_PAIRS, int(np.ceil(settings.min_matched / 100 * matching.candidates)))
     if matching.matched >= needed:
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)

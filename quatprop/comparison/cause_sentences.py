@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.trials import ClockDrift, MethodPair, RateRatio, TimeOffset
-from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
+from quatprop.comparison.trials import ClockError, RateRatio
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, Text
 from quatprop.times import NS_PER_S, duration_text
@@ -19,19 +18,13 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.comparison.trials import Trial
 
-_CONJUGATE = (
-    "B is the conjugate of A: the direction (reference to body) or the JPL convention of one of "
-    "them was not taken into account"
-)
-_LAST = "B is scalar-last and was read as scalar-first, or A the other way round"
-_FIRST = "B is scalar-first and was read as scalar-last, or A the other way round"
-
 MISREADINGS = {
-    "conjugate": _CONJUGATE,
-    "layout": _LAST,
-    "layout-first": _FIRST,
-    "layout and conjugate": f"{_LAST}; also, {_CONJUGATE}",
-    "layout-first and conjugate": f"{_FIRST}; also, {_CONJUGATE}",
+    "conjugate": (
+        "B is the conjugate of A: the direction (reference to body) or the JPL convention of one "
+        "of them was not taken into account"
+    ),
+    "layout": "B is scalar-last and was read as scalar-first, or A the other way round",
+    "layout-first": "B is scalar-first and was read as scalar-last, or A the other way round",
 }
 """Name of a misreading -> what it means."""
 
@@ -39,8 +32,6 @@ ALTERNATIVES = {
     "conjugate": "a wrong direction or JPL convention",
     "layout": "a wrong layout",
     "layout-first": "a wrong layout",
-    "layout and conjugate": "a wrong layout with a wrong direction or JPL convention",
-    "layout-first and conjugate": "a wrong layout with a wrong direction or JPL convention",
     "side": "body rates taken for inertial rates",
     "rate sign": "rates of the opposite sign",
     "axes": "swapped or reversed axes",
@@ -53,8 +44,8 @@ RATE_SIGN = (
 )
 
 SCALES = {
-    2.0: "a factor 1/2 is missing in one of them",
-    180 / np.pi: "one of them took degrees for radians",
+    2.0: ": a factor 1/2 is missing in one of them",
+    180 / np.pi: ": one of them took degrees for radians",
 }
 """Ratio of rates -> the mistake that gives it."""
 
@@ -89,88 +80,74 @@ def described(
     if alternatives:
         others = " or ".join(dict.fromkeys(map(_alternative, alternatives)))
         sentence += f"; this motion does not distinguish it from {others}"
-        if isinstance(trial.value, TimeOffset) and "body frame" in {
-            one.name for one in alternatives
-        }:
-            # Motion that looks the same in turned axes may have a constant speed, by which no
-            # offset is found.
-            offset = Setting("time_offset", f"{trial.value.seconds * 1000:.6g}ms")
-            remedy = Text(offset, " or ", Setting("align", "mount"), " takes it out")
+        names = {one.name for one in alternatives}
+        match trial.value:
+            case ClockError(seconds) if trial.name == "time offset" and "body frame" in names:
+                # Motion that looks the same in turned axes may have a constant speed, by which no
+                # offset is found.
+                offset = Setting("time_offset", f"{seconds * 1000:.6g}ms")
+                remedy = Text(offset, " or ", ALIGN_MOUNT)
     return trial.name, sentence, remedy
 
 
 def _alternative(trial: Trial) -> str:
     match trial.value:
-        case TimeOffset(seconds):
+        case ClockError(seconds) if trial.name == "time offset":
             return f"a time offset of {duration_text(round(abs(seconds) * NS_PER_S))}"
-        case ClockDrift(ratio):
+        case ClockError(_, ratio):
             return f"clocks that differ by {abs(ratio) * 1e6:.3g} ppm"
         case RateRatio(value):
             return f"rates that differ by a factor of {max(value, 1 / value):.6g}"
-        case np.ndarray() if trial.name == "body frame":
-            turn = float(geodesic_angle(IDENTITY, trial.value))
+        case float(turn):
             return f"body frames that differ by {degrees_text(turn)}"
         case _:
-            return ALTERNATIVES[trial.name]
+            return " with ".join(ALTERNATIVES[name] for name in trial.name.split(" and "))
 
 
 def _sentence_and_remedy(
     trial: Trial, intervals: Sequence[float]
 ) -> tuple[str, Setting | Text | None]:
-    cause: tuple[str, Setting | Text | None]
     match trial.value:
-        case TimeOffset():
-            cause = _offset(trial.value, intervals)
+        case ClockError() as clock:
+            return _offset(clock, intervals) if trial.name == "time offset" else _drift(clock)
         case RateRatio(value):
-            cause = f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", _UNITS
-        case ClockDrift():
-            cause = _drift(trial.value), DRIFT_REMEDY
-        case MethodPair():
-            cause = _methods(trial.value, intervals[0])
-        case np.ndarray() if trial.name == "axes":
-            cause = _axes(trial.value)
+            return f"B turns {1 / value:.6g} times as fast as A{_scale_meaning(value)}", RATE_UNIT
+        case float(turn):
+            return f"the body frames differ by {degrees_text(turn)}", ALIGN_MOUNT
+        case (str(of_a), str(of_b)):
+            return _methods(of_a, of_b, intervals[0])
         case np.ndarray():
-            turn = float(geodesic_angle(IDENTITY, trial.value))
-            sentence = f"the body frames differ by {degrees_text(turn)}"
-            cause = sentence, Text(Setting("align", "mount"), " takes it out")
+            return _axes(trial.value)
         case _:
-            cause = _misreading(trial)
-    return cause
+            return _misreading(trial)
 
 
 def _misreading(trial: Trial) -> tuple[str, Text | None]:
     if trial.name == "rate sign":
         return RATE_SIGN, None
-    if trial.name != "side":
-        return MISREADINGS[trial.name], _reading(trial)
-    which, other = ("A", "B") if trial.side == "a" else ("B", "A")
-    sentence = (
-        f"what multiplies on the left in {which} multiplies on the right in {other}: body rates "
-        "against inertial rates"
-    )
-    return sentence, Text("propagate with ", Setting("rates", "body|inertial"))
-
-
-_UNITS = Text("see ", Setting("rate_unit", "rad/s|deg/s"), " where the rates are read")
-
-
-def _reading(trial: Trial) -> Text:
     side = trial.side
-    direction = Text(
-        Setting("from_direction", "ref-to-body", side),
-        " or ",
-        Setting("from_convention", "jpl", side),
-    )
-    # Where B is scalar-last, or A scalar-first.
-    last = trial.name.startswith("layout-first") == (side == "a")
-    layout = Setting("from_layout", "scalar-last" if last else "scalar-first", side)
-    if not trial.name.startswith("layout"):
-        return Text("if it is ", side.upper(), ", read it with ", direction)
-    also = Text(" and ", direction) if trial.name.endswith("conjugate") else ""
-    return Text("if it is ", side.upper(), ", read it with ", layout, also)
+    if trial.name == "side":
+        which, other = ("A", "B") if side == "a" else ("B", "A")
+        sentence = (
+            f"what multiplies on the left in {which} multiplies on the right in {other}: body "
+            "rates against inertial rates"
+        )
+        return sentence, Text("propagate with ", Setting("rates", "body|inertial"))
+    sentence = "; also, ".join(MISREADINGS[name] for name in trial.name.split(" and "))
+    remedy: list[Setting | str] = [f"if it is {side.upper()}, read it with "]
+    if trial.name.startswith("layout"):
+        # Where B is scalar-last, or A scalar-first.
+        last = trial.name.startswith("layout-first") == (side == "a")
+        remedy.append(Setting("from_layout", "scalar-last" if last else "scalar-first", side))
+    if trial.name.endswith(" and conjugate"):
+        remedy.append(" and ")
+    if trial.name.endswith("conjugate"):
+        direction = Setting("from_direction", "ref-to-body", side)
+        remedy += [direction, " or ", Setting("from_convention", "jpl", side)]
+    return sentence, Text(*remedy)
 
 
-def _offset(offset: TimeOffset, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
+def _offset(offset: ClockError, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
     late = "late" if offset.seconds < 0 else "early"
     amount, std = (round(value * NS_PER_S) for value in (abs(offset.seconds), offset.std))
     sentence = f"B is {_rounded(amount, std)} {late}"
@@ -184,10 +161,12 @@ def _offset(offset: TimeOffset, intervals: Sequence[float]) -> tuple[str, Settin
     return sentence, remedy
 
 
-DRIFT_REMEDY = Text("correct the stamps; ", Setting("time_offset", "auto"), " leaves the change in")
+RATE_UNIT = Text("see ", Setting("rate_unit", "rad/s|deg/s"), " where the rates are read")
+
+ALIGN_MOUNT = Text(Setting("align", "mount"), " takes it out")
 
 
-def _drift(drift: ClockDrift) -> str:
+def _drift(drift: ClockError) -> tuple[str, Text]:
     ppm, std = abs(drift.ratio) * 1e6, max(drift.std * 1e6, 0.01)
     digits = max(1 - math.floor(math.log10(std)), 0)
     pace = "slow" if drift.ratio > 0 else "fast"
@@ -195,10 +174,12 @@ def _drift(drift: ClockDrift) -> str:
         duration_text(round(value * NS_PER_S))
         for value in (round(abs(drift.ratio) * drift.span, 4), round(drift.span, 1))
     )
-    return (
+    sentence = (
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}"
     )
+    auto = Setting("time_offset", "auto")
+    return sentence, Text("correct the stamps; ", auto, " leaves the change in")
 
 
 def _rounded(amount_ns: int, std_ns: int) -> str:
@@ -210,12 +191,12 @@ def _rounded(amount_ns: int, std_ns: int) -> str:
     return f"{amount} +- {std}"
 
 
-def _methods(methods: MethodPair, interval: float) -> tuple[str, Text]:
-    sentence = f"the same rates lead to A with method {methods.a}, and to B with method {methods.b}"
-    if {methods.a, methods.b} == {"start", "end"}:
+def _methods(of_a: str, of_b: str, interval: float) -> tuple[str, Text]:
+    sentence = f"the same rates lead to A with method {of_a}, and to B with method {of_b}"
+    if {of_a, of_b} == {"start", "end"}:
         amount = duration_text(round(interval * NS_PER_S))
         sentence += f", or their timestamps are one interval, {amount}, apart"
-    return sentence, _if_propagated(Setting("method", methods.b), Setting("method", methods.a))
+    return sentence, _if_propagated(Setting("method", of_b), Setting("method", of_a))
 
 
 def _if_propagated(a: Setting, b: Setting) -> Text:
@@ -230,9 +211,7 @@ def _axes(matrix: Float64) -> tuple[str, Text]:
         of_a, of_b = (
             Setting("mount", _signed(turn).replace(" ", "")) for turn in (matrix.T, matrix)
         )
-        return sentence, Text(
-            _if_propagated(of_a, of_b), "; ", Setting("align", "mount"), " takes it out"
-        )
+        return sentence, Text(_if_propagated(of_a, of_b), "; ", ALIGN_MOUNT)
     return (
         f"{sentence}, which is left-handed: an axis is reversed, or two are swapped",
         Text("see the order and the signs of the rates that were propagated"),
@@ -240,16 +219,11 @@ def _axes(matrix: Float64) -> tuple[str, Text]:
 
 
 def _signed(matrix: Float64) -> str:
-    names = []
-    for row in matrix:
-        place = int(np.argmax(np.abs(row)))
-        names.append(("-" if row[place] < 0 else "") + "xyz"[place])
-    return ", ".join(names)
+    axes = [("-" if row.sum() < 0 else "") + "xyz"[np.argmax(np.abs(row))] for row in matrix]
+    return ", ".join(axes)
 
 
 def _scale_meaning(scale: float) -> str:
     ratio = max(scale, 1 / scale)
-    for named, meaning in SCALES.items():
-        if abs(ratio / named - 1) < SCALE_TOLERANCE:
-            return f": {meaning}"
-    return ""
+    near = (SCALES[named] for named in SCALES if abs(ratio / named - 1) < SCALE_TOLERANCE)
+    return next(near, "")

@@ -16,20 +16,16 @@ import numpy as np
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import interpolate, interval_ns, shifted
 from quatprop.comparison.statistics import NS_PER_S
-from quatprop.comparison.trials import TimeOffset, time_offset
-from quatprop.comparison.windows import (
-    Angles,
-    centred,
-    common_beginning,
-    undone_misreadings,
-    window_grids,
-)
+from quatprop.comparison.trials import clock_error
+from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
+    from quatprop.comparison.trials import ClockError
+    from quatprop.comparison.windows import Angles
     from quatprop.series import AttitudeSeries
 
 
@@ -98,7 +94,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     References
     ----------
     Knapp and Carter, "The generalized correlation method for estimation of time delay", IEEE
-    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.trials.time_offset`.
+    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.trials.clock_error`.
     """
     step = _step_ns(a, b)
     speed_a, speed_b = _speeds(a, step), _speeds(b, step)
@@ -205,33 +201,32 @@ def _runner_up(correlation: Float64, peak: int) -> float:
     return float(outside.max(initial=0.0))
 
 
-def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> TimeOffset:
+def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
     """Return what is still to be added to an offset, from windows of the length that shows most."""
     a, b = common_beginning(a, shifted(b, offset))
     first = next(undone_misreadings(a, b))
-    best: TimeOffset | None = None
-    for length, starts in window_grids(first.a.seconds, first.b.seconds):
-        found = _turned_and_moved(first, starts, length)
-        if best is None or found.white_std < best.white_std:
-            best = found
-    if best is None:
+    found = [
+        _turned_and_moved(first, starts, length)
+        for length, starts in window_grids(first.a.seconds, first.b.seconds)
+    ]
+    if not found:
         raise ComparisonError(
             "A and B have too few windows of common motion to estimate a time offset; ", GIVE_OFFSET
         )
-    return best
+    return min(found, key=lambda clock: clock.white_std)
 
 
-def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> TimeOffset:
+def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> ClockError:
     """Find in turns how the bodies are turned to each other, and the offset, until it stays."""
-    found = TimeOffset(0.0, np.inf, np.inf)
-    y = centred(pair.a.over(starts, length))
+    before, begin = 0.0, None
+    y = pair.a.over(starts, length)
     for _ in range(MAX_FITS):
-        before = found.seconds
-        turn, _ = kabsch(centred(pair.b.over(starts - before, length)), y)
+        turn, _ = kabsch(pair.b.over(starts - before, length), y)
         turned = pair._replace(b=pair.b.turned(turn))
-        found = time_offset(turned, starts, length, None if before == 0 else before)
+        found = clock_error(turned, starts, length, begin)
         if abs(found.seconds - before) * NS_PER_S < 1:
             break
+        before = begin = found.seconds
     return found
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
-    from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import WindowStatistics
 
@@ -59,8 +58,6 @@ def compare(
     ------
     ComparisonError
         The series cannot be compared: too few pairs, no motion to align by...
-    UsageError
-        There is no such alignment or match.
 
     Examples
     --------
@@ -73,15 +70,10 @@ def compare(
     settings = settings or ComparisonSettings()
     remarks: list[str] = []
     a, b = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
-    offset = _offset(a, b, settings)
+    found = find_offset(a, b) if settings.time_offset == "auto" else None
+    offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
-    match = partial(
-        associate,
-        match=settings.match,
-        max_dt_ns=settings.max_dt,
-        min_matched=settings.min_matched / 100,
-    )
-    pairs = match(a, b)
+    pairs = associate(a, b, settings)
     alignment = align(settings.align, pairs.a, pairs.b)
     meter = ErrorMeter(pairs.at, alignment, settings.limit_rad)
     meter.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
@@ -98,7 +90,7 @@ def compare(
         Matching.of(pairs),
         offset,
         Coverage.of(meter.covered, reference, 100 * len(pairs) / len(b) if counted else None),
-        lambda rising: likely_cause(a, b, match, settings.align, rising),
+        lambda rising: likely_cause(a, b, settings, rising),
         pairs=pairs,
         window=window,
         sigmas=sigma_statistics(a, b, pairs, alignment),
@@ -134,7 +126,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
     pairs
         What was compared; None where the result need not have it, nor the errors.
     """
-    errors = meter.errors()
+    errors, remarks = meter.errors(), list(remarks)
     final, largest = float(errors[-1]), meter.worst.error_rad
     if pairs is None:
         errors.sort()
@@ -143,17 +135,15 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
     criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, covered, sigmas))
     passed = all(criterion.passed for criterion in criteria)
     if matching.match == "exact" and meter.opposite and largest <= SMALL:
-        signs = (
+        remarks.append(
             f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
             "the same attitude, so this is no error"
         )
-        remarks = (*remarks, signs)
     if sigmas and math.isinf(sigmas.max):
-        exact = (
+        remarks.append(
             f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
             "exact, with sigma 0, and the error is beyond rounding"
         )
-        remarks = (*remarks, exact)
     return Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
@@ -173,13 +163,6 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         likely_cause=None if criteria and passed else explain(rising),
         remarks=tuple(remarks),
     )
-
-
-def _offset(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> AppliedOffset:
-    if settings.time_offset == "auto":
-        found = find_offset(a, b)
-        return AppliedOffset(found.ns, found)
-    return AppliedOffset(settings.time_offset, None)
 
 
 def unit(wxyz: Float64) -> Float64:

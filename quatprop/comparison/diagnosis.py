@@ -8,37 +8,34 @@ remains without it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.association import associate
 from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
-    FRAME_AND_BIAS,
-    constant_rotations,
+    Cause,
+    aligned_rms,
+    causes_of_errors,
     isolated_samples,
-    rate_biases,
-    remaining_errors,
-    steady_drifts,
 )
 from quatprop.comparison.rule_trials import method_trials
 from quatprop.comparison.statistics import NS_PER_S, rms
-from quatprop.comparison.trials import ClockDrift, TimeOffset, trials
-from quatprop.comparison.window_trials import WindowTrials
+from quatprop.comparison.trials import ClockError, trials
+from quatprop.comparison.window_trials import CLOCKS, MISTAKES, WindowTrials
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
-from quatprop.text import Text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Collection
 
     from quatprop.arrays import Float64
-    from quatprop.comparison.association import Pairs
+    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.series import AttitudeSeries
-    from quatprop.text import Setting
-
 
 FACTOR = 10.0
 """Without a cause found in the errors themselves, at most the error over this remains."""
@@ -58,60 +55,14 @@ MAX_REMAINING_METHOD = 0.02
 GROSS = 0.5
 """A mistake that leaves less than this comes before causes found in the errors themselves."""
 
-CLOCKS = ("time offset", "clock drift")
-"""Mistakes in timestamps, which matter more the faster rates change."""
-
 SMALL = {"method", "scale"}
 """Mistakes that turn no reference frame: where frames differ too, that comes first."""
-
-
-@dataclass(frozen=True, slots=True)
-class Cause:
-    """What explains most of an error.
-
-    Parameters
-    ----------
-    name
-        A short name, stable for scripts.
-    sentence
-        What it means.
-    rms_before, rms_after
-        RMS error without and with the explanation, rad.
-    remedy
-        The setting that takes the error out of the comparison, or with which to read or propagate.
-    window_ns
-        Where the cause was found in rotations over windows, their length, ns: the RMS errors are
-        those of the rotations, less a constant rate. None: they are those of the attitudes.
-    also
-        A second cause, of which the first hides the effect.
-    total_before, total_after
-        RMS errors of the attitudes without and with the explanation, rad, where it was found in
-        rotations over windows and they are known.
-    """
-
-    name: str
-    sentence: str
-    rms_before: float
-    rms_after: float
-    remedy: Setting | Text | None = None
-    window_ns: int | None = None
-    also: Cause | None = None
-    total_before: float | None = None
-    total_after: float | None = None
-
-    @property
-    def advice(self) -> Text:
-        """The sentence with the remedy; not for a regression, which the remedy would hide."""
-        return (
-            Text(self.sentence) if self.remedy is None else Text(self.sentence, "; ", self.remedy)
-        )
 
 
 def likely_cause(
     a: AttitudeSeries,
     b: AttitudeSeries,
-    match: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
-    alignment: str,
+    settings: ComparisonSettings,
     error: Float64,
 ) -> Cause | None:
     """Return what explains an error, if something does.
@@ -122,45 +73,42 @@ def likely_cause(
     ----------
     a, b
         The series, B in A's clock as far as that is known.
-    match
-        Matches them in time.
-    alignment
-        How they were aligned: one of :data:`quatprop.comparison.settings.ALIGNMENTS`.
+    settings
+        How they are compared.
     error
         The errors after that, rad, shape ``(N,)``, in rising order.
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None
-    for outliers in isolated_samples(error):
-        if rms(outliers.remaining) <= rms(error) / FACTOR:
-            return Cause(outliers.name, outliers.sentence, rms(error), rms(outliers.remaining))
+    outliers = isolated_samples(error)
+    if outliers and outliers.rms_after <= outliers.rms_before / FACTOR:
+        return outliers
     a, b = common_beginning(a, b)
     if len(a) < MIN_PAIRS or len(b) < MIN_PAIRS:
         return None
-
-    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
-
-    def total(clock: TimeOffset | ClockDrift | None) -> float | None:
-        """Return the RMS error with what a clock is off by added to B's stamps."""
-        moved = b
-        if clock is not None:
-            seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
-            moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
-        try:
-            pairs = match(a, moved)
-        except ComparisonError:
-            return None
-        errors = remaining_errors(pairs, alignment, pairs.b)
-        return None if errors is None else rms(errors)
-
-    mistake = _cause_over_windows(a, b, total, turned=alignment != "mount")
+    names = MISTAKES - {"body frame"} if settings.align == "mount" else MISTAKES
+    mistake, clock = _cause_over_windows(a, b, names)
+    if mistake and clock:
+        first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
+        seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
+        moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
+        totals = [_total(a, other, settings) for other in (b, moved)]
+        mistake = replace(mistake, total_before=totals[0], total_after=totals[1])
     gross = mistake and mistake.rms_after <= GROSS * mistake.rms_before and not _is_minor(mistake)
     if gross and mistake and mistake.name not in SMALL:
         return mistake
-    main = _cause_of_errors(a, b, match, alignment)
+    main = _cause_of_errors(a, b, settings)
     if gross and (main is None or main.name != "reference frame"):
         return mistake
     return replace(main, also=mistake) if main else mistake
+
+
+def _total(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> float | None:
+    """Return the RMS error, rad; None where the series cannot be compared."""
+    with suppress(ComparisonError):
+        pairs = associate(a, b, settings)
+        return aligned_rms(settings.align, pairs.a, pairs.b)
+    return None
 
 
 def _is_minor(cause: Cause) -> bool:
@@ -171,38 +119,32 @@ def _is_minor(cause: Cause) -> bool:
 
 
 def _cause_over_windows(
-    a: AttitudeSeries,
-    b: AttitudeSeries,
-    total: Callable[[TimeOffset | ClockDrift | None], float | None],
-    *,
-    turned: bool,
-) -> Cause | None:
-    """Return the mistake that the rotations over windows show."""
+    a: AttitudeSeries, b: AttitudeSeries, names: Collection[str]
+) -> tuple[Cause | None, ClockError | None]:
+    """Return which of some mistakes the rotations over windows show, and what a clock is off by."""
     if cause := _method_cause(a, b):
-        return cause
+        return cause, None
     angles = list(undone_misreadings(a, b))
     lengths = [
         WindowTrials(length, starts, angles[0], list(trials(angles, starts, length)))
         for length, starts in window_grids(angles[0].a.seconds, angles[0].b.seconds)
     ]
     if not lengths:
-        return None
-    clearest = min(lengths, key=lambda windows: windows.unexplained)
+        return None, None
     intervals = [float(np.median(np.diff(series.t_ns))) / NS_PER_S for series in (a, b)]
-    found = clearest.found(min(intervals), turned=turned)
+    clearest = min(lengths, key=lambda windows: windows.unexplained)
+    found = clearest.found(min(intervals), names)
     if found is None:
         # A time offset stands out most clearly elsewhere: it matters more the faster rates change.
         clearest = min(lengths, key=lambda windows: windows.offset_std)
-        found = clearest.found(min(intervals), turned=turned, only=CLOCKS)
+        found = clearest.found(min(intervals), CLOCKS)
     if found is None:
-        return None
+        return None, None
     trial, alternatives = found
     name, sentence, remedy = described(trial, alternatives, intervals)
     window_ns = round(clearest.length * NS_PER_S)
     cause = Cause(name, sentence, clearest.before.rms, trial.rms, remedy, window_ns)
-    if isinstance(trial.value, TimeOffset | ClockDrift):
-        cause = replace(cause, total_before=total(None), total_after=total(trial.value))
-    return cause
+    return cause, trial.value if isinstance(trial.value, ClockError) else None
 
 
 def _method_cause(a: AttitudeSeries, b: AttitudeSeries) -> Cause | None:
@@ -221,31 +163,19 @@ def _method_cause(a: AttitudeSeries, b: AttitudeSeries) -> Cause | None:
 
 
 def _cause_of_errors(
-    a: AttitudeSeries,
-    b: AttitudeSeries,
-    match: Callable[[AttitudeSeries, AttitudeSeries], Pairs],
-    alignment: str,
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 ) -> Cause | None:
     """Return what explains nearly all of the errors: a frame, a bias or a drift."""
     try:
-        pairs = match(a, b)
+        pairs = associate(a, b, settings)
+        before = aligned_rms(settings.align, pairs.a, pairs.b)
     except ComparisonError:
         return None
-    now = remaining_errors(pairs, alignment, pairs.b)
-    if len(pairs) < MIN_PAIRS or now is None or (before := rms(now)) <= NO_ERROR:
+    if len(pairs) < MIN_PAIRS or before <= NO_ERROR:
         return None
-    hypotheses = [
-        *constant_rotations(pairs, alignment),
-        *rate_biases(pairs, alignment),
-        *steady_drifts(pairs, alignment),
-    ]
-    after = [rms(hypothesis.remaining) for hypothesis in hypotheses]
-    best = min(after, default=before)
+    causes = list(causes_of_errors(pairs, settings.align, before))
+    best = min((cause.rms_after for cause in causes), default=before)
     if best > before / FACTOR:
         return None
     limit = min(max(AS_GOOD * best, EXACT), before / FACTOR)
-    chosen = next(place for place, remaining in enumerate(after) if remaining <= limit)
-    cause = hypotheses[chosen]
-    what = "the frames" if cause.name == FRAME_AND_BIAS else "it"
-    remedy = cause.remedy and Text(cause.remedy, f" takes {what} out")
-    return Cause(cause.name, cause.sentence, before, after[chosen], remedy)
+    return next(cause for cause in causes if cause.rms_after <= limit)

@@ -6,16 +6,15 @@ stamps out of order) is done in memory.
 
 from __future__ import annotations
 
-from collections import deque
 from contextlib import closing
-from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 
 from quatprop.comparison.alignment import align
-from quatprop.comparison.association import Matching, associate, equal_stamps, require_enough
+from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
 from quatprop.comparison.compare import compare, conclude, unit
 from quatprop.comparison.criteria import Coverage
 from quatprop.comparison.diagnosis import likely_cause
@@ -70,20 +69,17 @@ def compare_files(
     """
     with open_attitudes(a) as file_a, open_attitudes(b) as file_b:
         files = file_a, file_b
-        beginnings = [_Beginning(file) for file in files]
-        is_long = any(beginning.is_long for beginning in beginnings)
-        has_sigmas = any(beginning.has_covariances for beginning in beginnings)
-        if is_long and not keep and not has_sigmas and _is_streamable(files, settings):
+        beginnings = [_beginning(file) for file in files]
+        if not keep and _is_streamable(files, beginnings, settings):
             try:
-                of_a, of_b = (beginning.batches() for beginning in beginnings)
+                of_a, of_b = (chain(*part) for part in beginnings)
                 comparison = _streamed(of_a, of_b, settings)
             except _InMemoryError:
-                beginnings = [_Beginning(file) for file in files]
+                beginnings = [_beginning(file) for file in files]
             else:
                 return file_a.facts(), file_b.facts(), comparison
         first, second = (
-            file.load(beginning.batches())
-            for file, beginning in zip(files, beginnings, strict=True)
+            file.load(chain(*part)) for file, part in zip(files, beginnings, strict=True)
         )
     return first, second, compare(first.series, second.series, settings)
 
@@ -92,34 +88,26 @@ class _InMemoryError(Exception):
     """The series have to be compared in memory."""
 
 
-class _Beginning:
-    """The first batches of a file, and whether there are more samples than are short."""
-
-    def __init__(self, file: AttitudeFile) -> None:
-        self._rest = file.batches()
-        self._first: deque[AttitudeSeries] = deque()
-        self.is_long = False
-        for batch in self._rest:
-            self._first.append(batch)
-            if sum(map(len, self._first)) > SHORT:
-                self.is_long = True
-                break
-
-    @property
-    def has_covariances(self) -> bool:
-        """Whether attitudes have covariances."""
-        return any(batch.covariance is not None for batch in self._first)
-
-    def batches(self) -> Iterator[AttitudeSeries]:
-        """Yield all batches, once."""
-        while self._first:
-            yield self._first.popleft()
-        yield from self._rest
+def _beginning(file: AttitudeFile) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
+    """Return the batches with the samples of a short file, and one more, and the other batches."""
+    first, rest = [], iter(file.batches())
+    for batch in rest:
+        first.append(batch)
+        if sum(map(len, first)) > SHORT:
+            break
+    return first, rest
 
 
-def _is_streamable(files: Iterable[AttitudeFile], settings: ComparisonSettings) -> bool:
+def _is_streamable(
+    files: Iterable[AttitudeFile],
+    beginnings: Iterable[tuple[list[AttitudeSeries], object]],
+    settings: ComparisonSettings,
+) -> bool:
+    firsts = [first for first, _ in beginnings]
     return (
-        settings.match in {None, "exact"}
+        any(sum(map(len, first)) > SHORT for first in firsts)
+        and not any(batch.covariance is not None for first in firsts for batch in first)
+        and settings.match in {None, "exact"}
         and settings.align in {"none", "first"}
         and settings.time_offset != "auto"
         and settings.window is None
@@ -140,6 +128,8 @@ class _Passing:
         Their stamps.
     start_ns
         Where the time begins that both series cover.
+    common
+        How many samples were taken from there on.
     """
 
     def __init__(self, batches: Iterator[AttitudeSeries], offset_ns: int) -> None:
@@ -147,7 +137,7 @@ class _Passing:
         self._offset_ns = offset_ns
         self._head: list[AttitudeSeries] = []
         self.held = AttitudeSeries(np.empty(0, np.int64), np.empty((0, 4)))
-        self.samples = self.start_ns = 0
+        self.samples = self.start_ns = self.common = 0
         self.covered = CoveredTime()
         self.refill()
 
@@ -178,6 +168,7 @@ class _Passing:
         """Return the samples that are held, up to a time."""
         count = int(np.searchsorted(self.held.t_ns, until_ns, side="right"))
         taken, self.held = self.held[:count], self.held[count:]
+        self.common += int(np.count_nonzero(taken.t_ns >= self.start_ns))
         if not len(self.held):
             self.refill()
         return taken
@@ -187,48 +178,22 @@ class _Passing:
         return AttitudeSeries.joined(self._head)
 
 
-class _EqualStamps:
-    """The samples of two series that have equal stamps.
-
-    Attributes
-    ----------
-    matched, candidates
-        How many there are, and could be at best.
-    """
-
-    def __init__(self, a: _Passing, b: _Passing) -> None:
-        self._sides = a, b
-        self.matched = 0
-        self._common = [0, 0]
-        for side in self._sides:
-            side.start_ns = max(a.covered.first_ns, b.covered.first_ns)
-
-    @property
-    def candidates(self) -> int:
-        """As for :class:`quatprop.comparison.association.Pairs`."""
-        return min(self._common)
-
-    def __iter__(self) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
-        a, b = self._sides
-        first = 0
-        while len(a.held) and len(b.held):
-            until_ns = min(int(a.held.t_ns[-1]), int(b.held.t_ns[-1]))
-            of_a, of_b = a.take(until_ns), b.take(until_ns)
-            for place, part in enumerate((of_a, of_b)):
-                self._common[place] += int(np.count_nonzero(part.t_ns >= a.start_ns))
-            if np.array_equal(of_a.t_ns, of_b.t_ns):
-                index = np.arange(first, first + len(of_a))
-                yield of_a.t_ns, index, of_a.wxyz, of_b.wxyz
-                self.matched += len(of_a)
-            elif len(of_a) and len(of_b):
-                in_a, in_b = equal_stamps(of_a.t_ns, of_b.t_ns)
-                yield of_a.t_ns[in_a], first + in_a, of_a.wxyz[in_a], of_b.wxyz[in_b]
-                self.matched += len(in_a)
-            first += len(of_a)
-        for side in self._sides:
-            # All is read, to count what is there and what was lost.
-            while len(side.held):
-                side.take(int(side.held.t_ns[-1]))
+def _equal_stamps(a: _Passing, b: _Passing) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
+    """Yield the samples of two series that have equal stamps: as pairs, without the rest."""
+    a.start_ns = b.start_ns = max(a.covered.first_ns, b.covered.first_ns)
+    first = 0
+    while len(a.held) and len(b.held):
+        until_ns = min(int(a.held.t_ns[-1]), int(b.held.t_ns[-1]))
+        of_a, of_b = a.take(until_ns), b.take(until_ns)
+        if len(of_a) and len(of_b):
+            in_a, in_b = equal_stamps(of_a.t_ns, of_b.t_ns)
+            index = first + np.arange(len(of_a))[in_a]
+            yield of_a.t_ns[in_a], index, of_a.wxyz[in_a], of_b.wxyz[in_b]
+        first += len(of_a)
+    for side in (a, b):
+        # All is read, to count what is there and what was lost.
+        while len(side.held):
+            side.refill()
 
 
 def _streamed(
@@ -244,32 +209,26 @@ def _streamed(
     offset_ns = int(settings.time_offset)
     with closing(in_background(a, 1)) as batches_a, closing(in_background(b, 1)) as batches_b:
         sides = _Passing(batches_a, 0), _Passing(batches_b, offset_ns)
-        pairs = _EqualStamps(*sides)
         meter = ErrorMeter("A", align("none", IDENTITY, IDENTITY), settings.limit_rad)
-        for t_ns, index, of_a, of_b in pairs:
+        for t_ns, index, of_a, of_b in _equal_stamps(*sides):
             if not len(meter) and len(t_ns):
                 meter.alignment = align(settings.align, of_a, of_b)
             meter.add(t_ns, index, of_a, of_b)
     # Arrow keeps what it read with; the errors are sorted and explained in its place.
     pa.default_memory_pool().release_unused()
-    min_matched = settings.min_matched / 100
-    if settings.match is None and 2 * pairs.matched < max(pairs.candidates, 1):
+    candidates = min(side.common for side in sides)
+    if settings.match is None and not is_mostly_exact(len(meter), candidates):
         raise _InMemoryError
     covered = meter.covered
     ends = covered.first_ns, covered.last_ns
-    matching = Matching("exact", "A", 0, pairs.matched, pairs.candidates, *ends)
+    matching = Matching("exact", "A", 0, len(meter), candidates, *ends)
     spans_ns = [(side.covered.first_ns, side.covered.last_ns) for side in sides]
-    require_enough(matching, spans_ns, min_matched)
-    match = partial(
-        associate, match=settings.match, max_dt_ns=settings.max_dt, min_matched=min_matched
-    )
+    require_enough(matching, spans_ns, settings)
     return conclude(
         settings,
         meter,
         matching,
         AppliedOffset(offset_ns, None),
-        Coverage.of(covered, sides[1].covered, 100 * pairs.matched / sides[1].samples),
-        lambda rising: likely_cause(
-            sides[0].head(), sides[1].head(), match, settings.align, rising
-        ),
+        Coverage.of(covered, sides[1].covered, 100 * len(meter) / sides[1].samples),
+        lambda rising: likely_cause(sides[0].head(), sides[1].head(), settings, rising),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +15,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,15 +33,16 @@ EXACT = 1e-12
 MAX_RAMP = 2.0
 """Error, rad, up to which its rotation vector is proportional to the drift."""
 
-FRAME_AND_BIAS = "rate bias and reference frame"
-"""Name of the two together."""
-
 ISOLATED = 0.01
 """Share of the samples that may be isolated errors."""
 
 
-class Hypothesis(NamedTuple):
-    """A possible cause and the error that remains without it.
+ALIGN_MEAN = Setting("align", "mean")
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """What explains most of an error.
 
     Parameters
     ----------
@@ -47,114 +50,142 @@ class Hypothesis(NamedTuple):
         A short name, stable for scripts.
     sentence
         What it means.
-    remaining
-        The errors that remain, rad, shape ``(N,)``.
+    rms_before, rms_after
+        RMS error without and with the explanation, rad.
     remedy
-        The setting that takes the error out, where one does.
+        The setting that takes the error out of the comparison, or with which to read or propagate.
+    window_ns
+        Where the cause was found in rotations over windows, their length, ns: the RMS errors are
+        those of the rotations, less a constant rate. None: they are those of the attitudes.
+    also
+        A second cause, of which the first hides the effect.
+    total_before, total_after
+        RMS errors of the attitudes without and with the explanation, rad, where it was found in
+        rotations over windows and they are known.
     """
 
     name: str
     sentence: str
-    remaining: Float64
-    remedy: Setting | None = None
+    rms_before: float
+    rms_after: float
+    remedy: Setting | Text | None = None
+    window_ns: int | None = None
+    also: Cause | None = None
+    total_before: float | None = None
+    total_after: float | None = None
+
+    @property
+    def advice(self) -> Text:
+        """The sentence with the remedy; not for a regression, which the remedy would hide."""
+        return (
+            Text(self.sentence) if self.remedy is None else Text(self.sentence, "; ", self.remedy)
+        )
 
 
-def remaining_errors(pairs: Pairs, alignment: str, b: Float64) -> Float64 | None:
-    """Return the errors of B with other attitudes, rad; None if those cannot be aligned."""
-    try:
-        return geodesic_angle(pairs.a, align(alignment, pairs.a, b).apply(b))
-    except ComparisonError:
-        return None
+def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Cause]:
+    """Yield what may explain the errors, and how much of them remains without it.
 
+    Parameters
+    ----------
+    pairs
+        Attitudes of A and B at the same times.
+    alignment
+        How they are aligned: one of :data:`quatprop.comparison.settings.ALIGNMENTS`.
+    before
+        The RMS error, rad.
 
-def constant_rotations(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
-    """Try frames that differ by a constant rotation."""
-    if alignment in ("none", "first"):
+    Raises
+    ------
+    ComparisonError
+        They cannot be aligned.
+    """
+    aligned = align(alignment, pairs.a, pairs.b).apply(pairs.b)
+    frame_is_free = alignment in ("none", "first")
+    if frame_is_free:
         mean = align("mean", pairs.a, pairs.b)
-        yield Hypothesis(
+        yield Cause(
             "reference frame",
             f"the reference frames differ by {degrees_text(mean.reference_rad)}",
-            geodesic_angle(pairs.a, mean.apply(pairs.b)),
-            Setting("align", "mean"),
+            before,
+            rms(geodesic_angle(pairs.a, mean.apply(pairs.b))),
+            Text(ALIGN_MEAN, " takes it out"),
         )
     if alignment != "mount":
         body = mean_rotation(multiply(conjugate(pairs.b), pairs.a))
-        angle = float(geodesic_angle(IDENTITY, body))
-        yield Hypothesis(
+        yield Cause(
             "body frame",
-            f"the body frames differ by {degrees_text(angle)}",
-            geodesic_angle(pairs.a, multiply(pairs.b, body)),
-            Setting("align", "mount"),
+            f"the body frames differ by {degrees_text(float(geodesic_angle(IDENTITY, body)))}",
+            before,
+            rms(geodesic_angle(pairs.a, multiply(pairs.b, body))),
+            Text(Setting("align", "mount"), " takes it out"),
         )
+    b = aligned if alignment == "mount" else pairs.b
+    sentence, unbiased = _without_bias(pairs, b)
+    with suppress(ComparisonError):
+        yield Cause("rate bias", sentence, before, aligned_rms(alignment, pairs.a, unbiased))
+    if frame_is_free:
+        mean = align("mean", pairs.a, unbiased)
+        yield Cause(
+            "rate bias and reference frame",
+            f"the reference frames differ by {degrees_text(mean.reference_rad, 4)}; also, "
+            f"{sentence}",
+            before,
+            rms(geodesic_angle(pairs.a, mean.apply(unbiased))),
+            Text(ALIGN_MEAN, " takes the frames out"),
+        )
+    yield from _steady_drifts(pairs, aligned, before)
 
 
-def isolated_samples(error: Float64) -> Iterator[Hypothesis]:
-    """Try to leave out the few worst samples, the last of errors in rising order."""
+def aligned_rms(alignment: str, a: Float64, b: Float64) -> float:
+    """Return the RMS error of attitudes that are aligned, rad.
+
+    Raises
+    ------
+    ComparisonError
+        They cannot be aligned.
+    """
+    return rms(geodesic_angle(a, align(alignment, a, b).apply(b)))
+
+
+def isolated_samples(error: Float64) -> Cause | None:
+    """Return the few worst samples as a cause, the last of errors in rising order, if they are."""
     few = max(int(len(error) * ISOLATED), 1)
-    rest = error[:-few]
-    count = int((error > CLEAR * max(rms(rest), EXACT)).sum())
-    if 0 < count <= few:
-        sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
-        yield Hypothesis("isolated samples", sentence, rest)
+    rest = rms(error[:-few])
+    count = int((error > CLEAR * max(rest, EXACT)).sum())
+    sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
+    return Cause("isolated samples", sentence, rms(error), rest) if 0 < count <= few else None
 
 
-def rate_biases(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
-    """Try a constant rate subtracted from B's steps; also with the reference frames aligned."""
-    b = pairs.b
-    if alignment == "mount":
-        try:
-            b = align(alignment, pairs.a, b).apply(b)
-        except ComparisonError:
-            return
+def _without_bias(pairs: Pairs, b: Float64) -> tuple[str, Float64]:
+    """Subtract a constant rate from B's steps; return what it is, and the attitudes."""
     of_a, of_b = rotation_vectors_between(pairs.a), rotation_vectors_between(b)
     seconds = np.diff(pairs.t_ns) / NS_PER_S
     bias = (of_b - of_a).sum(axis=0) / seconds.sum()
     x, y, z = np.degrees(bias) * S_PER_H
     sentence = f"B's body rates are larger than A's by a constant {x:.4g}, {y:.4g}, {z:.4g} deg/h"
-    unbiased = _propagated(of_b - seconds[:, None] * bias, b[0])
-    error = remaining_errors(pairs, alignment, unbiased)
-    if error is not None:
-        yield Hypothesis("rate bias", sentence, error)
-    if alignment in ("none", "first"):
-        mean = align("mean", pairs.a, unbiased)
-        frames = f"the reference frames differ by {degrees_text(mean.reference_rad, 4)}; also, "
-        error = geodesic_angle(pairs.a, mean.apply(unbiased))
-        yield Hypothesis(FRAME_AND_BIAS, frames + sentence, error, Setting("align", "mean"))
+    # Steps of one second, by the rates that begin them.
+    t_ns = np.arange(len(b)) * int(NS_PER_S)
+    rate = np.append(of_b - seconds[:, None] * bias, np.zeros((1, 3)), axis=0)
+    return sentence, attitudes(t_ns, rate, q0=b[0])
 
 
-def _short(q: Float64) -> Float64:
-    return np.asarray(q * np.where(q[:, :1] < 0, -1.0, 1.0))
-
-
-def _propagated(steps: Float64, q0: Float64) -> Float64:
-    """Return the attitudes from q0 on after steps, rotation vectors."""
-    seconds = np.arange(len(steps) + 1) * int(NS_PER_S)
-    return attitudes(seconds, np.concatenate([steps, np.zeros((1, 3))]), q0=q0)
-
-
-def steady_drifts(pairs: Pairs, alignment: str) -> Iterator[Hypothesis]:
+def _steady_drifts(pairs: Pairs, b: Float64, before: float) -> Iterator[Cause]:
     """Try an error that grows at a constant rate, in the body or in the reference frame."""
-    try:
-        b = align(alignment, pairs.a, pairs.b).apply(pairs.b)
-    except ComparisonError:
-        return
     seconds = (pairs.t_ns - pairs.t_ns[0]) / NS_PER_S
     design = np.stack([np.ones_like(seconds), seconds], axis=1)
     for frame, between in (
         ("body", multiply(conjugate(pairs.a), b)),
         ("reference", multiply(b, conjugate(pairs.a))),
     ):
-        vectors = log(_short(between))
+        vectors = log(between * np.where(between[:, :1] < 0, -1.0, 1.0))
         if np.abs(vectors).max() > MAX_RAMP:
             continue
         fit, *_ = np.linalg.lstsq(design, vectors, rcond=None)
-        remaining = np.asarray(np.linalg.norm(vectors - design @ fit, axis=1))
+        after = rms(np.asarray(np.linalg.norm(vectors - design @ fit, axis=1)))
         at_first, slope = np.degrees(np.linalg.norm(fit, axis=1))
-        begins = (
-            f"from {at_first:.6g} deg on, " if at_first > CLEAR * np.degrees(rms(remaining)) else ""
-        )
+        begins = f"from {at_first:.6g} deg on, " if at_first > CLEAR * np.degrees(after) else ""
         sentence = (
             f"{begins}B drifts away at a steady {slope * S_PER_H:.6g} deg/h about an axis fixed in "
             f"the {frame} frame"
         )
-        yield Hypothesis("drift", sentence, remaining)
+        yield Cause("drift", sentence, before, after)

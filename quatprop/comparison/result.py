@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.criteria import Coverage, Criterion
-    from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.sigmas import SigmaStatistics
     from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics

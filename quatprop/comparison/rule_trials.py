@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.comparison.statistics import NS_PER_S
-from quatprop.comparison.trials import MethodPair, Trial, size
+from quatprop.comparison.trials import Trial, size
 from quatprop.kinematics.increments import METHODS, rotation_vectors
 from quatprop.kinematics.rates import rotation_vectors_between
 
@@ -53,13 +53,12 @@ def method_trials(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Trial]:
         return
     of_a, of_b = (rotation_vectors_between(series.wxyz[:count]) for series in (a, b))
     yield Trial("", (of_a - of_b)[INNER])
-    for rule_a, rule_b in permutations(METHODS, 2):
-        # Rules come in the order in which their rates are found more and more indirectly.
-        if list(METHODS).index(rule_a) < list(METHODS).index(rule_b):
-            remaining = _after_rules(t_ns, of_a, of_b, rule_a, rule_b)
-        else:
-            remaining = _after_rules(t_ns, of_b, of_a, rule_b, rule_a)
-        yield Trial("method", remaining, value=MethodPair(rule_a, rule_b))
+    # Rules come in the order in which their rates are found more and more indirectly.
+    for known, other in combinations(METHODS, 2):
+        remaining = _after_rules(t_ns, of_a, of_b, known, other)
+        yield Trial("method", remaining, value=(known, other))
+        remaining = _after_rules(t_ns, of_b, of_a, known, other)
+        yield Trial("method", remaining, value=(other, known))
 
 
 def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other: str) -> Float64:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.alignment import Alignment, MountingFit
     from quatprop.comparison.association import Matching
     from quatprop.comparison.criteria import Criterion
-    from quatprop.comparison.diagnosis import Cause
+    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import AppliedOffset, Comparison
     from quatprop.comparison.sigmas import SigmaStatistics
@@ -106,7 +106,7 @@ def with_names(sentence: str, a: str, b: str) -> str:
     Parameters
     ----------
     sentence
-        Such as :attr:`quatprop.comparison.diagnosis.Cause.sentence`.
+        Such as :attr:`quatprop.comparison.hypotheses.Cause.sentence`.
     a, b
         What A and B are.
 

@@ -11,7 +11,7 @@ import numpy as np
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.windows import PER_WINDOW, centred
-from quatprop.kinematics.quaternion import rotate
+from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,12 +25,11 @@ SIGNED_AXES = sorted(
         np.diag(signs) @ np.eye(3)[list(order)]
         for order in permutations(range(3))
         for signs in product((1.0, -1.0), repeat=3)
-        if (order, signs) not in (((0, 1, 2), (1.0,) * 3), ((0, 1, 2), (-1.0,) * 3))
     ),
     key=lambda matrix: -np.trace(matrix),
-)
-"""Matrices of all orders and signs of axes, those with the fewest changes first; without those
-that change nothing, and reverse everything."""
+)[1:-1]
+"""Matrices of all orders and signs of axes, those with the fewest changes first; without the one
+that changes nothing, and the one that reverses everything."""
 
 SAME_FIT = 1e-3
 """Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
@@ -55,50 +54,31 @@ BLOCK_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class TimeOffset:
-    """An offset of B's clock.
+class ClockError:
+    """What B's clock is off by: a time offset, which may change steadily.
 
     Parameters
     ----------
     seconds
-        Positive where B has to be moved to a later time, s.
+        The offset in the middle, s: positive where B has to be moved to a later time.
+    ratio
+        What the offset grows by, as a share of the time that passes.
     std
-        Its standard deviation, s.
+        Standard deviation of the ratio, or, where the offset does not change, of the offset, s.
     white_std
-        What that would be if differences over windows that do not overlap were independent: by
-        this, the length of windows is chosen, since choosing by `std` would favour low ones.
+        What that of the offset would be, s, if differences over windows that do not overlap were
+        independent: by this, the length of windows is chosen, since choosing by `std` would favour
+        low ones.
+    middle
+        The middle of the time over which it was found, s.
+    span
+        Length of that time, s.
     """
 
     seconds: float
-    std: float
-    white_std: float
-
-    def at(self, _seconds: Float64) -> float:
-        """Return what is to be added to B's stamps at some times, s."""
-        return self.seconds
-
-
-@dataclass(frozen=True, slots=True)
-class ClockDrift:
-    """An offset of B's clock that changes steadily.
-
-    Parameters
-    ----------
-    ratio
-        What is to be added to B's stamps, as a share of the time that passes.
-    std
-        Its standard deviation.
-    seconds
-        What is to be added in the middle, s.
-    middle
-        When that is, s.
-    span
-        Time over which it was found, s.
-    """
-
     ratio: float
     std: float
-    seconds: float
+    white_std: float
     middle: float
     span: float
 
@@ -117,14 +97,6 @@ class RateRatio:
 
 
 @dataclass(frozen=True, slots=True)
-class MethodPair:
-    """The integration rules of A and B."""
-
-    a: str
-    b: str
-
-
-@dataclass(frozen=True, slots=True)
 class Trial:
     """What remains of the differences between A and B over windows when a mistake is undone.
 
@@ -137,13 +109,14 @@ class Trial:
     side
         In which series it was undone, ``"a"`` or ``"b"``, where that is known.
     value
-        What was estimated: an offset, a ratio, a matrix or a quaternion.
+        What was estimated: what a clock is off by, a ratio, a matrix of axes or an angle, rad; or
+        the integration rules of A and B.
     """
 
     name: str
     remaining: Float64
     side: str = ""
-    value: TimeOffset | ClockDrift | RateRatio | MethodPair | Float64 | None = None
+    value: ClockError | RateRatio | tuple[str, str] | Float64 | float | None = None
 
     @property
     def rms(self) -> float:
@@ -161,10 +134,9 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
     starts, length
         The windows, s.
     """
-    for pair in angles:
-        y, x = pair.over(starts, length)
-        yield Trial(pair.name, y - x, pair.side)
-    y, x = angles[0].over(starts, length)
+    for name, side, a, b in angles:
+        yield Trial(name, a.over(starts, length) - b.over(starts, length), side)
+    y, x = (angle.over(starts, length) for angle in angles[0][2:])
     common = y.T @ x
     for handed in (1.0, -1.0):
         matrix = _closest_axes(common, handed)
@@ -179,8 +151,12 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
     turned = y - rotate(turn, x)
     if SAME_TURN * size(turned) <= size(y + rotate(mirrored, x)):
         # Otherwise axes are reversed, about which the motion hardly turns.
-        yield Trial("body frame", turned, value=turn)
-    yield from clock_trials(angles[0], starts, length)
+        yield Trial("body frame", turned, value=float(geodesic_angle(IDENTITY, turn)))
+    offset = clock_error(angles[0], starts, length)
+    drift = clock_error(angles[0], starts, length, offset.seconds, drifts=True)
+    for name, clock in (("time offset", offset), ("clock drift", drift)):
+        moved = angles[0].b.over(starts - clock.at(starts), length)
+        yield Trial(name, y - moved, value=clock)
 
 
 def _closest_axes(common: Float64, handed: float) -> Float64:
@@ -190,27 +166,20 @@ def _closest_axes(common: Float64, handed: float) -> Float64:
     return kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
 
 
-def clock_trials(pair: Angles, starts: Float64, length: float) -> Iterator[Trial]:
-    """Move B by the offset at which it turns as A does, and by one that changes steadily."""
-    y = centred(pair.a.over(starts, length))
-    offset = time_offset(pair, starts, length)
-    middle, span = float(starts.mean()), float(starts[-1] - starts[0])
-    terms, begin = np.stack([np.ones_like(starts), starts - middle]), [offset.seconds, 0.0]
-    (seconds, ratio), (_, std), _ = _fitted(pair, starts, length, terms, np.array(begin))
-    drift = ClockDrift(float(ratio), float(std), float(seconds), middle, span)
-    for name, value in (("time offset", offset), ("clock drift", drift)):
-        moved = centred(pair.b.over(starts - value.at(starts), length))
-        yield Trial(name, y - moved, value=value)
-
-
-def time_offset(
-    pair: Angles, starts: Float64, length: float, begin: float | None = None
-) -> TimeOffset:
+def clock_error(
+    pair: Angles,
+    starts: Float64,
+    length: float,
+    begin: float | None = None,
+    *,
+    drifts: bool = False,
+) -> ClockError:
     """Find the offset of B's clock at which B turns as A does: least squares over windows.
 
     What B changes by with the offset is multiplied by what A changes by: noise in B alone would
     look like motion, and the offset more certain than it is. The standard deviation is found by
-    leaving out blocks of windows, so it holds for noise of any colour.
+    leaving out blocks of windows, so it holds for noise of any colour; it is infinite where windows
+    do not show the offset.
 
     Parameters
     ----------
@@ -218,70 +187,66 @@ def time_offset(
         The body angles and the windows.
     begin
         Where to begin, s; None: at the best of a grid.
+    drifts
+        Whether the offset may change.
 
     References
     ----------
     Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
     """
-    offset = _on_grid(pair, starts, length) if begin is None else begin
-    one = np.ones((1, len(starts)))
-    (seconds,), (std,), white_std = _fitted(pair, starts, length, one, np.array([offset]))
-    return TimeOffset(float(seconds), float(std), white_std)
+    middle, span = float(starts.mean()), float(starts[-1] - starts[0])
+    # The offset is a sum of terms: found is so much of each.
+    terms = np.stack([np.ones_like(starts), starts - middle][: 1 + drifts])
+    found = np.zeros(len(terms))
+    found[0] = _on_grid(pair, starts, length) if begin is None else begin
 
+    def clock(std: float, white_std: float) -> ClockError:
+        seconds, ratio = np.append(found, 0.0)[:2].tolist()
+        return ClockError(seconds, ratio, std, white_std, middle, span)
 
-def _fitted(
-    pair: Angles, starts: Float64, length: float, terms: Float64, found: Float64
-) -> tuple[Float64, Float64, float]:
-    """Return the offset of B's clock as a sum of terms, by least squares.
-
-    The terms, the first of them 1, are given at each window, ``(k, N)``, and so much of each to
-    begin with, ``(k,)``. Returned are so much of each, and its standard deviation, infinite where
-    windows do not show it; and `white_std`, as for :class:`TimeOffset`.
-    """
     step = length / 8
     largest = np.abs(terms).max(axis=1)
-    unknown = np.full(len(found), np.inf), float("inf")
-    y, slope_a = centred(pair.a.over(starts, length)), _slope(pair.a, starts, length, step)
+    y, slope_a = pair.a.over(starts, length), _slope(pair.a, starts, length, step)
     for _ in range(MAX_ROUNDS):
         moved = starts - found @ terms
-        error = y - centred(pair.b.over(moved, length))
+        error = y - pair.b.over(moved, length)
         slope = _slope(pair.b, moved, length, step)
         scores = terms * (slope * error).sum(axis=1)
         powers = terms[:, None] * terms * (slope_a * slope).sum(axis=1)
         power = powers.sum(axis=2)
         if power[0, 0] <= 0 or np.linalg.det(power) <= 0:
-            return found, *unknown
+            return clock(np.inf, np.inf)
         move = np.linalg.solve(power, scores.sum(axis=1))
         found = found + np.clip(move, -step / largest, step / largest)
         if (np.abs(move * largest) * NS_PER_S < 1).all():
             break
-    white_std = float(np.sqrt((error**2).mean() * PER_WINDOW / power[0, 0]))
     # How much the result changes when one block of windows after the other is left out.
     block = _blocks(starts, length)
-    by_block = [
+    score_of, power_of = (
         np.stack([np.bincount(block, row) for row in rows], axis=1)
         for rows in (scores, powers.reshape(-1, len(starts)))
-    ]
-    left = power - by_block[1].reshape(-1, *power.shape)
+    )
+    left = power - power_of.reshape(-1, *power.shape)
     if (np.linalg.det(left) <= 0).any():
-        return found, *unknown
-    changes = np.linalg.solve(left, by_block[0][..., None])[..., 0]
-    return found, np.sqrt((changes**2).sum(axis=0)), white_std
+        return clock(np.inf, np.inf)
+    changes = np.linalg.solve(left, score_of[..., None])[..., 0]
+    white_std = np.sqrt((error**2).mean() * PER_WINDOW / power[0, 0])
+    return clock(float(np.sqrt((changes**2).sum(axis=0))[-1]), float(white_std))
 
 
 def _on_grid(pair: Angles, starts: Float64, length: float) -> float:
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
     free = float(few[0] - max(pair.a.seconds[0], pair.b.seconds[0]))
     reach = min(MAX_OFFSET_S, free)
-    y = centred(pair.a.over(few, length))
+    y = pair.a.over(few, length)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 8))) + 1)
-    remaining = [((y - centred(pair.b.over(few - at, length))) ** 2).sum() for at in grid]
+    remaining = [((y - pair.b.over(few - at, length)) ** 2).sum() for at in grid]
     return float(grid[int(np.argmin(remaining))])
 
 
 def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Float64:
     """Return how angles over windows change when the series is moved to a later time."""
-    later, earlier = angle.over(starts + step, length), angle.over(starts - step, length)
+    earlier, later = (angle.between(at, at + length) for at in (starts - step, starts + step))
     return centred((earlier - later) / (2 * step))
 
 

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.cause_sentences import MISREADINGS
 from quatprop.comparison.hypotheses import EXACT
-from quatprop.comparison.trials import ClockDrift, RateRatio, TimeOffset, Trial, size
-from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
+from quatprop.comparison.trials import ClockError, RateRatio, Trial, size
+from quatprop.comparison.windows import MISREADINGS
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -63,11 +62,17 @@ NEGLIGIBLE = 1e-4
 MAX_INTERPOLATION = 0.02
 """The same where interpolation between samples may leave as much."""
 
-DISCRETE = {*MISREADINGS, "side", "rate sign", "axes"}
+DISCRETE = {*MISREADINGS, "rate sign", "axes"}
 """Mistakes without free parameters."""
 
-FITTED = {"scale", "time offset", "clock drift"}
-"""Mistakes with one or two."""
+CLOCKS = {"time offset", "clock drift"}
+"""Mistakes in timestamps, which matter more the faster rates change."""
+
+FITTED = {"scale", *CLOCKS}
+"""Mistakes with one or two parameters."""
+
+MISTAKES = DISCRETE | FITTED | {"body frame"}
+"""All mistakes."""
 
 TIE = 1.02
 """Trials within this factor of the best explain the windows as well."""
@@ -79,11 +84,13 @@ class WindowTrials:
     def __init__(self, length: float, starts: Float64, angles: Angles, tried: list[Trial]) -> None:
         self.length = length
         self.before, *self._tried = tried
-        self._motion = max(size(part) for part in angles.over(starts, length))
+        self._motion = max(size(angle.over(starts, length)) for angle in (angles.a, angles.b))
         # Overlapping windows repeat each other.
         self._freedom = 3 * min(len(starts), float(starts[-1] - starts[0]) / length)
-        self._offset = next(trial for trial in tried if trial.name == "time offset")
-        self._less_offset = min(self.before, self._offset, key=lambda trial: trial.rms)
+        offset = next(trial for trial in tried if trial.name == "time offset")
+        self.offset_std = offset.value.white_std if isinstance(offset.value, ClockError) else np.inf
+        # What a trial must be better than, where it is not the differences as they are.
+        self._others = {"clock drift": min(self.before, offset, key=lambda trial: trial.rms)}
         interpolation = min(angles.interpolation, MAX_INTERPOLATION * self.before.rms)
         self._negligible = max(EXACT, NEGLIGIBLE * self.before.rms, interpolation)
 
@@ -93,24 +100,23 @@ class WindowTrials:
         least = min(trial.rms for trial in (self.before, *self._tried))
         return least / self._motion if self._motion else np.inf
 
-    @property
-    def offset_std(self) -> float:
-        """Standard deviation of the time offset, s, in case of white noise."""
-        offset = self._offset.value
-        return offset.white_std if isinstance(offset, TimeOffset) else np.inf
+    def found(self, interval: float, names: Collection[str]) -> tuple[Trial, list[Trial]] | None:
+        """Return which of some mistakes explains the differences, and what explains them as well.
 
-    def found(
-        self, interval: float, *, turned: bool, only: Collection[str] = ()
-    ) -> tuple[Trial, list[Trial]] | None:
-        """Return the trial that explains the differences, and what explains them as well."""
+        Parameters
+        ----------
+        interval
+            The shorter median interval of the two series, s.
+        names
+            The mistakes.
+        """
         if self.before.rms <= NO_DIFFERENCE or self.unexplained > MAX_UNEXPLAINED:
             return None
         accepted = [
             trial
             for trial in self._tried
-            if (not only or trial.name in only)
-            and (turned or trial.name != "body frame")
-            and self._gain(self._compared_with(trial), trial) >= MIN_GAIN
+            if trial.name in names
+            and self._is_better(trial, self._others.get(trial.name, self.before))
             and _is_material(trial, self.before, interval)
         ]
         if any(trial.name == "clock drift" for trial in accepted):
@@ -118,59 +124,49 @@ class WindowTrials:
             accepted = [trial for trial in accepted if trial.name != "time offset"]
         for kind in (DISCRETE, FITTED, {"body frame"}):
             some = [trial for trial in accepted if trial.name in kind]
-            if not some:
+            best = min(some, key=lambda trial: trial.rms, default=None)
+            if best is None:
                 continue
-            best = min(some, key=lambda trial: trial.rms)
             least = min(trial.rms for trial in accepted)
-            if not self._is_negligible(best) and least < MUCH_BETTER * best.rms:
+            if best.rms > self._negligible and least < MUCH_BETTER * best.rms:
                 continue
-            chosen = next(trial for trial in some if not self._worse(trial, best))
+            as_good = [
+                trial
+                for trial in accepted
+                if trial.rms <= max(self._negligible, TIE * best.rms)
+                or not self._is_better(best, trial)
+            ]
+            chosen = next(trial for trial in as_good if trial.name in kind)
             # Among mistakes with parameters one may look like another; they always fit somewhat
             # better than those without.
             also = [
                 trial
-                for trial in accepted
+                for trial in as_good
                 if trial.name != chosen.name
-                and not self._worse(trial, best)
                 and (trial.name in DISCRETE or chosen.name not in DISCRETE)
             ]
             return chosen, sorted(also, key=lambda trial: trial.name)
         return None
 
-    def _compared_with(self, trial: Trial) -> Trial:
-        """Return what a trial must be better than."""
-        return self._less_offset if trial.name == "clock drift" else self.before
-
-    def _gain(self, worse: Trial, better: Trial) -> float:
-        """Return by how much the likelihood of the better trial is greater, as a logarithm."""
+    def _is_better(self, trial: Trial, other: Trial) -> bool:
+        """Tell whether a trial is more likely than another by more than coincidence."""
         with np.errstate(divide="ignore"):
-            return self._freedom * float(np.log(worse.rms) - np.log(better.rms))
-
-    def _is_negligible(self, trial: Trial) -> bool:
-        """Tell whether what remains may be due to interpolation and rounding alone."""
-        return trial.rms <= self._negligible
-
-    def _worse(self, trial: Trial, best: Trial) -> bool:
-        if self._is_negligible(trial) or trial.rms <= TIE * best.rms:
-            return False
-        return self._gain(trial, best) >= MIN_GAIN
+            gain = self._freedom * float(np.log(other.rms) - np.log(trial.rms))
+        return gain >= MIN_GAIN
 
 
 def _is_material(trial: Trial, before: Trial, interval: float) -> bool:
     """Tell whether a mistake is large enough to be one."""
-    remaining = trial.rms / before.rms
+    large, most = True, MAX_REMAINING_OFFSET
     match trial.value:
-        case TimeOffset(seconds, std, _):
+        case ClockError(seconds, _, std) if trial.name == "time offset":
             large = abs(seconds) > max(SIGNIFICANT * std, MIN_OFFSET * interval)
-            return large and remaining <= MAX_REMAINING_OFFSET
-        case ClockDrift(ratio, std, _, _, span):
+        case ClockError(_, ratio, std, _, _, span):
             large = abs(ratio) > max(SIGNIFICANT_DRIFT * std, MIN_DRIFT * interval / span)
-            return large and remaining <= MAX_REMAINING_OFFSET
-        case RateRatio(value, least, most):
-            outside = not least <= 1 <= most and abs(np.log(value)) > MIN_SCALE
-            return outside and remaining <= MAX_REMAINING_OFFSET
-        case np.ndarray() if trial.name == "body frame":
-            turn = float(geodesic_angle(IDENTITY, trial.value))
-            return turn > MIN_TURN and remaining <= MAX_REMAINING_TURN
+        case RateRatio(value, low, high):
+            large = not low <= 1 <= high and abs(np.log(value)) > MIN_SCALE
+        case float(turn):
+            large, most = turn > MIN_TURN, MAX_REMAINING_TURN
         case _:
-            return remaining <= MAX_REMAINING
+            most = MAX_REMAINING
+    return large and trial.rms / before.rms <= most

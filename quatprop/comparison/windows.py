@@ -14,12 +14,13 @@ import numpy as np
 
 from quatprop.kinematics.quaternion import rotate
 from quatprop.kinematics.rates import rotation_vectors_between
+from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import Bool, Float64
     from quatprop.series import AttitudeSeries
 
 
@@ -47,12 +48,20 @@ EDGE = 0.2
 MAX_EDGE_S = 0.5
 """At most this time is left free at both ends, s."""
 
-GAP_INTERVALS = 10
-"""An interval this many times the median one is a gap: no window contains it."""
+AS_READ, LAST, FIRST = [0, 1, 2, 3], [3, 0, 1, 2], [1, 2, 3, 0]
 
-
-LAYOUTS = {"layout": [3, 0, 1, 2], "layout-first": [1, 2, 3, 0]}
-"""Which components of B, as they were read, are w, x, y and z; for A the other one of the two."""
+MISREADINGS: Mapping[str, tuple[list[int], str, float]] = {
+    "conjugate": (AS_READ, "inertial", -1.0),
+    "side": (AS_READ, "inertial", 1.0),
+    "layout": (LAST, "body", 1.0),
+    "layout and conjugate": (LAST, "inertial", -1.0),
+    "layout-first": (FIRST, "body", 1.0),
+    "layout-first and conjugate": (FIRST, "inertial", -1.0),
+}
+"""How a misreading of B is undone: which components, as they were read, are w, x, y and z (for A
+it is the other way round); which rates are integrated; and their sign. The body rates of a
+conjugate are the opposite of the inertial rates. Rates that were composed on the wrong side are the
+inertial rates of the result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,17 +80,16 @@ class BodyAngle:
     angle: Float64
 
     def over(self, begin: Float64, length: float) -> Float64:
-        """Return the integrals over windows of one length, rad, shape ``(M, 3)``."""
-        return self._at(begin + length) - self._at(begin)
+        """Return the integrals over windows, less the constant that a bias adds, ``(M, 3)``."""
+        return centred(self.between(begin, begin + length))
 
-    def _at(self, seconds: Float64) -> Float64:
-        return np.stack(
-            [np.interp(seconds, self.seconds, column) for column in self.angle.T], axis=1
-        )
-
-    def negated(self) -> BodyAngle:
-        """Return the angle of the opposite rate."""
-        return BodyAngle(self.seconds, -self.angle)
+    def between(self, begin: Float64, end: Float64) -> Float64:
+        """Return the integrals over windows, ``(M, 3)``, rad."""
+        columns = [
+            np.interp(end, self.seconds, angle) - np.interp(begin, self.seconds, angle)
+            for angle in self.angle.T
+        ]
+        return np.stack(columns, axis=1)
 
     def turned(self, wxyz: Float64) -> BodyAngle:
         """Return the angle in other body axes: q v q*."""
@@ -93,27 +101,6 @@ def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeri
     start = max(a.t_ns[0], b.t_ns[0])
     begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
     return a[begins[0] :][:MAX_SAMPLES], b[begins[1] :][:MAX_SAMPLES]
-
-
-def body_angle(t_ns: Int64, wxyz: Float64, first_ns: int, *, inertial: bool = False) -> BodyAngle:
-    """Return the integral of the rates that lead from each attitude to the next.
-
-    Parameters
-    ----------
-    t_ns
-        Rising times, shape ``(N,)``.
-    wxyz
-        Unit quaternions, shape ``(N, 4)``.
-    first_ns
-        Where seconds are counted from.
-    inertial
-        Take the rates that multiply on the left (eq. 33) instead of those that multiply on the
-        right (eq. 36).
-    """
-    steps = rotation_vectors_between(wxyz, rates="inertial" if inertial else "body")
-    angle = np.zeros((len(wxyz), 3))
-    np.cumsum(steps, axis=0, out=angle[1:])
-    return BodyAngle((t_ns - first_ns) / NS_PER_S, angle)
 
 
 def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
@@ -142,13 +129,18 @@ def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
         yield length, starts
 
 
-def _without_gap(times: Float64, starts: Float64, length: float, interval: float) -> Float64:
+def _without_gap(times: Float64, starts: Float64, length: float, interval: float) -> Bool:
     """Tell which windows contain no gap of a series."""
-    gaps = np.diff(times) > GAP_INTERVALS * interval
+    gaps = np.diff(times) > GAP_FACTOR * interval
     passed = np.concatenate([[0], np.cumsum(gaps)])
     before = np.maximum(np.searchsorted(times, starts, side="right") - 1, 0)
     after = np.minimum(np.searchsorted(times, starts + length), len(times) - 1)
     return np.asarray(passed[after] == passed[before])
+
+
+def centred(values: Float64) -> Float64:
+    """Return rows less their mean."""
+    return np.asarray(values - values.mean(axis=0))
 
 
 class Angles(NamedTuple):
@@ -169,10 +161,6 @@ class Angles(NamedTuple):
     a: BodyAngle
     b: BodyAngle
 
-    def over(self, begin: Float64, length: float) -> tuple[Float64, Float64]:
-        """Return the angles of A and B over windows, less the constant that a bias adds, rad."""
-        return centred(self.a.over(begin, length)), centred(self.b.over(begin, length))
-
     @property
     def interpolation(self) -> float:
         """RMS error, rad, of interpolation half-way between samples: 1/8 of second differences."""
@@ -180,33 +168,20 @@ class Angles(NamedTuple):
         return float(sum(np.sqrt((error**2).sum(axis=1).mean()) for error in errors))
 
 
-def centred(values: Float64) -> Float64:
-    """Return rows less their mean."""
-    return np.asarray(values - values.mean(axis=0))
-
-
 def undone_misreadings(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Angles]:
-    """Yield the body angles as they are, and with each misreading undone in either series.
+    """Yield the body angles as they are, and with each misreading undone in either series."""
+    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
 
-    The body rates of a conjugate are the opposite of the inertial rates. Rates that were composed
-    on the wrong side are the inertial rates of the result.
-    """
-    first = min(int(a.t_ns[0]), int(b.t_ns[0]))
-    body = {"a": body_angle(a.t_ns, a.wxyz, first), "b": body_angle(b.t_ns, b.wxyz, first)}
-    yield Angles("", "", body["a"], body["b"])
+    def angle(series: AttitudeSeries, order: list[int], rates: str, sign: float) -> BodyAngle:
+        wxyz = np.ascontiguousarray(series.wxyz[:, order])
+        total = np.zeros((len(wxyz), 3))
+        np.cumsum(sign * rotation_vectors_between(wxyz, rates=rates), axis=0, out=total[1:])
+        return BodyAngle((series.t_ns - first_ns) / NS_PER_S, total)
+
+    body = {side: angle(one, AS_READ, "body", 1.0) for side, one in (("a", a), ("b", b))}
+    yield Angles("", "", **body)
     for side, series in (("b", b), ("a", a)):
-
-        def of(name: str, angle: BodyAngle, side: str = side) -> Angles:
-            angles = {**body, side: angle}
-            return Angles(name, side, angles["a"], angles["b"])
-
-        inertial = body_angle(series.t_ns, series.wxyz, first, inertial=True)
-        yield of("conjugate", inertial.negated())
-        yield of("side", inertial)
-        orders = list(LAYOUTS.values())
-        for name, order in zip(LAYOUTS, orders if side == "b" else orders[::-1], strict=True):
-            wxyz = np.ascontiguousarray(series.wxyz[:, order])
-            yield of(name, body_angle(series.t_ns, wxyz, first))
-            inertial = body_angle(series.t_ns, wxyz, first, inertial=True)
-            yield of(f"{name} and conjugate", inertial.negated())
-    yield Angles("rate sign", "", body["a"], body["b"].negated())
+        for name, (order, rates, sign) in MISREADINGS.items():
+            components = order if side == "b" else np.argsort(order).tolist()
+            yield Angles(name, side, **{**body, side: angle(series, components, rates, sign)})
+    yield Angles("rate sign", "", body["a"], angle(b, AS_READ, "body", -1.0))
