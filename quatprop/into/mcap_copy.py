@@ -6,18 +6,20 @@ records are not copied, since everything is at another place in the copy.
 
 from __future__ import annotations
 
+import struct
 from bisect import bisect_right
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, ChunkIndex, Header, Metadata, MetadataIndex
+from mcap.records import AttachmentIndex, Channel, ChunkIndex, Header, MetadataIndex, Schema
 
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import messages_at
+from quatprop.containers.mcap.records import MALFORMED, prefixed, read_metadata
 from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
-from quatprop.containers.mcap.summary import MAGIC, MALFORMED, McapIndex, RecordStream, read_footer
+from quatprop.containers.mcap.summary import MAGIC, McapIndex, read_footer
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.text import Setting
@@ -94,7 +96,10 @@ class McapCopy:
             self.header = _header(self._source)
         except OSError as error:
             raise UnreadableLogError(log.path, f"{error.strerror}; check the path") from error
-        self.contents = McapContents(dict(overview.schemas), dict(overview.channels))
+        self.contents = McapContents(
+            {id_: Schema(**record._asdict()) for id_, record in overview.schemas.items()},
+            {id_: Channel(**record._asdict()) for id_, record in overview.channels.items()},
+        )
         self._regions = {region.start: region for region in overview.regions}
         self._starts = sorted(self._regions)
         self._position = len(MAGIC)
@@ -208,13 +213,13 @@ class McapCopy:
             return not defined.losses
         try:
             if opcode == Opcode.METADATA:
-                record = Metadata.read(RecordStream(content))
-                if record.name == ROSBAG2 and SERIALIZED in record.metadata:
-                    self.bag_metadata = record.metadata[SERIALIZED]
+                name, entries = read_metadata(content)
+                if name == ROSBAG2 and SERIALIZED in entries:
+                    self.bag_metadata = entries[SERIALIZED]
                     return False
-                self.contents.metadata.append(MetadataIndex(place, total, record.name))
+                self.contents.metadata.append(MetadataIndex(place, total, name))
             else:
-                self.contents.attachments.append(_attachment(RecordStream(content), place, total))
+                self.contents.attachments.append(_attachment(content, place, total))
         except MALFORMED:
             return False
         return True
@@ -240,10 +245,9 @@ def _header(source: FileSource) -> Header:
     if opcode == Opcode.HEADER:
         try:
             content = source.read(len(MAGIC) + RECORD.size, min(length, _NAMES))
-            header: Header = Header.read(RecordStream(content))
+            return Header(*(part.decode() for part in prefixed(content, 0, 2)))
         except MALFORMED:
             return Header("", "")
-        return header
     return Header("", "")
 
 
@@ -260,11 +264,12 @@ def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
     return offsets if at == len(index) else {}
 
 
-def _attachment(content: RecordStream, place: int, length: int) -> AttachmentIndex:
+def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
     """Return the index record of an attachment, from the beginning of its content."""
-    log_ns, made_ns = content.read8(), content.read8()
-    name, media_type = content.read_prefixed_string(), content.read_prefixed_string()
-    return AttachmentIndex(place, length, log_ns, made_ns, content.read8(), name, media_type)
+    log_ns, made_ns = struct.unpack_from("<QQ", content)
+    name, kind = prefixed(content, 16, 2)
+    (size,) = struct.unpack_from("<Q", content, 24 + len(name) + len(kind))
+    return AttachmentIndex(place, length, log_ns, made_ns, size, name.decode(), kind.decode())
 
 
 def _indexes(messages: LocatedMessages) -> dict[int, NDArray[np.void]]:

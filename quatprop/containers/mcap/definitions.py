@@ -18,10 +18,9 @@ from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
-    from mcap import records
-
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.records import ChannelRecord, SchemaRecord
     from quatprop.containers.mcap.regions import Region
 
 IDS = 1 << 16
@@ -86,12 +85,12 @@ def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | No
     return None
 
 
-def of_channel(channel: records.Channel) -> tuple[str, str, int]:
+def of_channel(channel: ChannelRecord) -> tuple[str, str, int]:
     """Return what makes a channel another one: topic, encoding and schema."""
     return channel.topic, channel.message_encoding, channel.schema_id
 
 
-def of_schema(schema: records.Schema) -> tuple[str, str, bytes]:
+def of_schema(schema: SchemaRecord) -> tuple[str, str, bytes]:
     """Return what makes a schema another one: name, encoding and text."""
     return schema.name, schema.encoding, schema.data
 

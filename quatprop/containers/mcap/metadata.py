@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mcap.records import Metadata
-
+from quatprop.containers.mcap.records import MALFORMED, read_metadata
 from quatprop.containers.mcap.regions import RECORD
-from quatprop.containers.mcap.summary import MALFORMED, RecordStream
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -48,8 +46,6 @@ def _read(source: FileSource, offset: int) -> dict[str, str]:
     if opcode != _METADATA or length > _LARGEST:
         return {}
     try:
-        record = Metadata.read(RecordStream(source.read(offset + RECORD.size, length)))
+        return read_metadata(source.read(offset + RECORD.size, length))[1]
     except MALFORMED:
         return {}
-    entries: dict[str, str] = record.metadata
-    return entries

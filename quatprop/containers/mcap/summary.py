@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from io import BytesIO
 from typing import TYPE_CHECKING
-
-from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile
 
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
+from quatprop.containers.mcap.records import MALFORMED, prefixed, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
 from quatprop.provenance import METADATA_KEY
 
@@ -22,6 +18,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.records import ChannelRecord, SchemaRecord
 
 MAGIC = b"\x89MCAP0\r\n"
 """The bytes with which every MCAP file begins and ends."""
@@ -29,6 +26,8 @@ _FOOTER, _CHUNK_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 11, 13
 _FOOTER_FIELDS = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
+_STATISTICS_HEAD = struct.Struct("<QHIIIIQQ")
+_METADATA_INDEX_HEAD = struct.Struct("<QQ")
 
 
 @dataclass(slots=True)
@@ -50,8 +49,8 @@ class McapIndex:
     """
 
     regions: list[Region] = field(default_factory=list)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    schemas: dict[int, SchemaRecord] = field(default_factory=dict)
     counts: dict[int, int] | None = None
     metadata: list[int] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
@@ -68,14 +67,14 @@ class McapIndex:
         """
         try:
             if opcode == SCHEMA:
-                schema = records.Schema.read(RecordStream(content))
-                schema.id += first_id
-                self.schemas.setdefault(schema.id, schema)
+                schema = read_schema(content)
+                id_ = schema.id + first_id
+                self.schemas.setdefault(id_, schema._replace(id=id_))
             else:
-                channel = records.Channel.read(RecordStream(content))
-                channel.id += first_id
-                channel.schema_id += first_id if channel.schema_id else 0
-                self.channels.setdefault(channel.id, channel)
+                channel = read_channel(content)
+                id_, schema_id = channel.id + first_id, channel.schema_id
+                schema_id += first_id if schema_id else 0
+                self.channels.setdefault(id_, channel._replace(id=id_, schema_id=schema_id))
         except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"
             self.losses.note(f"{what} {place}", "it is damaged")
@@ -86,24 +85,6 @@ class McapIndex:
             return False
         schema = self.channels[channel].schema_id
         return schema == 0 or schema in self.schemas
-
-
-class RecordStream(ReadDataStream):
-    """The content of one record as a stream; refuses lengths that lead outside it."""
-
-    def __init__(self, content: Buffer) -> None:
-        super().__init__(BytesIO(content))
-        self._size = len(content)
-
-    def read(self, length: int) -> bytes:
-        """Return the next bytes."""
-        if length > self._size - self.count:
-            raise EndOfFile
-        return super().read(length)
-
-
-MALFORMED = (EndOfFile, ValueError, struct.error)
-"""Exceptions that are raised when a damaged record is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,21 +150,24 @@ def read_summary(source: FileSource, footer: Footer) -> Summary:
                 region = _indexed_chunk(content, footer.data_end)
                 summary.chunks[region.start] = region
             elif opcode == _STATISTICS:
-                statistics = records.Statistics.read(RecordStream(content))
+                statistics = _STATISTICS_HEAD.unpack_from(content)
+                (counts,) = prefixed(content, _STATISTICS_HEAD.size, 1)
             elif opcode == _METADATA_INDEX:
-                metadata = records.MetadataIndex.read(RecordStream(content))
-                if metadata.name == METADATA_KEY.decode():
-                    summary.index.metadata.append(metadata.offset)
+                offset, _ = _METADATA_INDEX_HEAD.unpack_from(content)
+                if prefixed(content, _METADATA_INDEX_HEAD.size, 1) == [METADATA_KEY]:
+                    summary.index.metadata.append(offset)
+        if summary.index.losses:
+            return Summary()
+        if statistics is None:
+            summary.is_complete = bool(summary.index.channels)
+            return summary
+        message_count, _, channel_count, *_ = statistics
+        summary.is_complete = channel_count == len(summary.index.channels)
+        by_channel = dict(struct.iter_unpack("<HQ", counts))
+        if sum(by_channel.values()) == message_count:
+            summary.index.counts = by_channel
     except MALFORMED:
         return Summary()
-    if summary.index.losses:
-        return Summary()
-    if statistics is None:
-        summary.is_complete = bool(summary.index.channels)
-        return summary
-    summary.is_complete = statistics.channel_count == len(summary.index.channels)
-    if sum(statistics.channel_message_counts.values()) == statistics.message_count:
-        summary.index.counts = statistics.channel_message_counts
     return summary
 
 
@@ -194,22 +178,19 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         opcode, length = RECORD.unpack_from(data, position)
         position += RECORD.size
         if length > len(data) - position:
-            raise EndOfFile
+            raise ValueError
         yield opcode, data[position : position + length]
         position += length
 
 
 def _indexed_chunk(content: memoryview, data_end: int) -> Region:
-    """Return the chunk that a chunk index record describes.
-
-    Read without the library, for speed: a file has as many of these as chunks.
-    """
+    """Return the chunk that a chunk index record describes."""
     first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
     holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
     (index_length,) = struct.unpack_from("<Q", content, begin + map_size)
     if start < len(MAGIC) or length < RECORD.size or start + length + index_length > data_end:
-        raise EndOfFile
+        raise ValueError
     return Region(
         *(start, length, True, min(first, LATEST), index_length, holds or None),
         last_ns=min(last, LATEST),
