@@ -90,7 +90,7 @@ class McapPart:
             The provenance of the topic, if the file shall hold it.
         """
         self._file.flush()
-        self._copy.rest(self._file)
+        self._copy.up_to(None, self._file)
         if self._copy.bag_metadata is not None:
             self._file.add_metadata(ROSBAG2, {SERIALIZED: extend(self._copy.bag_metadata)})
         finish_with_provenance(self._file, self.encoder.topic.name, provenance or {})

@@ -8,32 +8,41 @@ from __future__ import annotations
 
 import struct
 from bisect import bisect_right
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, ChunkIndex, Header, MetadataIndex, Schema
+from mcap.records import AttachmentIndex, Channel, Header, MetadataIndex, Schema
 
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import messages_at
-from quatprop.containers.mcap.records import MALFORMED, prefixed, read_metadata
-from quatprop.containers.mcap.regions import CHUNK_HEAD, INDEX_HEAD, RECORD, RegionError, load
-from quatprop.containers.mcap.summary import MAGIC, McapIndex, read_footer
+from quatprop.containers.mcap.records import (
+    MALFORMED,
+    prefixed,
+    read_channel,
+    read_metadata,
+    read_schema,
+)
+from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, RegionError, chunk_head, load
+from quatprop.containers.mcap.summary import MAGIC, read_footer
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.text import Setting
-from quatprop.writers.mcap.channel import INDEX_ENTRY, compressed_chunk
+from quatprop.writers.mcap.channel import INDEX_ENTRY, McapChunk, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
+
+    Indexes = dict[int, NDArray[np.void]]
 
 ROSBAG2, SERIALIZED = "rosbag2", "serialized_metadata"
 """Name and key of the record that holds the metadata of a ROS 2 bag."""
@@ -42,20 +51,8 @@ _PIECE = 1 << 20
 _NAMES = 1 << 16
 """Bytes of an attachment that are read for its name and type."""
 
-_LEFT_OUT = frozenset(
-    {
-        Opcode.HEADER,
-        Opcode.FOOTER,
-        Opcode.MESSAGE,  # complete ones are in regions
-        Opcode.CHUNK,
-        Opcode.MESSAGE_INDEX,
-        Opcode.CHUNK_INDEX,
-        Opcode.ATTACHMENT_INDEX,
-        Opcode.STATISTICS,
-        Opcode.METADATA_INDEX,
-        Opcode.SUMMARY_OFFSET,
-    }
-)
+_COPIED = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA})
+"""Records of the format that are copied; messages are in regions, and the rest is made anew."""
 
 
 class McapCopy:
@@ -108,21 +105,14 @@ class McapCopy:
         # The reader may find messages after the data end record.
         self._end = max([data_end, *(region.end for region in overview.regions)])
 
-    def up_to(self, first_ns: int, file: McapFile) -> None:
-        """Copy the records before the first region that begins after `first_ns`."""
-        self._copy(file, first_ns)
-
-    def rest(self, file: McapFile) -> None:
-        """Copy everything that is left."""
-        self._copy(file, None)
-
-    def _copy(self, file: McapFile, until: int | None) -> None:
+    def up_to(self, first_ns: int | None, file: McapFile) -> None:
+        """Copy the records before the first region that begins after `first_ns`; with None all."""
         while self._position < self._end:
             region = self._regions.get(self._position)
             if region is None:
                 self._position = self._copy_record(file)
                 continue
-            if until is not None and region.first_ns > until:
+            if first_ns is not None and region.first_ns > first_ns:
                 return
             if region.is_chunk:
                 self._copy_chunk(region, file)
@@ -137,55 +127,37 @@ class McapCopy:
         attitudes, messages outside chunks would be overlooked.
         """
         data = self._read(region.start, region.length)
-        messages = messages_at(data, walk_records(data).offsets)
-        if messages:
-            file.append_chunk(compressed_chunk("none", data, _indexes(messages)))
+        if indexes := _indexes(data):
+            file.append_chunk(compressed_chunk("none", data, indexes))
 
     def _copy_chunk(self, region: Region, file: McapFile) -> None:
         """Copy a chunk and its message index, or make that."""
-        begin = file.size
-        head = self._read(region.start, RECORD.size + CHUNK_HEAD.size)
-        first, last, size, _, name_length = CHUNK_HEAD.unpack_from(head, RECORD.size)
-        left = region.length - len(head) - name_length - 8
-        is_torn = region.start + region.length > self._source.size
-        if (
-            is_torn
-            or RECORD.unpack_from(head) != (Opcode.CHUNK, region.length - RECORD.size)
-            or left < 0
-        ):
+        if region.start + region.length > self._source.size:
             return  # the reader of its messages reports it
-        name = self._read(region.start + len(head), name_length + 8)
-        self._copy_bytes(region.start, region.length, file)
-        index_at = file.size
-        index = self._read(region.start + region.length, region.index_length)
-        offsets = _index_offsets(index, index_at)
-        if offsets and offsets.keys() == (region.holds or {}).keys():
-            file.append(index)
-            self.contents.counts.update({id_: region.count(id_) or 0 for id_ in offsets})
-        else:
-            offsets = self._write_index(region, file)
-        self.contents.chunks.append(
-            ChunkIndex(
-                message_start_time=first,
-                message_end_time=last,
-                chunk_start_offset=begin,
-                chunk_length=region.length,
-                message_index_offsets=offsets,
-                message_index_length=file.size - index_at,
-                compression=name[:name_length].decode(errors="replace"),
-                compressed_size=int.from_bytes(name[name_length:], "little"),
-                uncompressed_size=size,
+        head = chunk_head(self._read(region.start, min(PEEK, region.length)), region.length)
+        if head is None:
+            return
+        file.append_chunk(
+            McapChunk(
+                compression=head.compression or "none",
+                first=head.first_ns,
+                last=head.last_ns,
+                size=head.size,
+                crc=head.crc,
+                data=self._read(region.start + head.begin, head.end - head.begin),
+                indexes=self._indexes_of(region),
             )
         )
 
-    def _write_index(self, region: Region, file: McapFile) -> dict[int, int]:
-        """Write the message index that a chunk lacks; return where that of each channel is."""
+    def _indexes_of(self, region: Region) -> Indexes:
+        """Return the message index of a chunk, made from its messages where it is damaged."""
+        indexes = _parsed(self._read(region.start + region.length, region.index_length))
+        if indexes and indexes.keys() == (region.holds or {}).keys():
+            return indexes
         try:
-            data = load(self._source, region, self._budget).data
+            return _indexes(load(self._source, region, self._budget).data)
         except RegionError:
             return {}  # copied as it is; the reader of its messages reports it
-        messages = messages_at(data, walk_records(data).offsets)
-        return file.append_indexes(_indexes(messages)) if messages else {}
 
     def _copy_record(self, file: McapFile) -> int:
         """Copy the next record, if it is one to be copied; return where it ends."""
@@ -196,21 +168,16 @@ class McapCopy:
         if opcode in {0, Opcode.DATA_END} or end > self._end:
             after = bisect_right(self._starts, at)
             return self._starts[after] if after < len(self._starts) else self._end
-        if opcode not in _LEFT_OUT and self._note(opcode, at, length, file.size):
+        is_known = opcode <= Opcode.DATA_END
+        if not is_known or (opcode in _COPIED and self._note(opcode, at, length, file.size)):
             self._copy_bytes(at, end - at, file)
         return end
 
     def _note(self, opcode: int, at: int, length: int, place: int) -> bool:
         """Add a record to the contents; return whether it is to be copied as it is."""
-        if opcode not in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}:
-            return True
         size = min(length, _NAMES) if opcode == Opcode.ATTACHMENT else length
         content = self._read(at + RECORD.size, size)
         total = RECORD.size + length
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            defined = McapIndex()
-            defined.define(opcode, content, "")
-            return not defined.losses
         try:
             if opcode == Opcode.METADATA:
                 name, entries = read_metadata(content)
@@ -218,8 +185,10 @@ class McapCopy:
                     self.bag_metadata = entries[SERIALIZED]
                     return False
                 self.contents.metadata.append(MetadataIndex(place, total, name))
-            else:
+            elif opcode == Opcode.ATTACHMENT:
                 self.contents.attachments.append(_attachment(content, place, total))
+            else:
+                (read_schema if opcode == Opcode.SCHEMA else read_channel)(content)
         except MALFORMED:
             return False
         return True
@@ -242,26 +211,25 @@ class McapCopy:
 def _header(source: FileSource) -> Header:
     """Return the header of a file, or an empty one."""
     opcode, length = RECORD.unpack(source.read(len(MAGIC), RECORD.size).ljust(RECORD.size, b"\0"))
-    if opcode == Opcode.HEADER:
-        try:
+    with suppress(*MALFORMED):
+        if opcode == Opcode.HEADER:
             content = source.read(len(MAGIC) + RECORD.size, min(length, _NAMES))
             return Header(*(part.decode() for part in prefixed(content, 0, 2)))
-        except MALFORMED:
-            return Header("", "")
     return Header("", "")
 
 
-def _index_offsets(index: bytes, begin: int) -> dict[int, int]:
-    """Return where the message index of each channel is; empty where they are damaged."""
-    offsets: dict[int, int] = {}
+def _parsed(index: bytes) -> Indexes:
+    """Return the message index of each channel; empty where they are damaged."""
+    indexes: Indexes = {}
     at = 0
     while at + INDEX_HEAD.size <= len(index):
         opcode, length, id_, size = INDEX_HEAD.unpack_from(index, at)
-        if opcode != Opcode.MESSAGE_INDEX or length != size + 6 or id_ in offsets:
-            return {}
-        offsets[id_] = begin + at
         at += RECORD.size + length
-    return offsets if at == len(index) else {}
+        is_whole = length == size + 6 and size % INDEX_ENTRY.itemsize == 0 and at <= len(index)
+        if opcode != Opcode.MESSAGE_INDEX or not is_whole or id_ in indexes:
+            return {}
+        indexes[id_] = np.frombuffer(index[at - size : at], INDEX_ENTRY)
+    return indexes if at == len(index) else {}
 
 
 def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
@@ -272,8 +240,11 @@ def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
     return AttachmentIndex(place, length, log_ns, made_ns, size, name.decode(), kind.decode())
 
 
-def _indexes(messages: LocatedMessages) -> dict[int, NDArray[np.void]]:
-    """Return the message index of each channel of a chunk, in order of log times."""
+def _indexes(data: Buffer) -> Indexes:
+    """Return the message index of each channel in records, in order of log times."""
+    messages = messages_at(data, walk_records(data).offsets)
+    if messages is None:
+        return {}
     entries = np.empty(len(messages), INDEX_ENTRY)
     entries["log"] = messages.log_ns
     entries["offset"] = messages.starts - _MESSAGE_HEAD_BYTES

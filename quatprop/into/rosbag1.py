@@ -1,29 +1,53 @@
-"""Copies of ROS 1 bags to which attitudes are added."""
+"""Copies of ROS 1 bags to which attitudes are added: chunks as they are, in order of the file.
+
+Chunks are decompressed only where their index is missing or they are damaged. Those that are cut
+off are written anew with their complete messages.
+"""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from quatprop.into.rosbag1_copy import BagCopy
+import numpy as np
+
+from quatprop.containers.compression import CompressionError
+from quatprop.containers.rosbag1.index import read_chunk
+from quatprop.containers.rosbag1.records import (
+    OP_CHUNK,
+    OP_MESSAGE,
+    MalformedRecordError,
+    RecordFile,
+    index_offsets,
+    walked_records,
+)
+from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.text import Setting
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.messages.encoders import attitude_encoder
-from quatprop.writers.rosbag1.file import BagFile
+from quatprop.writers.rosbag1 import records
+from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile
 from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.log import Rosbag1Log
+    from quatprop.containers.rosbag1.records import Record
     from quatprop.writers.messages.kinds import Message
+
+    Indexes = dict[int, NDArray[np.void]]
 
 _CHUNK_BYTES = 1 << 17
 """Small chunks, so that each is among those of its own time."""
+
+_PIECE = 1 << 20
 
 
 class BagCopyWriter(MessageWriter):
@@ -45,6 +69,7 @@ class BagCopyWriter(MessageWriter):
     """
 
     _output: OutputFile
+    _bag: BagFile
 
     def __init__(self, log: Rosbag1Log, target: Path | str, message: Message) -> None:
         self.encoder = attitude_encoder(message, ("ros1",))
@@ -81,3 +106,133 @@ class BagCopyWriter(MessageWriter):
         """Remove what was not committed."""
         self._bag.abort()
         self._output.discard()
+
+
+class BagCopy:
+    """Copies a bag step by step, up to a given time.
+
+    Parameters
+    ----------
+    log
+        The bag, which stays open until the copy is finished.
+
+    Attributes
+    ----------
+    connections
+        The fields of each connection, by number.
+    free_id
+        A number that no connection has.
+    """
+
+    def __init__(self, log: Rosbag1Log) -> None:
+        self._path, index = log.path, log.index
+        if any(chunk.first_conn for chunk in index.chunks):
+            raise UnsupportedLogError(
+                log.path,
+                "several bags are joined in it, and nothing can be added to them; write the "
+                "attitudes to a file of their own with ",
+                Setting("output"),
+            )
+        self._file = RecordFile(log.source)
+        self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
+        self._next = 0
+        self.connections = {
+            id_: {name.decode(): value for name, value in fields.items() if name not in _OF_HEAD}
+            for id_, fields in index.connections.items()
+        }
+        ids = {id_ for chunk in self._chunks for id_ in chunk.counts} | self.connections.keys()
+        self.free_id = max(ids, default=-1) + 1
+
+    def up_to(self, first_ns: int | None, bag: BagFile) -> None:
+        """Copy the chunks before the first that begins after `first_ns`; with None all."""
+        while self._next < len(self._chunks):
+            chunk = self._chunks[self._next]
+            if first_ns is not None and chunk.first_ns > first_ns:
+                return
+            self._next += 1
+            self._copy(chunk, bag)
+
+    def _copy(self, chunk: BagChunk, bag: BagFile) -> None:
+        """Copy a chunk as it is, or the records in it where it lacks an index or is damaged."""
+        # The only chunk is split: the first and the last chunk of a bag tell when it starts and
+        # ends, and those of the attitudes may be shorter.
+        is_only = len(self._chunks) == 1
+        try:
+            record = None if chunk.is_unchunked else self._file.record(chunk.start)
+            if record is not None and not is_only and (known := self._index_of(chunk, record)):
+                bag.append_chunk(self._pieces(record), known)
+                return
+            loaded = read_chunk(self._file, chunk)
+        except (CompressionError, MalformedRecordError):
+            return  # the reader of its messages reports it
+        compression = "none"
+        if record is not None and not loaded.damage:
+            compression = record.fields[b"compression"].decode()
+        indexes, end = _walked(loaded.data)
+        cut = _cut(indexes) if is_only else 0
+        for begin, stop in ((0, cut), (cut, end)):
+            part = _part(indexes, begin, stop)
+            if part:
+                data = loaded.data[begin:stop].tobytes()
+                packed = COMPRESSIONS[compression](data)
+                bag.append_chunk([records.chunk(compression, len(data), packed)], part)
+
+    def _index_of(self, chunk: BagChunk, record: Record) -> Indexes:
+        """Return the index of a chunk; empty where it has less than the bag's index says."""
+        if record.op != OP_CHUNK or not record.end <= chunk.end <= self._file.size:
+            return {}
+        indexes = index_offsets(self._file.at(record.end, chunk.end - record.end))
+        counts = {id_: len(entries) for id_, entries in indexes.items()}
+        return indexes if counts == chunk.counts else {}
+
+    def _pieces(self, record: Record) -> Iterator[bytes]:
+        for begin in range(record.start, record.end, _PIECE):
+            size = min(_PIECE, record.end - begin)
+            data = self._file.at(begin, size)
+            if len(data) < size:
+                raise DamagedLogError(
+                    self._path, "it became shorter while it was read; copy it first"
+                )
+            yield data
+
+
+_OF_HEAD = (b"op", b"conn")
+"""Fields of a connection record that are about the record, not the connection."""
+
+
+def _cut(indexes: Indexes) -> int:
+    """Return where to split a chunk so that the earliest and the latest message are parted."""
+    entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
+    entries = np.sort(entries, order="offset")
+    log_ns = records.times(entries)
+    if not len(log_ns):
+        return 0
+    earliest, latest = int(log_ns.argmin()), len(log_ns) - 1 - int(log_ns[::-1].argmax())
+    return 0 if earliest == latest else int(entries["offset"][min(earliest, latest) + 1])
+
+
+def _part(indexes: Indexes, begin: int, end: int) -> Indexes:
+    """Return the index of the messages from `begin` to `end`, as a chunk of its own."""
+    part = {}
+    for id_, entries in indexes.items():
+        kept = entries[(entries["offset"] >= begin) & (entries["offset"] < end)]
+        if len(kept):
+            kept["offset"] -= begin
+            part[id_] = kept
+    return part
+
+
+def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
+    """Return the index of each connection of a chunk, and where its last complete record ends."""
+    rows: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
+    end = 0
+    try:
+        for record in walked_records(data):
+            if record.op == OP_MESSAGE:
+                time = record.time(b"time")
+                place = (*divmod(time, records.NS_PER_S), record.start)
+                rows[record.number(b"conn")].append(place)
+            end = record.end
+    except MalformedRecordError:
+        pass  # the complete records are used
+    return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}, end

@@ -223,8 +223,8 @@ class ChunkHead(NamedTuple):
 
     Parameters
     ----------
-    first_ns
-        Earliest log time, ns, without sign.
+    first_ns, last_ns
+        Earliest and latest log time, ns, without sign.
     size
         Bytes of the decompressed data.
     crc
@@ -236,6 +236,7 @@ class ChunkHead(NamedTuple):
     """
 
     first_ns: int
+    last_ns: int
     size: int
     crc: int
     compression: str
@@ -281,7 +282,7 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     fixed = RECORD.size + CHUNK_HEAD.size
     if len(record) < fixed + 8 or RECORD.unpack_from(record) != (CHUNK, length - RECORD.size):
         return None
-    first, _, size, crc, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
+    first, last, size, crc, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
     begin = fixed + name_length + 8
     if begin > len(record):
         return None
@@ -289,4 +290,4 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     if begin + size_in_file > length:
         return None
     compression = bytes(record[fixed : begin - 8]).decode(errors="replace")
-    return ChunkHead(first, size, crc, compression, begin, begin + size_in_file)
+    return ChunkHead(first, last, size, crc, compression, begin, begin + size_in_file)
