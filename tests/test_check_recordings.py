@@ -10,12 +10,8 @@ from quatprop.cli import cli
 
 LOGS = {
     "auk/auk.bag": "",
-    "auk/auk_lz4.bag": "",
     "auk/auk_mcap_zstd": "",
-    "auk/auk_mcap_zstdfile": "",
-    "auk/auk_sqlite3": "",
     "auk/auk_sqlite3_zstdfile": "",
-    "auk/auk_sqlite3_zstdmsg": "",
     "csv/data_xsens.txt": 'rate-unit = "rad/s"',
     "csv/euroc_v102/imu0_data.csv": "",
     "csv/px4/sample_sensor_combined_0.csv": "",
@@ -36,7 +32,7 @@ LOGS = {
     "rosbag2/test_bag_mcap.mcap": "",
     "two_imus/test1_2014_xsens.bag": 'topic = "/xsens/imu_data"',
 }
-"""Recordings that hold rates, and what they cannot be read without; of bz2 one is enough."""
+"""Recordings that hold rates, and what they cannot be read without; of auk's forms three."""
 
 TRUTHS = """
 [case.vicon]

@@ -4,7 +4,7 @@ import os
 
 from fuzz import fuzz
 
-LOGS = 360
+LOGS = 240
 
 
 def test_damaged_logs_are_read_or_refused_within_bounds():

@@ -116,7 +116,7 @@ def test_the_demo_shows_the_error_of_every_log(tmp_path):
     )  # fmt: skip
     rows = [line.split() for line in done.stdout.splitlines() if line.endswith(" deg")]
     table = [row for row in rows if len(row) == 6 and row[1] != "%"]
-    assert len(table) == 11
+    assert len(table) == 9
     for _log, _method, radians, _rad, degrees, _deg in table:
         assert math.degrees(float(radians)) == pytest.approx(float(degrees), rel=1e-5, abs=1e-12)
 
