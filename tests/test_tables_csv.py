@@ -496,12 +496,18 @@ def test_rows_of_one_kind_have_the_header_of_their_kind():
 
 
 @pytest.mark.parametrize(
-    "line", ["  <x/>\n", "t=590 gx=0.1 gy=0.2 gz=0.3\n", "1.0D+0 2.0D+0 3.0D+0\n"]
+    "text",
+    [
+        9 * "  <x/>\n",
+        9 * "t=590 gx=0.1 gy=0.2 gz=0.3\n",
+        9 * "1.0D+0 2.0D+0 3.0D+0\n",
+        "Red, green, and blue.\n" + 8 * "Nothing but words\n",
+    ],
 )
-def test_a_text_without_rows_of_numbers_is_refused(line):
+def test_a_text_without_rows_of_numbers_is_refused(text):
     """Its words are no names of columns."""
     with pytest.raises(UnsupportedLogError, match="none of its first 9 lines is a row of"):
-        read((9 * line).encode())
+        read(text.encode())
 
 
 @pytest.mark.parametrize(

@@ -122,9 +122,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     data = [row for row in rows[first:] if _is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
     header = _header(rows[:first], data)
-    widths = {len(row) for row in rows if row}
-    is_text = widths != {2} if header is None else header == len(rows) - 1
-    if not data and len(rows) > _HEADER_ROWS and is_text:
+    if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
         raise UnsupportedLogError(
             path,
             f"none of its first {len(rows)} lines is a row of {_RATES} numbers or more; is it a "
@@ -262,6 +260,13 @@ def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
     kind = data[0][0].strip() if data else ""
     of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
     return next(reversed(of_kind or fitting), None)
+
+
+def _is_table(rows: list[list[str]], header: int | None) -> bool:
+    """Return whether rows without numbers may be a table: too narrow a one, or one below names."""
+    if header is None:
+        return {len(row) for row in rows if row} == {2}
+    return any(len(row) == len(rows[header]) for row in rows[header + 1 :])
 
 
 def _without_trailing_cell(row: list[str]) -> list[str]:
