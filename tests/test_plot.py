@@ -16,6 +16,7 @@ from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
 from quatprop.plot.files import view_file
+from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
 from quatprop.plot.view import View
 from quatprop.rendering import instant_text
@@ -73,8 +74,8 @@ def rates(tmp_path):
 
 def figure_of(*paths, **view):
     """Return the figure of files, its axes and the picture."""
-    drawn = picture([view_file(str(path), View(**view)).plotted for path in paths], "t")
-    figure = draw.figure(drawn)
+    drawn = picture([view_file(str(path), View(**view)).plotted for path in paths])
+    figure = draw.figure(Page("t", (), (), drawn, (), ()))
     return figure, figure.axes, drawn
 
 
@@ -269,6 +270,90 @@ def test_gaps_are_shaded_where_they_are_and_break_the_line(tmp_path):
     )
 
 
+def edges(axes):
+    """Return the seconds and the lower and upper edge of the area that is shaded in axes."""
+    (area,) = axes.collections
+    corners = np.concatenate([path.vertices for path in area.get_paths()])
+    seconds = np.unique(corners[:, 0])
+    at = [corners[corners[:, 0] == second, 1] for second in seconds]
+    return seconds, np.array([one.min() for one in at]), np.array([one.max() for one in at])
+
+
+def with_sigmas(path, t_ns, wxyz, sigmas):
+    """Write a CSV of attitudes with standard deviations about the body axes, rad."""
+    table = np.column_stack([wxyz, np.broadcast_to(sigmas, (len(t_ns), 3))]).tolist()
+    rows = (",".join([str(t), *map(repr, row)]) for t, row in zip(t_ns, table, strict=True))
+    header = "t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z"
+    path.write_text(f"{header}\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
+    """As SciPy's angles spread when the attitude is turned about its body axes by random errors."""
+    angles = [[170, 50, -30], [190, 50, -30], [20, -40, 60]]
+    truth = Rotation.from_euler("ZYX", angles, degrees=True)
+    sigmas = np.array([0.001, 0.002, 0.003])
+    t_ns = T0 + np.arange(3) * STEP
+    path = with_sigmas(tmp_path / "a.csv", t_ns, truth.as_quat(scalar_first=True), sigmas)
+    _, axes, _ = figure_of(path)
+    assert [one.get_ylabel() for one in axes] == [
+        "yaw\ndeg", "pitch\ndeg", "roll\ndeg", "1 sigma error\ndeg",
+    ]  # fmt: skip
+    np.testing.assert_allclose(
+        axes[3].get_lines()[0].get_ydata(), np.degrees(np.linalg.norm(sigmas)), rtol=1e-12
+    )
+    errors = np.random.default_rng(1).normal(size=(200_000, 3)) * sigmas
+    for row, attitude in enumerate(truth):
+        spread = (attitude * Rotation.from_rotvec(errors)).as_euler("ZYX", degrees=True)
+        middle = attitude.as_euler("ZYX", degrees=True)
+        for column, one in enumerate(axes[:3]):
+            seconds, low, high = edges(one)
+            (at,) = np.nonzero(np.isclose(seconds, row * 0.01))
+            want = np.std((spread[:, column] - middle[column] + 180) % 360 - 180)
+            assert (high - low)[at] / 2 == pytest.approx(want, rel=0.01)
+            assert (high + low)[at] / 2 == pytest.approx(middle[column], abs=1e-9)
+    _, axes, _ = figure_of(path, components=True)
+    raw = (truth[0] * Rotation.from_rotvec(errors)).as_quat(scalar_first=True)
+    for column, one in enumerate(axes[:4]):
+        _, low, high = edges(one)
+        assert (high - low)[0] / 2 == pytest.approx(np.std(raw[:, column]), rel=0.01)
+
+
+def test_a_file_without_standard_deviations_lies_over_one_with_them(tmp_path):
+    """What one of them expects is shown of that one; unknown and zero ones are not shown."""
+    t_ns, wxyz = spin(100)
+    plain = write_attitudes(tmp_path / "a.csv", t_ns, wxyz)
+    sure = with_sigmas(tmp_path / "b.csv", t_ns, wxyz, [0.1, 0.1, 0.1])
+    exact = with_sigmas(tmp_path / "c.csv", t_ns, wxyz, [0.0, 0.0, 0.0])
+    _, axes, _ = figure_of(plain, sure)
+    assert len(axes) == 4
+    assert len(axes[3].get_lines()) == 2
+    _, axes, _ = figure_of(plain, exact)
+    assert len(axes) == 3
+
+
+def test_errors_about_the_axes_have_their_standard_deviation_shaded(tmp_path, monkeypatch):
+    """About zero, in degrees, as the file says."""
+    t_ns, wxyz = spin(100)
+    sigmas = np.radians([1.0, 2.0, 3.0])
+    new = with_sigmas(tmp_path / "new.csv", t_ns, wxyz, sigmas)
+    truth = write_attitudes(tmp_path / "truth.csv", *spin(100))
+    axes, _ = drawn_error(monkeypatch, "compare", new, truth, "--plot", tmp_path / "a.png")
+    for panel, sigma in zip(axes.figure.axes[1:], [1.0, 2.0, 3.0], strict=True):
+        _, low, high = edges(panel)
+        np.testing.assert_allclose([low, high], [[-sigma] * 100, [sigma] * 100], rtol=1e-9)
+
+
+def test_propagate_shades_what_it_expects(rates, tmp_path, monkeypatch):
+    """With --sigma, and only with it."""
+    options = (*RATE_OPTIONS, "--noise-density", "1deg/sqrt(s)", "--plot", tmp_path / "a.png")
+    axes, _ = drawn_error(
+        monkeypatch, "propagate", rates, "-o", tmp_path / "o.csv", "--sigma", *options
+    )
+    want = np.sqrt(3 * 4.99)
+    assert axes.figure.axes[-1].get_lines()[0].get_ydata()[-1] == pytest.approx(want, rel=1e-6)
+
+
 def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     """The norm error shows what the file says, of rows that no rotation would pass for too."""
     t_ns, wxyz = spin(1000)
@@ -379,6 +464,11 @@ def reference_pair(tmp_path):
     )
 
 
+def legend_of(axes):
+    """Return the texts of the legend of the figure that has these axes."""
+    return [text.get_text() for text in axes.figure.legends[0].get_texts()]
+
+
 def drawn_error(monkeypatch, *arguments):
     """Return the axes of the error that a command draws, and what it gave."""
     figures = []
@@ -406,8 +496,15 @@ def test_an_error_has_its_tolerance_first_and_worst_marked(tmp_path, monkeypatch
     np.testing.assert_allclose(error.get_ydata(), want, atol=1e-9)
     assert level.get_ydata()[0] == pytest.approx(1.0)
     assert worst.get_xydata()[0] == pytest.approx([3.0, 5.0])
-    said = [text.get_text() for text in axes.texts]
-    assert said == ["tolerance 1 deg", "first above the tolerance, and worst: 5 deg at 3 s"]
+    # Nothing is written over the line.
+    assert not axes.texts
+    assert legend_of(axes) == [
+        "tolerance 1 deg", "first above the tolerance, and worst: 5 deg at 3 s"
+    ]  # fmt: skip
+    for about, panel in zip("xyz", axes.figure.axes[1:], strict=True):
+        assert panel.get_ylabel() == f"error {about}\ndeg"
+        (drawn,) = panel.get_lines()
+        np.testing.assert_allclose(drawn.get_ydata(), want if about == "x" else 0, atol=1e-9)
 
 
 def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(tmp_path, monkeypatch):
@@ -417,7 +514,7 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(tmp_pat
         monkeypatch, "plot", new, "--reference", truth, "-o", tmp_path / "a.png", "--tol", "0.5deg"
     )
     assert code == 0
-    assert [text.get_text() for text in axes.texts] == [
+    assert legend_of(axes) == [
         "tolerance 0.5 deg", "first above the tolerance at 2.51 s", "worst: 5 deg at 3 s",
     ]  # fmt: skip
     assert said.splitlines()[0] == (
@@ -445,8 +542,7 @@ def test_errors_over_windows_are_drawn_beside_the_error(tmp_path, monkeypatch, c
     want = np.degrees((over[0].inv() * over[1]).magnitude())
     np.testing.assert_allclose(window.get_ydata(), want, atol=1e-9)
     np.testing.assert_allclose(window.get_xdata(), np.arange(901) * 0.01, atol=1e-9)
-    legend = [text.get_text() for text in axes.figure.legends[0].get_texts()]
-    assert legend[1] == f"over 1 s: max {want.max():.4g} deg, from where each begins"
+    assert legend_of(axes)[1] == f"over 1 s: max {want.max():.4g} deg, from where each begins"
 
 
 def test_an_error_far_from_its_tolerance_has_a_logarithmic_axis(tmp_path, monkeypatch):

@@ -162,7 +162,7 @@ def test_a_page_says_what_its_picture_means(series, tmp_path):
     )
     figure = next(attributes for tag, attributes in page.elements if tag == "figure")
     assert figure["aria-label"] == (
-        "error of new.csv against truth.csv: geodesic error against time"
+        "error of new.csv against truth.csv: geodesic error, error x, error y, error z against time"
     )
     _, page = page_of("plot", new, "-o", tmp_path / "page.html")
     words = " ".join(page.words)

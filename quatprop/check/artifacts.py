@@ -10,7 +10,8 @@ from quatprop.check.case_run import propagate_case
 from quatprop.check.spelling import sentence, spelled
 from quatprop.comparison.compare import compare
 from quatprop.errors import QuatpropError
-from quatprop.plot.errors import ErrorPicture
+from quatprop.plot.errors import pair_page
+from quatprop.plot.target import PictureFile
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.writers import open_writer
 
@@ -55,8 +56,8 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
     try:
         a, b = load_attitudes(AttitudeInput(str(series), "parquet")), load_attitudes(reference)
         comparison = compare(a.series, b.series, case.comparison)
-        with ErrorPicture(str(page), [reference.path], spell=spelled) as picture:
-            picture.draw(a, b, comparison)
+        with PictureFile(str(page), [reference.path]) as picture:
+            picture.commit(pair_page(a, b, comparison, spelled))
     except QuatpropError as error:
         # No matplotlib, or nothing to compare: a page of this says so.
         page.write_text(f"<!doctype html>\n<p>{sentence(error)}</p>\n", encoding="utf-8")

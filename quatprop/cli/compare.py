@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.plot.errors import ErrorPicture
+    from quatprop.plot.target import PictureFile
 
 
 EXAMPLES = (
@@ -69,7 +69,9 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
         keep = picture is not None
         first, second, comparison = compare_files(side_a, side_b, settings, keep=keep)
         if picture is not None:
-            picture.draw(first, second, comparison)
+            from quatprop.plot.errors import pair_page
+
+            picture.commit(pair_page(first, second, comparison, spelled))
     if as_json:
         report = {
             "quatprop": __version__,
@@ -87,14 +89,14 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
         raise click.exceptions.Exit(3)
 
 
-def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[ErrorPicture | None]:
+def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[PictureFile | None]:
     """Return the picture of the error to be drawn; None in it where no picture is wanted."""
     if plot is None:
         return nullcontext()
     from quatprop.cli.spelling import spelled
-    from quatprop.plot.errors import ErrorPicture
+    from quatprop.plot.target import PictureFile
 
-    return ErrorPicture(plot, [a, b], spell=spelled)
+    return PictureFile(plot, [a, b], spell=spelled)
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:

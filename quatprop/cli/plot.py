@@ -96,7 +96,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     Several files are laid over one another.
     """
     from quatprop.cli.progress import progress
-    from quatprop.plot.run import Plot, plot
+    from quatprop.conditioning import Conditioning
+    from quatprop.plot.run import plot
     from quatprop.plot.view import View
     from quatprop.selection import RateSelection
 
@@ -108,25 +109,25 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     against = None
     if reference is not None:
         against = input_of(reference, chosen, side="ref", drop=True)
-    job = Plot(
-        files=files,
-        output=chosen["output"],
-        view=View(
-            kind=chosen["kind"],
-            show=_show(chosen),
-            rates=RateSelection(**{name: chosen[name] for name in SELECT_RATES}),
-            attitudes=input_of("", chosen).selection,
-            components=chosen["components"],
-            unwrap=chosen["unwrap"],
-            start=chosen["start"],
-            end=chosen["end"],
-        ),
-        reference=against,
-        settings=settings_of(chosen),
-        style=_style(chosen),
+    view = View(
+        kind=chosen["kind"],
+        show=_show(chosen),
+        rates=RateSelection(**{name: chosen[name] for name in SELECT_RATES}),
+        attitudes=input_of("", chosen).selection,
+        components=chosen["components"],
+        unwrap=chosen["unwrap"],
+        part=Conditioning(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
-        drawn = plot(job, spelled)
+        drawn = plot(
+            files,
+            chosen["output"],
+            view,
+            against,
+            settings_of(chosen),
+            style=_style(chosen),
+            spell=spelled,
+        )
     if not quiet:
         lines = [*drawn.lines, *(f"warning: {warning}" for warning in drawn.warnings)]
         click.echo("\n".join(map(plain, lines)), err=True)

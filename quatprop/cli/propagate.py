@@ -80,11 +80,7 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
     from quatprop.cli.spelling import spelled
     from quatprop.plot.propagation import PropagationPicture
 
-    settings, output = job.settings, job.output
-    resampled = settings.rate is not None or settings.at is not None
-    inputs = [job.log, *settings.inputs.values()]
-    outputs = [output.path, output.report]
-    return PropagationPicture(plot, inputs, outputs, resampled=resampled, spell=spelled)
+    return PropagationPicture(plot, job, spelled)
 
 
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.conventions import Signs
 from quatprop.conventions.representations import euler_angles
-from quatprop.plot.lines import Unwrap
+from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.plot.lines import TURN, Unwrap
 from quatprop.plot.reduction import Reduction
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 ZERO = 1e-6
 """Norms below this are zero: no rotation can be computed from them."""
+
+SMALL = 1e-6
+"""Rotation, rad, whose effect on what is drawn is proportional to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,12 @@ class Quantity:
         A series that varies by less is drawn as a constant.
     scale
         Range of its axis in either direction where the series is zero.
+    is_error
+        Whether it should be zero: its standard deviation is drawn about zero.
+    height
+        Height of its panel, in those of others.
+    shown_above
+        It has no panel unless it is larger than this somewhere; None: it always has one.
     """
 
     name: str
@@ -52,26 +62,64 @@ class Quantity:
     wraps: bool = False
     least: float = 0.0
     scale: float = 1.0
+    is_error: bool = False
+    height: float = 1.0
+    shown_above: float | None = None
 
 
 ROUNDING_DEG = 1e-6
 
 MINUS = "\N{MINUS SIGN}"
 
-NORM_ERROR = Quantity(f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15)
+NORM_DIGITS = 1e-6
+"""Norm errors up to this are those of printed digits."""
+
+NORM_ERROR = Quantity(
+    f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15, shown_above=NORM_DIGITS
+)
+
+SIGMA_BAND = "1 sigma shaded"
+
+EXPECTED = Quantity("1 sigma error", "deg", shown_above=0.0)
+"""The angle of an error of one standard deviation about all three axes."""
 
 ANGLES = (
     Quantity("yaw", "deg", "z", wraps=True, least=ROUNDING_DEG),
     Quantity("pitch", "deg", "y", least=ROUNDING_DEG),
     Quantity("roll", "deg", "x", wraps=True, least=ROUNDING_DEG),
+    EXPECTED,
     NORM_ERROR,
 )
 """An attitude as q = q_z(yaw) q_y(pitch) q_x(roll)."""
 
-COMPONENTS = (*(Quantity(f"q{axis}", "", axis) for axis in "wxyz"), NORM_ERROR)
+COMPONENTS = (*(Quantity(f"q{axis}", "", axis) for axis in "wxyz"), EXPECTED, NORM_ERROR)
 """An attitude as its quaternion."""
 
-ERROR = (Quantity("geodesic error", "deg"),)
+GEODESIC = Quantity("geodesic error", "deg", height=2.0)
+
+ERROR = (
+    GEODESIC,
+    *(Quantity(f"error {axis}", "deg", axis, least=1e-12, is_error=True) for axis in "xyz"),
+)
+"""The angle of an error, and its rotation vector about the body axes."""
+
+
+class Group(NamedTuple):
+    """Quantities that share their stamps.
+
+    Parameters
+    ----------
+    quantities
+        What is drawn, one panel each.
+    reduced
+        Their reduced samples, and then their standard deviations, where those are known.
+    gap_limit_ns
+        Intervals longer than this are gaps, ns; None: there are none.
+    """
+
+    quantities: tuple[Quantity, ...]
+    reduced: Reduced
+    gap_limit_ns: int | None = None
 
 
 def rates_in(unit: str) -> tuple[Quantity, ...]:
@@ -86,19 +134,25 @@ class Accumulator:
     ----------
     quantities
         What is kept of each sample.
+    has_sigmas
+        Whether standard deviations are kept too.
     """
 
-    def __init__(self, quantities: tuple[Quantity, ...]) -> None:
+    def __init__(self, quantities: tuple[Quantity, ...], *, has_sigmas: bool = False) -> None:
         self.quantities = quantities
-        self._reduction = Reduction(len(quantities))
+        self.has_sigmas = has_sigmas
+        self._reduction = Reduction(len(quantities) * (2 if has_sigmas else 1))
 
-    def add(self, t_ns: Int64, values: Float64) -> None:
-        """Add samples: stamps ``(N,)``, int64 ns, and values ``(quantities, N)``."""
+    def add(self, t_ns: Int64, values: Float64, sigmas: Float64 | None = None) -> None:
+        """Add samples: stamps ``(N,)``, int64 ns; values, and sigmas, ``(quantities, N)``."""
+        if self.has_sigmas:
+            unknown = np.full(values.shape, np.nan)
+            values = np.concatenate([values, unknown if sigmas is None else sigmas])
         self._reduction.add(t_ns, values)
 
-    def reduced(self) -> Reduced:
-        """Return the reduced samples."""
-        return self._reduction.result()
+    def group(self, gap_limit_ns: int | None) -> Group:
+        """Return what was added, with the longest interval that is no gap, ns."""
+        return Group(self.quantities, self._reduction.result(), gap_limit_ns)
 
 
 class RateAccumulator(Accumulator):
@@ -135,27 +189,43 @@ class AttitudeAccumulator(Accumulator):
         instead of yaw, pitch and roll.
     unwrap
         Draw yaw and roll beyond half a turn, instead of cut there.
+    has_sigmas
+        Whether the attitudes have covariances.
 
     Attributes
     ----------
     invalid
         Invalid quaternions: zero, or not finite.
+    knows_sigmas
+        Whether a standard deviation above zero was among them.
     norm_error
         Largest difference from unit length.
     """
 
-    def __init__(self, *, components: bool = False, unwrap: bool = False) -> None:
+    def __init__(
+        self, *, components: bool = False, unwrap: bool = False, has_sigmas: bool = False
+    ) -> None:
         angles: tuple[Quantity, ...] = ANGLES
         if unwrap:
-            angles = (*(replace(angle, wraps=False) for angle in ANGLES[:-1]), NORM_ERROR)
-        super().__init__(COMPONENTS if components else angles)
+            angles = tuple(replace(angle, wraps=False) for angle in ANGLES)
+        super().__init__(COMPONENTS if components else angles, has_sigmas=has_sigmas)
         self._signs = Signs("continuous") if components else None
         self._unwrap = Unwrap(2)
-        self.invalid = 0
+        self.invalid, self.knows_sigmas = 0, False
         self.norm_error = 0.0
 
-    def add_rows(self, t_ns: Int64, wxyz: Float64) -> None:
-        """Add quaternions wxyz, shape ``(N, 4)``, of any norm."""
+    def add_rows(self, t_ns: Int64, wxyz: Float64, covariance: Float64 | None = None) -> None:
+        """Add quaternions wxyz, shape ``(N, 4)``, of any norm.
+
+        Parameters
+        ----------
+        t_ns
+            Stamps, shape ``(N,)``, ns.
+        wxyz
+            Attitudes.
+        covariance
+            About body axes, shape ``(N, 3, 3)``, rad^2.
+        """
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz))
         good = np.isfinite(length) & (length > ZERO)
@@ -165,16 +235,38 @@ class AttitudeAccumulator(Accumulator):
         )
         values = np.full((len(self.quantities), len(t_ns)), np.nan)
         values[-1] = np.where(good, length - 1, np.nan)
+        sigmas = None
+        if self.has_sigmas and covariance is not None:
+            sigmas = np.full(values.shape, np.nan)
+            sigmas[:-2, good] = self._sigmas(wxyz[good], covariance[good])
+            values[-2] = np.degrees(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
+            self.knows_sigmas |= bool((values[-2] > 0).any())
         if self._signs is not None:
-            values[:-1, good] = self._signs.applied(wxyz[good]).T
+            values[:-2, good] = self._signs.applied(wxyz[good]).T
         else:
-            angles = np.degrees(euler_angles("zyx", wxyz[good])).T
+            angles = self._drawn(wxyz[good])
             angles[[0, 2]] = self._unwrap.applied(angles[[0, 2]])
-            values[:-1, good] = angles
-        self.add(t_ns, values)
+            values[:-2, good] = angles
+        self.add(t_ns, values, sigmas)
+
+    def _drawn(self, wxyz: Float64) -> Float64:
+        """Return components, or angles in deg, each on its own, shape ``(values, N)``."""
+        if self._signs is not None:
+            return wxyz.T
+        return np.degrees(euler_angles("zyx", wxyz)).T
+
+    def _sigmas(self, wxyz: Float64, covariance: Float64) -> Float64:
+        """Return standard deviations of what is drawn, to first order, shape ``(values, N)``."""
+        drawn, change = self._drawn(wxyz), []
+        for axis in np.eye(3):
+            steps = self._drawn(multiply(wxyz, exp(SMALL * axis))) - drawn
+            change.append((steps - TURN * np.rint(steps / TURN)) / SMALL)
+        with np.errstate(invalid="ignore"):
+            variance = np.einsum("ivn,nij,jvn->vn", change, covariance, change)
+            return np.asarray(np.sqrt(np.minimum(variance, (TURN / 2) ** 2)))
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield the batches as they are, having accumulated them."""
         for batch in batches:
-            self.add_rows(batch.t_ns, batch.wxyz)
+            self.add_rows(batch.t_ns, batch.wxyz, batch.covariance)
             yield batch

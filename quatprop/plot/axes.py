@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.plot.accumulators import MINUS, NORM_ERROR
 from quatprop.plot.lines import TURN, lone_points
-from quatprop.plot.palette import ALARM, PAPER, SHADE, colour_of, stroke_of
+from quatprop.plot.palette import ALARM, SHADE, colour_of, stroke_of
+from quatprop.plot.picture import Band
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
     from quatprop.plot.picture import Curve, Mark, Panel, Picture
 
-THIN, THICKER, WIDEST = 0.8, 1.2, 3
+THIN, THICKER, WIDEST = 0.8, 0.9, 3
 """Points: a line, and what each line below another has more, so many times at most."""
-
-LATE, LATE_FIRST = 0.5, 0.65
-"""Share of the time after which labels stand to the left of a mark."""
-
-LOW = 0.1
-"""Share of the range from below in which labels stand above a mark: below are the ticks."""
 
 FLAT = 1e-9
 """Share of its size below which a series counts as constant: its rounding is not drawn large."""
@@ -36,12 +32,15 @@ WIDE_ANGLE = 150.0
 LEVEL_SHARE = 100.0
 """An error this many times above or below its tolerance has a logarithmic axis."""
 
-_BACKGROUND: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "alpha": 0.75, "pad": 0.8}
-"""Behind text that lies over lines."""
 
+def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist, str]]:
+    """Draw one panel: gaps behind, then lines, tolerance and marks.
 
-def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> None:
-    """Draw one panel: gaps behind, then lines, tolerance and marks."""
+    Returns
+    -------
+    list
+        What needs a place in the legend: the tolerance and the marks, and what they are.
+    """
     several = len(picture.gaps) > 1
     for file, spans in enumerate(picture.gaps):
         if len(spans):
@@ -61,45 +60,36 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> None:
     axes.grid(visible=True)
     axes.set_axisbelow(True)
     unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
-    axes.set_ylabel(panel.quantity.name.replace(" error ", " error\n") + unit)
+    axes.set_ylabel(panel.quantity.name.replace("norm error ", "norm error\n") + unit)
     _set_values(axes, panel)
+    explained: list[tuple[Artist, str]] = []
     if panel.level is not None:
-        _draw_level(axes, *panel.level)
-    for mark in panel.marks:
-        _draw_mark(axes, mark)
+        value, label = panel.level
+        level = axes.axhline(value, color=ALARM, linestyle="dashed", linewidth=1.0)
+        explained.append((level, label))
+    explained += [(_draw_mark(axes, mark), mark.label) for mark in panel.marks]
+    return explained
 
 
 def _draw_curve(axes: Axes, curve: Curve, width: float) -> None:
     colour, points = colour_of(curve.colour), lone_points(curve.drawn)
     stroke = stroke_of(curve.colour)
     axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width)
-    if curve.band:
-        axes.fill_between(*curve.drawn, color=colour, alpha=0.2, linewidth=0, zorder=1)
+    seconds, values = curve.drawn
+    areas = [curve.band] if curve.band else []
+    if curve.is_filled:
+        areas.append(Band(seconds, np.zeros(len(values)), values))
+    for area in areas:
+        axes.fill_between(
+            area.seconds, area.low, area.high, color=colour, alpha=0.2, linewidth=0, zorder=1
+        )
     if len(points.seconds):
         axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
 
 
-def _draw_level(axes: Axes, value: float, label: str) -> None:
-    axes.axhline(value, color=ALARM, linestyle="dashed", linewidth=1.0)
-    axes.annotate(
-        label,
-        (0.995, value),
-        xycoords=axes.get_yaxis_transform(),
-        xytext=(0, 2),
-        textcoords="offset points",
-        horizontalalignment="right",
-        color=ALARM,
-        bbox=_BACKGROUND,
-    )
-
-
-def _draw_mark(axes: Axes, mark: Mark) -> None:
-    """Mark a point; its label goes where the line hardly is.
-
-    Nothing is above the worst; after the first above the tolerance, the line is above it.
-    """
+def _draw_mark(axes: Axes, mark: Mark) -> Artist:
     first = mark.sign == "first"
-    axes.plot(
+    (drawn,) = axes.plot(
         [mark.seconds],
         [mark.value],
         linestyle="none",
@@ -111,24 +101,14 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
         zorder=4,
         clip_on=False,
     )
-    start, end = axes.dataLim.intervalx
-    low, high = axes.get_ylim()
-    above = axes.get_yscale() == "linear" and mark.value < low + LOW * (high - low)
-    left = mark.seconds > start + (LATE_FIRST if first else LATE) * (end - start)
-    axes.annotate(
-        mark.label,
-        (mark.seconds, mark.value),
-        xytext=(-7 if left else 7, -13 if first and not left and not above else 7),
-        textcoords="offset points",
-        horizontalalignment="right" if left else "left",
-        bbox=_BACKGROUND,
-        zorder=5,
-    )
+    return drawn
 
 
 def _set_values(axes: Axes, panel: Panel) -> None:
     """Choose the range, the scale and the ticks of a panel."""
-    values = np.concatenate([curve.drawn.values for curve in panel.curves])
+    parts = [curve.drawn.values for curve in panel.curves]
+    parts += [edge for curve in panel.curves if curve.band for edge in curve.band[1:]]
+    values = np.concatenate(parts)
     values = values[np.isfinite(values)]
     axes.margins(y=0.08)
     axes.ticklabel_format(axis="y", useOffset=False, style="plain")

@@ -10,6 +10,7 @@ import re
 import warnings
 from dataclasses import dataclass, replace
 from io import BytesIO
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,9 +21,13 @@ from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
 from quatprop.text import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from quatprop.plot.page import Page
     from quatprop.plot.picture import Picture
 
 WIDTH = 7.5
@@ -46,13 +51,21 @@ DOTS = 200
 FONT, FONT_TITLE, FONT_SMALL = 8.5, 10.0, 7.5
 """Points."""
 
-LEFT, RIGHT, LABEL = 0.915, 0.1875, 0.531
+LEFT, RIGHT, LABEL = 0.99, 0.1875, 0.61
 """Inches: left and right of the panels, and from their labels to them."""
 
 LONGEST_TITLE = 88
 """Characters that fit the width in the title's size; facts, which are smaller, may have more."""
 
 LONGEST_FACT = 125
+
+LONGEST_LABEL = 85
+
+NARROW = 0.8
+"""Least share of its usual height that a panel has, for letters of the usual size."""
+
+MAX_NOTES = 3
+"""Notes below a picture."""
 
 SETTINGS: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],
@@ -130,27 +143,27 @@ class Style:
 STYLE = Style()
 
 
-def render(picture: Picture, kind: str, style: Style = STYLE) -> bytes:
+def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
     """Return a picture as a file.
 
     Parameters
     ----------
-    picture
+    page
         What to draw.
     kind
         ``"png"``, ``"svg"`` or ``"pdf"``.
     style
         How large it is.
     """
-    if not style.title:
-        picture = replace(picture, title="", facts=(), notes=())
-    return _saved(picture, kind, {**SETTINGS, "font.size": style.font}, style)
+    return _saved(page, kind, {**SETTINGS, "font.size": style.font}, style)
 
 
-def inline_svg(picture: Picture) -> str:
-    """Return a picture as an SVG element for a page: text as text, on a clear background."""
-    content = _saved(picture, "svg", {**SETTINGS, "svg.fonttype": "none"}, transparent=True)
-    text = content.decode()
+def inline_svg(page: Page) -> str:
+    """Return the picture of a page as an SVG element: text as text, on a clear background."""
+    # Title, facts and notes stand on the page already.
+    style = replace(STYLE, title=False)
+    settings = {**SETTINGS, "svg.fonttype": "none"}
+    text = _saved(page, "svg", settings, style, transparent=True).decode()
     text = text[text.index("<svg") :]
     # A page needs no namespaces, and they look like addresses.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
@@ -159,49 +172,57 @@ def inline_svg(picture: Picture) -> str:
     return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
 
 
-def _saved(
-    picture: Picture, kind: str, settings: dict[Any, Any], style: Style = STYLE, **options: Any
-) -> bytes:
+def _saved(page: Page, kind: str, settings: dict[Any, Any], style: Style, **options: Any) -> bytes:
     import matplotlib as mpl
 
     stream = BytesIO()
     with mpl.rc_context(settings), warnings.catch_warnings():
         # Letters that the font does not have are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        drawn = figure(picture, style)
+        drawn = figure(page, style)
         drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind], **options)
     return stream.getvalue()
 
 
-def figure(picture: Picture, style: Style = STYLE) -> Figure:
-    """Return the figure of a picture, in the style of matplotlib's current settings."""
+def figure(page: Page, style: Style = STYLE) -> Figure:
+    """Return the figure of a page, in the style of matplotlib's current settings."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
-    panels = picture.panels
-    body = SINGLE if len(panels) == 1 else PANEL * len(panels)
-    head = (HEAD if picture.title else BARE_HEAD) + FILE_LINE * -(-len(picture.legend) // 2)
-    head *= style.scale
-    foot = (FOOT + LINE * len(picture.notes)) * style.scale
-    height = style.height or head + body * style.width / WIDTH + foot
+    picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
+    panels, scale = picture.panels, style.scale
+    heights = [panel.quantity.height for panel in panels]
+    room = style.width / WIDTH / scale
+    time = wrap(picture.time, round(LONGEST_LABEL * room))
+    body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
+    entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
+    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // 2)) * scale
+    foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
+    height = style.height or head + body * max(style.width / WIDTH, NARROW * scale) + foot
     result = Figure(figsize=(style.width, height))
-    left, right = LEFT * style.scale / style.width, 1 - RIGHT * style.scale / style.width
+    left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
     grid = result.add_gridspec(
         len(panels), 1, left=left, right=right, top=1 - head / height, bottom=foot / height,
-        hspace=0.12,
+        hspace=0.12, height_ratios=heights,
     )  # fmt: skip
-    label = -LABEL * style.scale / (style.width * (right - left))
+    label = -LABEL * scale / (style.width * (right - left))
+    explained: list[tuple[Artist, str]] = [
+        (Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8), name)
+        for file, name in enumerate(picture.legend)
+    ]
     shared: Axes | None = None
     for number, panel in enumerate(panels):
         axes = result.add_subplot(grid[number], sharex=shared)
         shared = shared or axes
-        draw_panel(axes, panel, picture)
+        explained += draw_panel(axes, panel, picture)
         axes.tick_params(labelbottom=number == len(panels) - 1)
         axes.yaxis.set_label_coords(label, 0.5)
-    result.axes[-1].set_xlabel(picture.time)
+    result.axes[-1].set_xlabel("\n".join(time))
     _set_time(result.axes[0], picture)
-    _write_text(result, picture, style)
-    if picture.legend:
-        _write_legend(result, picture, 1 - head / height)
+    if style.title:
+        _write_text(result, page, notes, scale, room)
+    if explained:
+        _write_legend(result, explained, 1 - head / height, round(LONGEST_FACT * room) // 2)
     return result
 
 
@@ -215,32 +236,29 @@ def _set_time(axes: Axes, picture: Picture) -> None:
     axes.ticklabel_format(axis="x", useOffset=False, style="plain")
 
 
-def _write_text(result: Figure, picture: Picture, style: Style) -> None:
+def _write_text(
+    result: Figure, page: Page, notes: Sequence[str], scale: float, room: float
+) -> None:
     """Write title and facts at the top, notes at the bottom."""
-    height = result.get_size_inches()[1] / style.scale
-    room = style.width / WIDTH / style.scale
-    title = shortened(picture.title, round(LONGEST_TITLE * room))
-    large, small = FONT_TITLE * style.scale, FONT_SMALL * style.scale
+    height = result.get_size_inches()[1] / scale
+    title = shortened(page.title, round(LONGEST_TITLE * room))
+    large, small = FONT_TITLE * scale, FONT_SMALL * scale
     result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
     longest = round(LONGEST_FACT * room)
-    for number, fact in enumerate(picture.facts):
+    for number, fact in enumerate(page.facts):
         place = 1 - (0.32 + FACT_LINE * number) / height
         result.text(MARGIN, place, shortened(fact, longest), fontsize=small, va="top")
-    for number, note in enumerate(reversed(picture.notes)):
+    for number, note in enumerate(reversed(notes)):
         place = (0.07 + LINE * number) / height
         result.text(MARGIN, place, shortened(note, longest), fontsize=small)
 
 
-def _write_legend(result: Figure, picture: Picture, top: float) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8)
-        for file in range(len(picture.legend))
-    ]
+def _write_legend(
+    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, longest: int
+) -> None:
     legend = result.legend(
-        handles,
-        [f"{number}" for number in range(len(handles))],
+        [artist for artist, _ in explained],
+        [f"{number}" for number in range(len(explained))],
         loc="lower left",
         bbox_to_anchor=(0.006, top),
         ncols=2,
@@ -250,8 +268,22 @@ def _write_legend(result: Figure, picture: Picture, top: float) -> None:
         labelspacing=0.2,
     )
     # Set afterwards, since names that begin with "_" would be left out.
-    for text, name in zip(legend.get_texts(), picture.legend, strict=True):
-        text.set_text(shortened(name, LONGEST_FACT // 2))
+    for text, (_, name) in zip(legend.get_texts(), explained, strict=True):
+        text.set_text(shortened(name, longest))
+
+
+def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
+    """Return the warnings that stand below a picture; a page has all of them.
+
+    Examples
+    --------
+    >>> notes_of(("one", "two", "three", "four"))
+    ('one', 'two', 'and 2 more warnings')
+    """
+    if len(warnings) <= MAX_NOTES:
+        return tuple(warnings)
+    shown = warnings[: MAX_NOTES - 1]
+    return (*shown, f"and {len(warnings) - len(shown)} more warnings")
 
 
 def shortened(text: str, longest: int) -> str:

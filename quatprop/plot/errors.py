@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
-from quatprop.plot.accumulators import ERROR, Accumulator
+from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
 from quatprop.plot.page import FactTable, Page
-from quatprop.plot.picture import Group, Mark, PlottedFile, picture
-from quatprop.plot.target import MADE_BY, PictureFile
+from quatprop.plot.picture import Mark, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain
 from quatprop.timeline.stamps import GAP_FACTOR
@@ -22,8 +21,7 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison
     from quatprop.plot.picture import Picture
@@ -59,16 +57,13 @@ class ComparedFile(NamedTuple):
     comparison: Comparison
 
 
-class ErrorPicture(PictureFile):
-    """The error between two series on its way to a file; see :class:`PictureFile`."""
-
-    def draw(self, a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> None:
-        """Draw the comparison of A with B, and put the picture in its place."""
-        name, reference = file_names([a.input.path, b.input.path])
-        if name == reference:
-            # Two topics of one log.
-            name, reference = (f"{name} {plain(side.signal.name)}" for side in (a, b))
-        self.commit(error_page([ComparedFile(name, a, comparison)], reference, b, self.spell))
+def pair_page(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell: Spell) -> Page:
+    """Return the page on the comparison of A with B; see :func:`error_page`."""
+    name, reference = file_names([a.input.path, b.input.path])
+    if name == reference:
+        # Two topics of one log.
+        name, reference = (f"{name} {plain(side.signal.name)}" for side in (a, b))
+    return error_page([ComparedFile(name, a, comparison)], reference, b, spell)
 
 
 def error_page(
@@ -87,24 +82,21 @@ def error_page(
     spell
         Writes a sentence that may mention settings.
     """
-    names = ", ".join(file.name for file in files)
-    title = f"error of {names} against {reference_name}"
-    first = files[0].comparison
-    facts = (
-        f"geodesic angle, alignment {first.alignment.name}{_offset(first)}, {_matched(first)}",
-        "" if len(files) > 1 else _sizes(first),
-    )
-    warnings = tuple(_warnings(files, reference, spell))
+    first, single = files[0].comparison, len(files) == 1
+    how = f"alignment {first.alignment.name}{_offset(first)}, {_matched(first)}"
+    about = "angle, and rotation vector about the body axes"
+    if any(file.comparison.sigmas for file in files):
+        about += f" ({SIGMA_BAND})"
     lines = [_plotted(file) for file in files]
-    if len(files) == 1:
+    if single:
         lines += _beside(first)
-    lines += [line for file in files for line in _sigma_tolerance(file, single=len(files) == 1)]
-    drawn = picture(lines, title, facts, warnings[:2])
+    lines += [line for file in files for line in _sigma_tolerance(file, single=single)]
     return Page(
-        heading=title,
+        title=f"error of {', '.join(file.name for file in files)} against {reference_name}",
+        facts=(f"{about}; {how}", _sizes(first) if single else ""),
         lead=tuple(_verdict(file) for file in files),
-        picture=_marked(drawn, files),
-        warnings=warnings,
+        picture=_marked(picture(lines), files),
+        warnings=tuple(_warnings(files, reference, spell)),
         tables=tuple(
             FactTable(
                 f"{file.name} against {reference_name}",
@@ -112,13 +104,18 @@ def error_page(
             )
             for file in files
         ),
-        made_by=MADE_BY,
     )
 
 
 def _plotted(file: ComparedFile) -> PlottedFile:
     comparison = file.comparison
-    return _line(file.name, comparison.t_ns, comparison.errors, _sizes(comparison))
+    vectors = np.degrees(comparison.error_vectors)
+    values = np.column_stack([np.degrees(comparison.errors), vectors])
+    sigmas = None
+    if comparison.sigmas:
+        unknown = np.full(len(values), np.nan)
+        sigmas = np.column_stack([unknown, np.degrees(comparison.sigmas.axes_rad)]).T
+    return _line(file.name, comparison.t_ns, values.T, _sizes(comparison), sigmas)
 
 
 def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
@@ -126,11 +123,12 @@ def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
     if (window := comparison.window) is not None:
         text = f"max {degrees_text(window.max_rad, DIGITS)}, from where each begins"
         name = f"over {duration_text(window.window_ns)}"
-        yield _line(name, window.begins_ns, window.errors, text)
+        yield _line(name, window.begins_ns, np.degrees(window.errors)[None], text)
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigma_text(sigmas.final)}"
-        line = _line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad, text)
-        yield replace(line, band=True)
+        angles = np.degrees(sigmas.one_sigma_rad)[None]
+        line = _line("expected (1 sigma)", comparison.t_ns, angles, text)
+        yield replace(line, is_filled=True)
 
 
 def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFile]:
@@ -139,24 +137,23 @@ def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFil
         sigmas, is_largest = file.comparison.sigmas, criterion.setting in {"tol", "max_sigma"}
         if sigmas and criterion.unit == "sigma" and is_largest:
             name = f"tolerance ({criterion.limit:g} sigma{'' if single else f', {file.name}'})"
-            angles = criterion.limit * sigmas.one_sigma_rad
+            angles = np.degrees(criterion.limit * sigmas.one_sigma_rad)[None]
             text = f"the largest is {sigma_text(criterion.value)}"
             yield _line(name, file.comparison.t_ns, angles, text)
 
 
 def _line(
-    name: str, t_ns: NDArray[np.int64], angles: NDArray[np.float64], text: str
+    name: str, t_ns: Int64, degrees: Float64, text: str, sigmas: Float64 | None = None
 ) -> PlottedFile:
-    accumulated = Accumulator(ERROR)
-    accumulated.add(t_ns, np.degrees(angles)[None])
+    accumulated = Accumulator(ERROR[: len(degrees)], has_sigmas=sigmas is not None)
+    accumulated.add(t_ns, degrees, sigmas)
     median = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
-    group = Group(ERROR, accumulated.reduced(), GAP_FACTOR * median or None)
-    return PlottedFile(name, (group,), text)
+    return PlottedFile(name, (accumulated.group(GAP_FACTOR * median or None),), text)
 
 
 def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
     """Draw the tolerance; for a single series also the first sample above it, and the worst."""
-    (panel,) = drawn.panels
+    panel, *others = drawn.panels
     comparison = files[0].comparison
     tolerance, first = comparison.tolerance_rad, comparison.first_exceeding
     worst = comparison.worst
@@ -172,7 +169,7 @@ def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
         marks = (_mark(worst, start_ns, "worst", text),)
         if first is not None and first != worst:
             marks = (_mark(first, start_ns, "first", above), *marks)
-    return replace(drawn, panels=(replace(panel, level=level, marks=marks),))
+    return replace(drawn, panels=(replace(panel, level=level, marks=marks), *others))
 
 
 def _mark(sample: ComparedSample, start_ns: int, sign: str, text: str) -> Mark:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning import Conditioning, condition
+from quatprop.conditioning import condition
+from quatprop.conditioning.time_range import absolute_range
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -22,8 +23,8 @@ from quatprop.errors import (
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
-from quatprop.plot.picture import Group, PlottedFile
+from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
+from quatprop.plot.picture import PlottedFile
 from quatprop.plot.view import FileView
 from quatprop.rendering import count_text, file_names, instant_text, samples_text, source_text
 from quatprop.signals.attitudes import choose_attitudes
@@ -77,7 +78,7 @@ def view_file(path: str, view: View) -> FileView:
     UsageError
         It can be read only once, and would have to be read twice.
     """
-    if path == "-" and view.looks_ahead:
+    if path == "-" and view.part.looks_ahead:
         raise UsageError(
             "stdin can be read only once; relative ",
             Setting("start"),
@@ -126,8 +127,7 @@ def _neither(log: Log, rates: LogError, attitudes: LogError) -> LogError:
 
 
 def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
-    part = Conditioning(start=view.start, end=view.end)
-    batches, done = condition(source.batches, part, UNITS[source.unit])
+    batches, done = condition(source.batches, view.part, UNITS[source.unit])
     drawn, checks = RateAccumulator(source.unit, UNITS[source.unit]), RateChecks()
     timeline = Timeline(OBSERVE, path)
     counts = timeline.counts
@@ -156,11 +156,10 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
 
 
 def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
-    drawn, outside, stamps = (
-        AttitudeAccumulator(components=view.components, unwrap=view.unwrap),
-        [0, 0],
-        StampChecks(path),
+    drawn = AttitudeAccumulator(
+        components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
+    outside, stamps = [0, 0], StampChecks(path)
     counts = stamps.counts
     deque(stamps.observe(_accumulated(_within(source, view, outside), drawn)), maxlen=0)
     if not counts.used:
@@ -172,6 +171,7 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     convention = source.provenance.get("convention")
     method = plain(convention.get("method") or "") if isinstance(convention, dict) else ""
     form = "components, sign continuous" if view.components else "zyx angles"
+    form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
     propagated = f", propagated with method {method}" if method else ""
     stored = f"{source.meaning.convention} {source.meaning.direction}"
     return FileView(
@@ -196,9 +196,10 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
 def _plotted(
     path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: StampCounts
 ) -> PlottedFile:
-    group = Group(drawn.quantities, drawn.reduced(), counts.gap_limit_ns)
     (name,) = file_names([path])
-    return PlottedFile(name, (group,), source_text(source.name, source.type_name))
+    return PlottedFile(
+        name, (drawn.group(counts.gap_limit_ns),), source_text(source.name, source.type_name)
+    )
 
 
 def _source_facts(path: str, log: Log, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
@@ -233,30 +234,28 @@ def _irregularities(counts: StampCounts) -> Iterator[str]:
 
 
 def _accumulated(
-    rows: Iterable[tuple[Int64, Float64]], drawn: AttitudeAccumulator
+    rows: Iterable[tuple[Int64, Float64, Float64 | None]], drawn: AttitudeAccumulator
 ) -> Iterator[Int64]:
     """Accumulate attitudes, and yield their stamps."""
-    for t_ns, wxyz in rows:
-        drawn.add_rows(t_ns, wxyz)
+    for t_ns, wxyz, covariance in rows:
+        drawn.add_rows(t_ns, wxyz, covariance)
         yield t_ns
 
 
 def _within(
     source: AttitudeSignal, view: View, outside: list[int]
-) -> Iterator[tuple[Int64, Float64]]:
-    """Yield the rows of the part to draw; count those before and after it."""
-    first_ns = last_ns = 0
-    if view.looks_ahead:
+) -> Iterator[tuple[Int64, Float64, Float64 | None]]:
+    """Yield stamps, attitudes and covariances of the part to draw; count those outside it."""
+    ends = (0, 0)
+    if view.part.looks_ahead:
         stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
         if stamps:
-            first_ns, last_ns = stamps[0][0], stamps[-1][1]
-    origin = {"clock": 0, "first": first_ns, "last": last_ns}
-    bounds = np.iinfo(np.int64)
-    low = bounds.min if view.start is None else view.start.ns + origin[view.start.origin]
-    high = bounds.max if view.end is None else view.end.ns + origin[view.end.origin]
-    for t_ns, wxyz in source.rows():
-        before, after = t_ns < low, t_ns > high
+            ends = stamps[0][0], stamps[-1][1]
+    start_ns, end_ns = absolute_range(view.part, *ends)
+    for t_ns, wxyz, _, covariance in source.read(covariances=source.may_have_covariances):
+        before = np.zeros(len(t_ns), np.bool_) if start_ns is None else t_ns < start_ns
+        after = np.zeros(len(t_ns), np.bool_) if end_ns is None else t_ns > end_ns
         outside[0] += int(np.count_nonzero(before))
         outside[1] += int(np.count_nonzero(after))
         inside = ~(before | after)
-        yield t_ns[inside], wxyz[inside]
+        yield t_ns[inside], wxyz[inside], None if covariance is None else covariance[inside]

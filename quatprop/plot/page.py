@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop import __version__
 from quatprop.plot.draw import inline_svg
 from quatprop.text import plain
 
@@ -31,30 +31,30 @@ class FactTable(NamedTuple):
 
 
 class Page(NamedTuple):
-    """A page around a picture.
+    """A picture, and what is said around it.
 
     Parameters
     ----------
-    heading
-        Its title.
+    title
+        What it is of, in one line.
+    facts
+        Lines below the title of a picture: convention, method, counts.
     lead
-        The result, in a line or two.
+        The same on a page: the result, in a line or two.
     picture
         The picture.
     warnings
         What a reader should know.
     tables
         Details.
-    made_by
-        Name and version of the program.
     """
 
-    heading: str
+    title: str
+    facts: tuple[str, ...]
     lead: tuple[str, ...]
     picture: Picture
     warnings: tuple[str, ...]
     tables: tuple[FactTable, ...]
-    made_by: str
 
 
 def html(page: Page) -> str:
@@ -68,21 +68,20 @@ def html(page: Page) -> str:
         "<head>",
         '<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{_text(page.heading)}</title>",
+        f"<title>{_text(page.title)}</title>",
         f"<style>\n{files('quatprop.plot').joinpath('page.css').read_text('utf-8')}</style>",
         "</head>",
         "<body>",
         "<main>",
-        f"<h1>{_text(page.heading)}</h1>",
+        f"<h1>{_text(page.title)}</h1>",
         *(f"<p>{_text(line)}</p>" for line in page.lead),
         *_warnings(page.warnings),
-        f'<figure role="img" tabindex="0" aria-label="{_text(_description(page.picture))}">',
-        # Title, facts and notes stand on the page already.
-        inline_svg(replace(page.picture, title="", facts=(), notes=())),
+        f'<figure role="img" tabindex="0" aria-label="{_text(_description(page))}">',
+        inline_svg(page),
         "</figure>",
         *(line for table in page.tables for line in _table(table)),
         "</main>",
-        f"<footer>{_text(page.made_by)}</footer>",
+        f"<footer>quatprop {__version__}</footer>",
         "</body>",
         "</html>",
     ]
@@ -109,7 +108,7 @@ def _table(table: FactTable) -> list[str]:
     return [f"<h2>{_text(table.heading)}</h2>", "<table>", *rows, "</table>"]
 
 
-def _description(picture: Picture) -> str:
+def _description(page: Page) -> str:
     """Return what the picture shows, for screen readers."""
-    names = ", ".join(panel.quantity.name for panel in picture.panels)
-    return f"{picture.title}: {names} against time"
+    names = ", ".join(panel.quantity.name for panel in page.picture.panels)
+    return f"{page.title}: {names} against time"

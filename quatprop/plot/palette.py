@@ -34,9 +34,6 @@ INK = "#222222"
 
 GRID = "#DDDDDD"
 
-PAPER = "#FFFFFF"
-"""Behind text."""
-
 SHADE = "#BBBBBB"
 """Gaps."""
 

@@ -8,29 +8,33 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.plot.accumulators import NORM_ERROR
-from quatprop.plot.lines import folded, gaps_in, line
+from quatprop.plot.lines import TURN, folded, gaps_in, line
 from quatprop.rendering import instant_text
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from quatprop.plot.accumulators import Quantity
+    from quatprop.arrays import Float64
+    from quatprop.plot.accumulators import Group, Quantity
     from quatprop.plot.lines import Line
-    from quatprop.plot.reduction import Reduced
-
-    Float64 = NDArray[np.float64]
 
 
-NORM_DIGITS = 1e-6
-"""Norm errors below this are those of printed digits, and have no panel."""
+class Band(NamedTuple):
+    """An area between two lines.
+
+    Parameters
+    ----------
+    seconds, low, high
+        Its edges, shape ``(P,)``; NaN in all where it breaks.
+    """
+
+    seconds: Float64
+    low: Float64
+    high: Float64
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
+class Curve(NamedTuple):
     """A line of a panel.
 
     Parameters
@@ -39,17 +43,19 @@ class Curve:
         Its points, seconds and values.
     colour
         A key of :data:`quatprop.plot.palette.AXES`, or the number of the file.
-    band
+    is_filled
         Whether the area below it is filled.
+    band
+        The area of one standard deviation; None where it is unknown.
     """
 
     drawn: Line
     colour: str | int
-    band: bool = False
+    is_filled: bool
+    band: Band | None
 
 
-@dataclass(frozen=True, slots=True)
-class Mark:
+class Mark(NamedTuple):
     """A point with a label.
 
     Parameters
@@ -90,24 +96,6 @@ class Panel:
     marks: tuple[Mark, ...] = ()
 
 
-class Group(NamedTuple):
-    """Quantities that share their stamps.
-
-    Parameters
-    ----------
-    quantities
-        What is drawn, one panel each.
-    reduced
-        Their reduced samples.
-    gap_limit_ns
-        Intervals longer than this are gaps, ns; None: there are none.
-    """
-
-    quantities: tuple[Quantity, ...]
-    reduced: Reduced
-    gap_limit_ns: int | None = None
-
-
 @dataclass(frozen=True, slots=True)
 class PlottedFile:
     """What is drawn of one file.
@@ -120,14 +108,14 @@ class PlottedFile:
         What is drawn of it; the gaps are those of the first.
     detail
         What else stands in the legend.
-    band
+    is_filled
         Whether the areas below its lines are filled.
     """
 
     label: str
     groups: tuple[Group, ...]
     detail: str = ""
-    band: bool = False
+    is_filled: bool = False
 
     @property
     def name(self) -> str:
@@ -135,19 +123,21 @@ class PlottedFile:
         return f"{self.label}: {self.detail}" if self.detail else self.label
 
     @property
-    def quantities(self) -> tuple[Quantity, ...]:
-        """What is drawn of it."""
-        return tuple(quantity for group in self.groups for quantity in group.quantities)
+    def traces(self) -> dict[Quantity, tuple[Group, int]]:
+        """What is drawn of it: the group of each quantity, and its place there."""
+        return {
+            quantity: (group, place)
+            for group in self.groups
+            for place, quantity in enumerate(group.quantities)
+        }
 
     @property
-    def first_ns(self) -> int:
-        """Its first stamp, ns."""
-        return min(int(group.reduced.first_ns.min()) for group in self.groups)
-
-    @property
-    def last_ns(self) -> int:
-        """Its last stamp, ns."""
-        return max(int(group.reduced.last_ns.max()) for group in self.groups)
+    def span_ns(self) -> tuple[int, int]:
+        """Its first and its last stamp, ns."""
+        return (
+            min(int(group.reduced.first_ns.min()) for group in self.groups),
+            max(int(group.reduced.last_ns.max()) for group in self.groups),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,10 +146,6 @@ class Picture:
 
     Parameters
     ----------
-    title
-        What it is of, in one line.
-    facts
-        Lines below the title: convention, method, counts.
     time
         Label of the time axis.
     panels
@@ -170,108 +156,96 @@ class Picture:
         For each file: the stamp at which its seconds begin, ns.
     legend
         Names of the files where they are several.
-    notes
-        Warnings below it.
     """
 
-    title: str
-    facts: tuple[str, ...]
     time: str
     panels: tuple[Panel, ...]
     gaps: tuple[Float64, ...]
     starts: tuple[int, ...]
     legend: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
-def picture(
-    files: Sequence[PlottedFile],
-    title: str,
-    facts: tuple[str, ...] = (),
-    notes: tuple[str, ...] = (),
-) -> Picture:
+def picture(files: Sequence[PlottedFile]) -> Picture:
     """Return files drawn over one another.
 
     Parameters
     ----------
     files
-        At least one; all with the same quantities.
-    title, facts, notes
-        Those of the :class:`Picture`.
+        At least one; the others have quantities of the first.
 
     Raises
     ------
     UsageError
         The files have different quantities.
     """
-    first = files[0]
+    first, several = files[0], len(files) > 1
     for file in files[1:]:
-        if file.quantities != first.quantities:
+        if not file.traces.keys() <= first.traces.keys():
             raise UsageError(
                 f"{plain(first.label)} shows {_content(first)} and {plain(file.label)} "
                 f"{_content(file)}; draw them apart, or choose with ",
                 Setting("show"),
             )
     starts, time = _time_axis(files)
-    several = len(files) > 1
     panels = []
-    for group, index in _places(first):
-        quantity = first.groups[group].quantities[index]
+    for quantity in first.traces:
         curves = tuple(
-            Curve(
-                _line(file.groups[group], index, start),
-                number if several else quantity.axis,
-                file.band,
-            )
-            for number, (file, start) in enumerate(zip(files, starts, strict=True))
+            _curve(file, quantity, number if several else quantity.axis, starts[number])
+            for number, file in enumerate(files)
+            if quantity in file.traces
         )
-        if quantity is not NORM_ERROR or _is_off(curves):
+        limit = quantity.shown_above
+        if limit is None or any((np.abs(curve.drawn.values) > limit).any() for curve in curves):
             panels.append(Panel(quantity, curves))
+    gaps = [gaps_in(file.groups[0].reduced, file.groups[0].gap_limit_ns) for file in files]
     return Picture(
-        title=title,
-        facts=facts,
         time=time,
         panels=tuple(panels),
-        gaps=tuple(_gaps(file, start) for file, start in zip(files, starts, strict=True)),
+        gaps=tuple(
+            1e-9 * np.asarray(one - start, np.float64)
+            for one, start in zip(gaps, starts, strict=True)
+        ),
         starts=tuple(starts),
         legend=tuple(file.name for file in files) if several else (),
-        notes=notes,
     )
 
 
-def _is_off(curves: tuple[Curve, ...]) -> bool:
-    """Whether a norm is off by more than the digits of a text file explain."""
-    return any(bool((np.abs(curve.drawn.values) > NORM_DIGITS).any()) for curve in curves)
+def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: int) -> Curve:
+    group, place = file.traces[quantity]
+    drawn = line(group.reduced, place, start_ns, group.gap_limit_ns)
+    band = None
+    if len(group.reduced.first) > len(group.quantities):
+        band = _band(group, place, start_ns)
+    return Curve(folded(drawn) if quantity.wraps else drawn, colour, file.is_filled, band)
 
 
-def _places(file: PlottedFile) -> list[tuple[int, int]]:
-    """Return the group of each quantity, and its index in the group."""
-    return [
-        (number, index)
-        for number, group in enumerate(file.groups)
-        for index in range(len(group.quantities))
-    ]
+def _band(group: Group, place: int, start_ns: int) -> Band:
+    """Return the area within a standard deviation of a trace, or, of an error, of zero."""
+    quantity, reduced = group.quantities[place], group.reduced
+    sigma = reduced.high[len(group.quantities) + place]
+    low, high = np.zeros(len(sigma)), np.zeros(len(sigma))
+    if not quantity.is_error:
+        low, high = reduced.low[place], reduced.high[place]
+    turns = TURN * np.rint((low + high) / 2 / TURN) if quantity.wraps else np.zeros(len(sigma))
+    breaks = np.diff(turns) != 0
+    if group.gap_limit_ns is not None:
+        breaks |= reduced.first_ns[1:] - reduced.last_ns[:-1] > group.gap_limit_ns
+    (after,) = np.nonzero(breaks)
+    seconds = ((reduced.first_ns - start_ns) * 1e-9 + (reduced.last_ns - start_ns) * 1e-9) / 2
+    edges = (seconds, low - sigma - turns, high + sigma - turns)
+    return Band(*(np.insert(edge, after + 1, np.nan) for edge in edges))
 
 
 def _content(file: PlottedFile) -> str:
-    units = [quantity.unit for quantity in file.quantities if quantity.unit]
-    name = file.quantities[0].name
+    units = [quantity.unit for quantity in file.traces if quantity.unit]
+    name = next(iter(file.traces)).name
     return f"{name} in {units[0]}" if units else name
-
-
-def _line(group: Group, index: int, start_ns: int) -> Line:
-    drawn = line(group.reduced, index, start_ns, group.gap_limit_ns)
-    return folded(drawn) if group.quantities[index].wraps else drawn
-
-
-def _gaps(file: PlottedFile, start_ns: int) -> Float64:
-    _, reduced, gap_limit_ns = file.groups[0]
-    return np.asarray((gaps_in(reduced, gap_limit_ns) - start_ns) * 1e-9)
 
 
 def _time_axis(files: Sequence[PlottedFile]) -> tuple[list[int], str]:
     """Return the stamp at which the seconds of each file begin, and the label of the axis."""
-    if max(file.first_ns for file in files) > min(file.last_ns for file in files):
-        return [file.first_ns for file in files], "time since the start of each file, s"
-    start = min(file.first_ns for file in files)
+    firsts, lasts = zip(*(file.span_ns for file in files), strict=True)
+    if max(firsts) > min(lasts):
+        return list(firsts), "time since the start of each file, s"
+    start = min(firsts)
     return [start] * len(files), f"time since {instant_text(start)}, s"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.plot.accumulators import AttitudeAccumulator, RateAccumulator
+from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.page import FactTable, Page
-from quatprop.plot.picture import Group, PlottedFile, picture
-from quatprop.plot.target import MADE_BY, PictureFile, notes_of
+from quatprop.plot.picture import PlottedFile, picture
+from quatprop.plot.target import PictureFile
 from quatprop.provenance import as_json
 from quatprop.rendering import (
     degrees_text,
@@ -22,6 +22,7 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from quatprop.pipeline.job import Job
     from quatprop.pipeline.report import ConventionReport, RunReport
     from quatprop.rendering import Row, Spell
     from quatprop.series import AttitudeSeries, GyroSeries
@@ -44,10 +45,8 @@ class PropagationPicture(PictureFile):
     ----------
     target
         Where the picture goes.
-    inputs, outputs
-        What else the run reads and writes.
-    resampled
-        Whether attitudes are written at other times than the samples: their intervals are no gaps.
+    job
+        What is run.
     spell
         Writes a sentence that may mention settings.
 
@@ -59,18 +58,14 @@ class PropagationPicture(PictureFile):
         matplotlib is not installed.
     """
 
-    def __init__(
-        self,
-        target: str,
-        inputs: Iterable[str | None],
-        outputs: Iterable[str | None],
-        *,
-        resampled: bool = False,
-        spell: Spell = str,
-    ) -> None:
-        super().__init__(target, inputs, outputs, spell=spell)
-        self._rates, self._attitudes = RateAccumulator("rad/s", 1.0), AttitudeAccumulator()
-        self._resampled = resampled
+    def __init__(self, target: str, job: Job, spell: Spell = str) -> None:
+        settings, output = job.settings, job.output
+        inputs = [job.log, *settings.inputs.values()]
+        super().__init__(target, inputs, [output.path, output.report], spell=spell)
+        self._rates = RateAccumulator("rad/s", 1.0)
+        self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
+        # Attitudes at other times than those of the samples have other intervals.
+        self._resampled = settings.rate is not None or settings.at is not None
 
     def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the rates as they are, having accumulated them."""
@@ -89,33 +84,27 @@ class PropagationPicture(PictureFile):
             The report of :func:`quatprop.pipeline.job.run`.
         """
         limit_ns = report.counts.gap_limit_ns
-        attitudes = self._attitudes.reduced()
-        groups = [Group(self._rates.quantities, self._rates.reduced(), limit_ns)]
-        if len(attitudes):
-            between = None if self._resampled else limit_ns
-            groups.append(Group(self._attitudes.quantities, attitudes, between))
+        groups = [self._rates.group(limit_ns)]
+        if report.result.rows:
+            groups.append(self._attitudes.group(None if self._resampled else limit_ns))
         source, convention = report.source, report.convention
         (name,) = file_names([source.path])
         title = f"{name}: {source_text(source.name, source.type)}"
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
+        band = f" ({SIGMA_BAND})" if self._attitudes.knows_sigmas else ""
         warnings = tuple(map(self.spell, report.remarks))
         page = Page(
-            heading=title,
+            title=title,
+            facts=(f"{method}; Hamilton q, body to reference, as zyx angles{band}", samples),
             lead=(f"Propagated: {method}; {samples}.",),
-            picture=picture(
-                [PlottedFile(name, tuple(groups))],
-                title,
-                (f"{method}; Hamilton q, body to reference, as zyx angles", samples),
-                notes_of(warnings),
-            ),
+            picture=picture([PlottedFile(name, tuple(groups))]),
             warnings=(*warnings, *loss_lines(report.losses)),
             tables=(
                 FactTable("Result", tuple(_result(report))),
                 FactTable("Convention", tuple(_convention(convention))),
                 FactTable("Processing", tuple(_processing(report))),
             ),
-            made_by=MADE_BY,
         )
         self.commit(page)
 

@@ -51,8 +51,6 @@ class Reduced:
     first, low, high, last
         Values of each trace, shape ``(traces, M)``. NaN where a sample is missing; `low` and
         `high` only where all are.
-    samples
-        Samples that went in.
     """
 
     first_ns: Int64
@@ -61,7 +59,6 @@ class Reduced:
     low: Float64
     high: Float64
     last: Float64
-    samples: int
 
     def __len__(self) -> int:
         return len(self.first_ns)
@@ -91,7 +88,7 @@ class Reduction:
         self._index = np.empty(0, np.int64)
         empty = np.empty(0, np.int64)
         values = np.empty((traces, 0))
-        self._kept = Reduced(empty, empty, values, values, values, values, 0)
+        self._kept = Reduced(empty, empty, values, values, values, values)
         self._pending: list[tuple[Int64, Float64]] = []
         self._waiting = 0
 
@@ -135,7 +132,7 @@ class Reduction:
             self._shift += 1
         index, new = _merge(
             t_ns >> self._shift,
-            Reduced(t_ns, t_ns, values, values, values, values, len(t_ns)),
+            Reduced(t_ns, t_ns, values, values, values, values),
         )
         old, kept = self._index >> (self._shift - before), self._kept
         self._index, self._kept = _merge(
@@ -147,7 +144,6 @@ class Reduction:
                 np.concatenate([kept.low, new.low], axis=1),
                 np.concatenate([kept.high, new.high], axis=1),
                 np.concatenate([kept.last, new.last], axis=1),
-                kept.samples + new.samples,
             ),
         )
 
@@ -174,7 +170,6 @@ def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
         _extremes(np.minimum, np.fmin, parts.low[:, by_first], starts),
         _extremes(np.maximum, np.fmax, parts.high[:, by_first], starts),
         parts.last[:, by_last][:, ends],
-        parts.samples,
     )
     return index[starts], merged
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop import __version__
 from quatprop.errors import OutputError
 from quatprop.plot.draw import STYLE, render, require_matplotlib
 from quatprop.plot.page import html
@@ -22,11 +21,6 @@ if TYPE_CHECKING:
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}
 """Suffix -> kind of picture."""
-
-MADE_BY = f"quatprop {__version__}"
-
-MAX_NOTES = 3
-"""Notes below a picture."""
 
 
 class PictureFile:
@@ -73,7 +67,7 @@ class PictureFile:
         if self._kind == "html":
             content = html(page).encode()
         else:
-            content = render(page.picture, self._kind, self._style)
+            content = render(page, self._kind, self._style)
         with output_errors(self._output.target):
             self._output.stream.write(content)
         self._output.commit()
@@ -111,17 +105,3 @@ def kind_of(target: str) -> str:
             "the suffix is not one of a picture; use .png, .svg or .pdf, or .html for a report",
         )
     return kind
-
-
-def notes_of(warnings: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the warnings that stand below a picture; a page has all of them.
-
-    Examples
-    --------
-    >>> notes_of(("one", "two", "three", "four"))
-    ('one', 'two', 'and 2 more warnings')
-    """
-    if len(warnings) <= MAX_NOTES:
-        return warnings
-    shown = warnings[: MAX_NOTES - 1]
-    return (*shown, f"and {len(warnings) - len(shown)} more warnings")

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from quatprop.plot.picture import PlottedFile
     from quatprop.rendering import Row
     from quatprop.text import Text
-    from quatprop.times import Instant
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +31,8 @@ class View:
         Draw quaternions as they are instead of as angles.
     unwrap
         Draw angles beyond half a turn.
-    start, end
-        The part to draw, ends included.
+    part
+        Start and end of the part to draw, ends included.
     """
 
     kind: str | None = None
@@ -42,13 +41,7 @@ class View:
     attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
     components: bool = False
     unwrap: bool = False
-    start: Instant | None = None
-    end: Instant | None = None
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether a file must be read twice, first for its first and last stamp."""
-        return Conditioning(start=self.start, end=self.end).looks_ahead
+    part: Conditioning = field(default_factory=Conditioning)
 
 
 @dataclass(frozen=True, slots=True)
