@@ -518,7 +518,7 @@ def _refuse_log_settings(options: Mapping[str, object]) -> None:
     for name, value in options.items():
         if name in READ_RATES and value is not None:
             hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""
-            raise UsageError(Setting(name), " is for logs, not for rates in memory", hint)
+            raise UsageError(f"{Setting(name)} is for logs, not for rates in memory{hint}")
 
 
 def _propagated(

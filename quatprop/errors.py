@@ -168,8 +168,7 @@ class UnknownFormatError(LogError):
         super().__init__(
             path,
             "neither its content nor its suffix is that of a log this version reads; if you know "
-            "its kind, use ",
-            Setting("kind", "|".join(kinds)),
+            f"its kind, use {Setting('kind', '|'.join(kinds))}",
         )
 
 
@@ -232,10 +231,9 @@ class NoRatesError(_NothingFoundError):
 
     wanted = "body rates"
     ways_out: Mapping[str, Text] = {
-        "topics": Text("name the field with ", Setting("topic"), " and ", Setting("rate_field")),
-        "columns": Text("name the columns with ", Setting("rate_cols"), " and ",
-                        Setting("time_col")),
-    }  # fmt: skip
+        "topics": Text(f"name the field with {Setting('topic')} and {Setting('rate_field')}"),
+        "columns": Text(f"name the columns with {Setting('rate_cols')} and {Setting('time_col')}"),
+    }
 
 
 class NoAttitudesError(_NothingFoundError):
@@ -243,10 +241,12 @@ class NoAttitudesError(_NothingFoundError):
 
     wanted = "attitudes"
     ways_out: Mapping[str, Text] = {
-        "topics": Text("name the field with ", Setting("topic"), " and ", Setting("quat_field")),
-        "columns": Text("name the columns with ", Setting("quat_cols"), ", ",
-                        Setting("from_layout"), " and ", Setting("time_col")),
-    }  # fmt: skip
+        "topics": Text(f"name the field with {Setting('topic')} and {Setting('quat_field')}"),
+        "columns": Text(
+            f"name the columns with {Setting('quat_cols')}, {Setting('from_layout')} and "
+            f"{Setting('time_col')}"
+        ),
+    }
 
 
 class NotRotationsError(LogError):
@@ -267,17 +267,13 @@ class NoSamplesError(LogError):
     """
 
     def __init__(self, path: Path | str, source: str, outside: Sequence[int] = (0, 0)) -> None:
-        if not any(outside):
-            super().__init__(path, f"no samples in {quoted(source)}; look with info")
-            return
-        super().__init__(
-            path,
-            f"no samples in {quoted(source)} between ",
-            Setting("start"),
-            " and ",
-            Setting("end"),
-            f": {outside[0]} are before, {outside[1]} after; a number without a unit is in ns",
-        )
+        reason = "; look with info"
+        if any(outside):
+            reason = (
+                f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
+                f"{outside[1]} after; a number without a unit is in ns"
+            )
+        super().__init__(path, f"no samples in {quoted(source)}{reason}")
 
 
 class NoSuchTopicError(LogError):
@@ -322,8 +318,8 @@ class AmbiguousTopicError(LogError):
     ) -> None:
         super().__init__(
             path,
-            f"several topics carry {what}: {listed(candidates)}; choose one with ",
-            Setting("topic"),
+            f"several topics carry {what}: {listed(candidates)}; choose one with "
+            f"{Setting('topic')}",
         )
 
 

@@ -164,9 +164,8 @@ def _complete(log: MessageLog | TableLog, folders: list[Path], msg_path: str | P
         return
     if msg_path is not None:
         if not Path(msg_path).exists():
-            raise UsageError(
-                f"{plain(msg_path)}: no such file or folder; check ", Setting("msg_path")
-            )
+            sentence = f"{plain(msg_path)}: no such file or folder; check {Setting('msg_path')}"
+            raise UsageError(sentence)
         files = MsgFiles([Path(msg_path)], is_given=True)
     else:
         files = MsgFiles(folders)
@@ -204,9 +203,7 @@ def _refuse_several_logs(folder: Path) -> None:
 def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
     return UnreadableLogError(
         path,
-        f"a {what} is no log of kind {kind}; leave ",
-        Setting("kind"),
-        " out, or name the log itself",
+        f"a {what} is no log of kind {kind}; leave {Setting('kind')} out, or name the log itself",
     )
 
 

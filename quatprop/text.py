@@ -6,6 +6,7 @@ A choice of the user's is a :class:`Setting` in a :class:`Text`: ``clock='log'``
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,9 +21,15 @@ MAX_SHOWN = 60
 """Characters of a value that are shown as they are."""
 
 
+_MARK = re.compile("\ue000(.*?)\ue001")
+"""A setting in an f-string: :func:`quoted` and :func:`plain` let no such characters pass."""
+
+
 @dataclass(frozen=True, slots=True)
 class Setting:
     """A choice of the user's, to be mentioned in a sentence.
+
+    In an f-string it is a mark, which :class:`Text` reads; ``str()`` spells it as Python does.
 
     Parameters
     ----------
@@ -49,6 +56,9 @@ class Setting:
             return self.name
         return f"{self.name}=" + " or ".join(repr(value) for value in self.value.split("|"))
 
+    def __format__(self, _spec: str) -> str:
+        return f"\ue000{self.name}\ue002{self.value}\ue002{self.side}\ue001"
+
 
 class Text(str):
     """A sentence that may mention settings: text as the library spells it, and its parts.
@@ -56,11 +66,12 @@ class Text(str):
     Parameters
     ----------
     *parts
-        Text, settings, and sentences to be joined as they are.
+        Text, in which f-strings may have settings; settings, and sentences to be joined as they
+        are.
 
     Examples
     --------
-    >>> text = Text("several topics carry body rates; choose one with ", Setting("topic"))
+    >>> text = Text(f"several topics carry body rates; choose one with {Setting('topic')}")
     >>> text
     'several topics carry body rates; choose one with topic'
     >>> text.spelled(lambda setting: f"--{setting.name}")
@@ -75,9 +86,14 @@ class Text(str):
         """Join the parts."""
         flat: list[str | Setting] = []
         for part in parts:
-            flat += part.parts if isinstance(part, Text) else (part,)
+            if isinstance(part, Text):
+                flat += part.parts
+                continue
+            for number, piece in enumerate(_MARK.split(f"{part}")):
+                # Every second piece is what stood in a mark.
+                flat.append(Setting(*piece.split("\ue002")) if number % 2 else piece)
         text = super().__new__(cls, "".join(map(str, flat)))
-        text.parts = tuple(flat)
+        text.parts = tuple(filter(None, flat))
         return text
 
     def __reduce__(self) -> tuple[type[Text], tuple[str | Setting, ...]]:
@@ -122,8 +138,8 @@ def shown(value: object) -> str:
 
     Examples
     --------
-    >>> shown("fast"), shown((1, 0)), shown(range(5000))
-    ("'fast'", "'1,0'", 'a value of type range')
+    >>> shown("fast"), shown((1, 0)), shown((0,) * 5000)
+    ("'fast'", "'1,0'", 'a value of type tuple')
     """
     if isinstance(value, list | tuple) and len(value) <= MAX_LISTED:
         return quoted(",".join(map(str, value)))

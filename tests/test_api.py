@@ -359,7 +359,9 @@ def test_positions_are_in_tables():
 
 def test_remarks_of_a_report_are_text():
     """They print as sentences, and pass between processes."""
-    text = Text("choose ", Setting("clock", "log"), "; or not")
+    text = Text(f"choose {Setting('clock', 'log')}; or not")
+    assert text.parts == ("choose ", Setting("clock", "log"), "; or not")
+    assert text == Text("choose ", Setting("clock", "log"), "; or not")
     assert [text] == ["choose clock='log'; or not"]
     assert repr([text]) == "[\"choose clock='log'; or not\"]"
     assert pickle.loads(pickle.dumps(text)).parts == text.parts  # noqa: S301  # our own

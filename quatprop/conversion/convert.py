@@ -143,7 +143,7 @@ def _refuse_contradictions(job: Conversion) -> None:
     signed = not is_rate and REPRESENTATIONS[job.representation].signed
     if is_rate and job.meaning.direction != HAMILTON.direction:
         raise UsageError(
-            Setting("direction"), f" is about attitudes, and {job.representation} are none"
+            f"{Setting('direction')} is about attitudes, and {job.representation} are none"
         )
     for setting, given in (
         ("layout", job.output.layout is not None),
@@ -154,6 +154,6 @@ def _refuse_contradictions(job: Conversion) -> None:
     ):
         if given:
             raise UsageError(
-                Setting(setting),
-                f" is about quaternions and {job.representation} has none; leave it out",
+                f"{Setting(setting)} is about quaternions and {job.representation} has none; "
+                "leave it out"
             )

@@ -84,18 +84,15 @@ def _refuse_other_conventions(job: Conversion) -> None:
         raise OutputError(
             output.path,
             f"kind {quoted(kind)} holds Hamilton quaternions body to reference by its own "
-            "definition; leave ",
-            Setting("convention"),
-            " and ",
-            Setting("direction"),
-            f" out, or choose {listed(name for name, known in WRITERS.items() if known.columns)}",
+            f"definition; leave {Setting('convention')} and {Setting('direction')} out, or choose "
+            f"{listed(name for name, known in WRITERS.items() if known.columns)}",
         )
     if output.message is not None:
-        raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
+        raise UsageError(f"{kind} holds no messages; leave {Setting('message')} out")
     if output.beside is not None:
         raise UsageError(
-            *(Setting("beside"), " goes with Hamilton quaternions body to reference; leave "),
-            *(Setting("convention"), " and ", Setting("direction"), " out"),
+            f"{Setting('beside')} goes with Hamilton quaternions body to reference; leave "
+            f"{Setting('convention')} and {Setting('direction')} out"
         )
 
 
@@ -132,7 +129,7 @@ def remarks_on(
         )
     if lost_columns:
         yield Text(
-            f"columns {listed(lost_columns)} are not kept; ", Setting("beside"), " writes such ones"
+            f"columns {listed(lost_columns)} are not kept; {Setting('beside')} writes such ones"
         )
     if singular:
         form = REPRESENTATIONS[job.representation]
@@ -147,7 +144,5 @@ def remarks_on(
     if meaning != HAMILTON and not keeps_provenance(output.path, output.to, comment=output.comment):
         yield Text(
             f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
-            "reader has to know it; ",
-            Setting("header_comment"),
-            ", or Parquet, would",
+            f"reader has to know it; {Setting('header_comment')}, or Parquet, would"
         )

@@ -63,9 +63,8 @@ def _agreed(
     stored = recorded.get(what)
     if given is not None and stored is not None and given != stored:
         raise UsageError(
-            f"{plain(path)}: ",
-            Setting(f"from_{what}"),
-            f" says {given}, but the metadata of the file says {plain(stored)}; leave it out",
+            f"{plain(path)}: {Setting(f'from_{what}')} says {given}, but the metadata of the file "
+            f"says {plain(stored)}; leave it out"
         )
     return given or stored
 
@@ -102,14 +101,13 @@ def message_layout(
         if given is None and recorded not in (None, by_definition):
             raise UsageError(
                 f"{plain(path)}: the metadata of topic {quoted(channel.topic)} say {recorded}, "
-                f"but {of_type} is {by_definition} by definition; settle it with ",
-                Setting("from_layout", by_definition),
+                f"but {of_type} is {by_definition} by definition; settle it with "
+                f"{Setting('from_layout', by_definition)}"
             )
         if given not in (None, by_definition):
             raise UsageError(
-                f"{plain(path)}: ",
-                Setting("from_layout"),
-                f" says {given}, but {of_type} is {by_definition} by definition; leave it out",
+                f"{plain(path)}: {Setting('from_layout')} says {given}, but {of_type} is "
+                f"{by_definition} by definition; leave it out"
             )
         return by_definition
     if not (given or recorded) and len(field.fields) == 1:

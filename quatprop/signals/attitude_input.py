@@ -188,8 +188,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
             raise LogError(
                 wanted.path,
                 f"the orientation of {quoted(signal.name)} is the identity in every message: a "
-                "placeholder, not an attitude; choose another ",
-                Setting("topic"),
+                f"placeholder, not an attitude; choose another {Setting('topic')}",
             )
         return AttitudeFile(wanted, log, signal, stack.pop_all())
 

@@ -97,17 +97,14 @@ def _match(log: TableLog, selection: AttitudeSelection, recorded: dict[str, str]
         for name in ("from_layout", "from_convention"):
             if getattr(selection, name) is not None:
                 raise UsageError(
-                    f"{plain(log.path)}: ",
-                    Setting(name),
-                    f" is about quaternions, and this table has {rotation.representation}; "
-                    "leave it out",
+                    f"{plain(log.path)}: {Setting(name)} is about quaternions, and this table has "
+                    f"{rotation.representation}; leave it out"
                 ) from None
         return rotation
     if selection.from_angle_unit is not None:
         raise UsageError(
-            f"{plain(log.path)}: ",
-            Setting("from_angle_unit"),
-            " is about angles, and this table has a quaternion; leave it out",
+            f"{plain(log.path)}: {Setting('from_angle_unit')} is about angles, and this table has "
+            "a quaternion; leave it out"
         )
     return columns
 

@@ -121,10 +121,8 @@ def _of_field(
 ) -> AttitudeSignal:
     if selection.frame is not None:
         raise UsageError(
-            f"{plain(log.path)}: ",
-            Setting("frame"),
-            f" chooses from a list of transforms, and messages of topic {quoted(channel.topic)} "
-            "have one attitude each; leave it out",
+            f"{plain(log.path)}: {Setting('frame')} chooses from a list of transforms, and "
+            f"messages of topic {quoted(channel.topic)} have one attitude each; leave it out"
         )
     provenance = log.provenance(channel.topic)
     recorded = recorded_convention(provenance)
@@ -178,9 +176,8 @@ def _of_transforms(
     layout = selection.from_layout
     if layout is not None and layout_named(layout) is not SCALAR_LAST:
         raise UsageError(
-            f"{plain(log.path)}: ",
-            Setting("from_layout"),
-            f" says {layout}, but transforms are scalar-last by definition; leave it out",
+            f"{plain(log.path)}: {Setting('from_layout')} says {layout}, but transforms are "
+            "scalar-last by definition; leave it out"
         )
     provenance = log.provenance(channel.topic)
     clock = choose_clock(log, channel, (), selection, has_stamp=True)

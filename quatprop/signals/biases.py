@@ -138,7 +138,7 @@ def _series(
     t_ns, bias = np.concatenate(stamps), np.concatenate(biases)
     good = np.isfinite(bias).all(axis=1)
     if not good.any():
-        raise UsageError(Setting("bias"), f" {plain(source)}: it has no valid biases")
+        raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")
     return BiasSeries(source, name, t_ns[good], bias[good])
 
 
@@ -146,12 +146,11 @@ def _none_or_several(source: str, channels: list[Channel]) -> UsageError:
     there = "has no topic with biases"
     if channels:
         there = f"has several topics with biases: {listed(channel.topic for channel in channels)}"
-    return UsageError(Setting("bias"), f" {plain(source)}: it {there}")
+    return UsageError(f"{Setting('bias')} {plain(source)}: it {there}")
 
 
 def _neither(source: str) -> UsageError:
     return UsageError(
-        Setting("bias"),
-        f" {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], no such file is there, "
-        "and the log has no such topic",
+        f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], no "
+        "such file is there, and the log has no such topic"
     )

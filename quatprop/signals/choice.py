@@ -117,8 +117,7 @@ def choose(
     if len(fields) > 1:
         raise UsageError(
             f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
-            f"{listed(fields)}; choose one with ",
-            Setting(kind.field),
+            f"{listed(fields)}; choose one with {Setting(kind.field)}"
         )
     signal = preferred[0].signal()
     if len(preferred) > 1:
@@ -207,7 +206,7 @@ def message_candidates(
     for name in TABLE_SETTINGS:
         if getattr(selection, name, None) is not None:
             raise UsageError(
-                Setting(name), f" is for tables, and {quoted(log.path)} holds messages"
+                f"{Setting(name)} is for tables, and {quoted(log.path)} holds messages"
             )
     channels = channels_of(log, selection.topic)
     if found := [one for channel in channels for one in find(log, channel, selection)]:

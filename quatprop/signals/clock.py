@@ -100,18 +100,15 @@ def choose_clock(
     """
     has_stamp = has_stamp or bool(stamps) or selection.time_field is not None
     if selection.clock == "header" and not has_stamp:
+        others = Setting("clock", "log|publish" if log.has_publish_time else "log")
         raise UsageError(
             f"{quoted(log.path)}: messages of topic {quoted(channel.topic)} have no header stamp; "
-            "choose ",
-            Setting("clock", "log|publish" if log.has_publish_time else "log"),
-            " or name the stamp with ",
-            Setting("time_field"),
+            f"choose {others} or name the stamp with {Setting('time_field')}"
         )
     if selection.clock == "publish" and not log.has_publish_time:
         raise UsageError(
             f"{quoted(log.path)}: a log of kind {log.kind} does not record when messages were "
-            "published; choose ",
-            Setting("clock", "header|log" if has_stamp else "log"),
+            f"published; choose {Setting('clock', 'header|log' if has_stamp else 'log')}"
         )
     name = selection.clock or ("header" if has_stamp else "log")
     if name != "header":
@@ -142,8 +139,7 @@ def zero_stamps(log: MessageLog, channel: Channel) -> TimelineError:
     return TimelineError(
         log.path,
         f"all header stamps of topic {quoted(channel.topic)} are zero; for the time of recording "
-        "choose ",
-        Setting("clock", "log"),
+        f"choose {Setting('clock', 'log')}",
     )
 
 

@@ -89,9 +89,8 @@ def attitude_at(
         topic = str(source)
         if log is None or is_table(log) or not channels_of(cast("MessageLog", log), topic):
             raise UsageError(
-                Setting("q0"),
-                f" {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, no such file "
-                "is there, and the log has no such topic",
+                f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
+                "no such file is there, and the log has no such topic"
             )
         wanted = AttitudeSelection(topic=topic, clock=clock)
     with errors_of("q0"), ExitStack() as stack:
@@ -170,16 +169,13 @@ def first_orientation(
         raise LogError(
             log.path,
             f"the messages of {quoted(source.name)}, which carry the rates, carry no orientation; "
-            "give another ",
-            Setting("q0"),
-            ", such as a file of attitudes that convert wrote",
+            f"give another {Setting('q0')}, such as a file of attitudes that convert wrote",
         ) from None
     if signal.placeholder:
         raise LogError(
             log.path,
             f"the orientation of {quoted(signal.name)} is the identity in every message: a "
-            "placeholder, not an attitude; give another ",
-            Setting("q0"),
+            f"placeholder, not an attitude; give another {Setting('q0')}",
         )
     batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
     try:

@@ -172,6 +172,6 @@ class QuaternionCheck:
                 f"none of {counts.read} rows holds an attitude (they are absent or not finite); if "
                 "the log holds body rates, propagate them first"
             )
-        scaling = (Setting("normalize"), " scales those of another length, ")
-        ways = scaling if counts.not_unit else ()
-        return Text(f"{counts.summary}; ", *ways, Setting("on_invalid", "drop"), " leaves them out")
+        scaling = f"{Setting('normalize')} scales those of another length, "
+        ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"
+        return Text(f"{counts.summary}; {ways} leaves them out")

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 STATIC_TOPIC = "tf_static"
 """The last part of the name of topics with transforms that never change."""
 
+GIVEN = Setting("mount", "W,X,Y,Z|x,-y,-z")
+"""A mounting that the log need not know."""
+
 ENCODINGS = ("cdr", "ros1")
 """Encodings whose lists of transforms and names of frames are read."""
 
@@ -63,9 +66,8 @@ def frame_mounting(
         The transforms cannot be read.
     """
     if log is None or is_table(log):
-        raise UsageError(
-            Setting("mount", f"tf:{frame}"), " needs a log of messages with /tf_static"
-        )
+        mount = Setting("mount", f"tf:{frame}")
+        raise UsageError(f"{mount} needs a log of messages with /tf_static")
     messages = cast("MessageLog", log)
     sensor = _sensor_frame(messages, source)
     wanted = _bare(frame)
@@ -110,8 +112,7 @@ def _sensor_frame(log: MessageLog, source: RateSignal) -> str:
                     return _bare(frame)
     raise UsageError(
         f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
-        "their sensor; give ",
-        Setting("mount", "W,X,Y,Z|x,-y,-z"),
+        f"their sensor; give {GIVEN}"
     )
 
 
@@ -125,8 +126,7 @@ def _static_steps(log: MessageLog) -> Steps:
         if channel.encoding not in ENCODINGS:
             raise UsageError(
                 f"{plain(log.path)}: transforms in {quoted(channel.encoding)} on "
-                f"{quoted(channel.topic)} are not read; give ",
-                Setting("mount", "W,X,Y,Z|x,-y,-z"),
+                f"{quoted(channel.topic)} are not read; give {GIVEN}"
             )
         decoder = TransformDecoder(channel, log.path)
         for block in log.blocks(channel):

@@ -90,6 +90,6 @@ def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Fram
     if not matching:
         what = f"has no transform {quoted(wanted)}, but"
     raise UsageError(
-        f"{plain(log.path)}: topic {quoted(channel.topic)} {what} {there}; choose one with ",
-        Setting("frame", "PARENT:CHILD"),
+        f"{plain(log.path)}: topic {quoted(channel.topic)} {what} {there}; choose one with "
+        f"{Setting('frame', 'PARENT:CHILD')}"
     )
