@@ -284,7 +284,9 @@ def test_row_groups_are_chosen_by_their_statistics(kind, ordered, tmp_path):
             parts += 1
             low, high = first_ns or 0, 10**18 if last_ns is None else last_ns
             inside = everything[(everything.t_ns >= low) & (everything.t_ns <= high)]
-            joined = GyroSeries.joined([everything[:0], *clipped(batches, first_ns, last_ns)])
+            joined = GyroSeries.joined(
+                [everything[:0], *clipped(batches, first_ns, last_ns, [0, 0])]
+            )
             assert joined.t_ns.tolist() == inside.t_ns.tolist()
             assert joined.rate.tolist() == inside.rate.tolist()
             assert part.leaves_out == (

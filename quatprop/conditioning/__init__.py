@@ -8,18 +8,20 @@ converted to body axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.inputs import ConditioningInputs
 from quatprop.conditioning.time_range import absolute_range, clipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Float64
-    from quatprop.conditioning.bias_series import BiasSeries, BiasSeriesReport
+    from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
+    from quatprop.conditioning.cells import Rows
+    from quatprop.conditioning.mounting import FrameMounting
     from quatprop.conditioning.static_detection import Rest
     from quatprop.conditioning.time_range import PartOfLog, PartReader
     from quatprop.series import GyroSeries
@@ -64,6 +66,35 @@ class Conditioning:
         """Whether the log has to be read once before it is read for the propagation."""
         origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
         return self.static_ns is not None or bool(origins - {"clock"})
+
+
+FROM_TRANSFORMS = "tf:"
+"""Begins a mounting that is taken from the transforms of the log."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConditioningInputs:
+    """What is known of a log besides its rates; None where it is not there or not asked for.
+
+    Parameters
+    ----------
+    force
+        Reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes.
+    orientation
+        Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
+    biases
+        The series of biases.
+    mounting
+        That from the transforms of the log.
+    topic
+        That of the rates.
+    """
+
+    force: Callable[[], Rows] | None = None
+    orientation: Callable[[], Rows] | None = None
+    biases: BiasSeries | None = None
+    mounting: FrameMounting | None = None
+    topic: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +223,10 @@ def condition(
     batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
-    matrix = _product(mount if settings.rates == "body" else None, matrix)
+    # Rates in the reference frame are not turned by the mounting.
+    turns = [mount if settings.rates == "body" else None, matrix]
+    matrices = [turn for turn in turns if turn is not None]
+    matrix = reduce(np.matmul, matrices) if matrices else None
     return conditioned(batches, bias=biases or bias, matrix=matrix), report
 
 
@@ -216,13 +250,6 @@ def _look_ahead(
     if not len(cells):
         return 0, 0, rest
     return int(cells["first_ns"].min()), int(cells["last_ns"].max()), rest
-
-
-def _product(one: Float64 | None, other: Float64 | None) -> Float64 | None:
-    """Return the product of two matrices; None stands for the identity."""
-    if one is None or other is None:
-        return other if one is None else one
-    return one @ other
 
 
 def conditioned(

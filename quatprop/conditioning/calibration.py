@@ -1,8 +1,12 @@
-"""Calibration of a gyroscope: scale factors, misalignment and bias, read from a file."""
+"""Calibration of a gyroscope: scale factors, misalignment and bias, read from a file.
+
+And a bias that changes with time, as an estimator or a reference gives it.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,10 +16,10 @@ from quatprop.settings.yaml_file import read_yaml, unusable
 from quatprop.text import did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from quatprop.arrays import Float64
+    from quatprop.arrays import Float64, Int64
 
 
 _unusable = partial(unusable, "calibration")
@@ -74,8 +78,9 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
             if key not in OWN_KEYS:
                 raise _unusable(path, f"no key {quoted(key)}{did_you_mean(key, OWN_KEYS)}")
         bias = content.get("bias")
+        matrix = _numbers(path, "matrix", content["matrix"], (3, 3))
         return Calibration(
-            _matrix(path, "matrix", content["matrix"]),
+            _checked(path, "matrix", matrix),
             None if bias is None else _numbers(path, "bias", bias, (3,)),
         )
     gyroscopes = content.get("gyroscopes")
@@ -86,7 +91,7 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
             "or take kalibr's file with gyroscopes: M",
         )
     turn = _numbers(path, "C_gyro_i", gyroscopes.get("C_gyro_i", np.eye(3)), (3, 3))
-    measured = _matrix(path, "M", gyroscopes["M"]) @ turn
+    measured = _checked(path, "M", _numbers(path, "M", gyroscopes["M"], (3, 3))) @ turn
     by_force = _numbers(path, "A", gyroscopes.get("A", np.zeros((3, 3))), (3, 3))
     uncorrected = (
         f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected"
@@ -113,10 +118,6 @@ def _imu(path: Path | str, content: Mapping[str, object], topic: str) -> Mapping
     return next(iter(imus.values()), content)
 
 
-def _matrix(path: Path | str, name: str, value: object) -> Float64:
-    return _checked(path, name, _numbers(path, name, value, (3, 3)))
-
-
 def _checked(path: Path | str, name: str, matrix: Float64) -> Float64:
     """Return a matrix that can be inverted, or refuse it."""
     condition = float(np.linalg.cond(matrix)) if matrix.any() else np.inf
@@ -139,3 +140,67 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
         what = "three rows of three numbers" if len(shape) > 1 else "three numbers"
         raise _unusable(path, f"{name} is not {what}")
     return numbers
+
+
+@dataclass(frozen=True, slots=True)
+class BiasSeriesReport:
+    """Where a bias that changes with time was taken from.
+
+    Parameters
+    ----------
+    source
+        The file, or the topic of the log.
+    field
+        The message field or the columns.
+    values
+        How many biases there are.
+    first_ns, last_ns
+        Their first and last stamps, ns.
+    outside
+        Samples before the first and after the last, so far: they take the nearest.
+    """
+
+    source: str
+    field: str
+    values: int
+    first_ns: int
+    last_ns: int
+    outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
+
+    def remarks(self) -> Iterator[str]:
+        """Yield a remark where samples are outside the biases."""
+        before, after = self.outside
+        if before or after:
+            yield (
+                f"{before} samples before the first bias of {plain(self.source)} at "
+                f"{self.first_ns} ns and {after} after the last at {self.last_ns} ns take the "
+                "nearest; are both on the same clock?"
+            )
+
+
+class BiasSeries:
+    """Biases at given times, interpolated linearly in between.
+
+    Parameters
+    ----------
+    source, name
+        For the report: the file or the topic, and the field or the columns.
+    t_ns
+        Stamps in any order, shape ``(N,)``, at least one, int64 ns.
+    bias_rad_s
+        Biases in the axes of the raw rates, shape ``(N, 3)``, rad/s.
+    """
+
+    def __init__(self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64) -> None:
+        order = np.argsort(t_ns, kind="stable")
+        self._t_ns, self._bias = t_ns[order], bias_rad_s[order]
+        first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
+        self.report = BiasSeriesReport(source, name, len(t_ns), first_ns, last_ns)
+
+    def at(self, t_ns: Int64) -> Float64:
+        """Return the biases at some stamps, ``(M, 3)``, rad/s; outside the series the nearest."""
+        self.report.outside[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
+        self.report.outside[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
+        # Differences of whole nanoseconds are exact as floats over 104 days.
+        wanted, known = (each - self._t_ns[0] for each in (t_ns, self._t_ns))
+        return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)

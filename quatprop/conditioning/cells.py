@@ -92,13 +92,11 @@ def merged(rows: Cells, starts: Intp) -> Cells:
 def mean_of(cells: Cells) -> Float64:
     """Return the mean of each cell, ``(N, width)``; NaN where it is empty."""
     with np.errstate(invalid="ignore"):
-        mean: Float64 = cells["total"] / cells["count"][:, None]
-    return mean
+        return np.asarray(cells["total"] / cells["count"][:, None])
 
 
 def scatter_of(cells: Cells) -> Float64:
     """Return the RMS deviation from the mean in each cell; NaN where it is empty."""
     with np.errstate(invalid="ignore"):
         variance = cells["squares"] / cells["count"] - (mean_of(cells) ** 2).sum(axis=1)
-    scatter: Float64 = np.sqrt(np.maximum(variance, 0.0))
-    return scatter
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -83,5 +83,4 @@ def mounting(text: str) -> Float64:
             f"the mounting {quoted(text)} has the length {length:.6g}, so it is not a rotation; "
             "scale it to 1"
         )
-    matrix: Float64 = rotation_matrix(normalize(wxyz))
-    return matrix
+    return rotation_matrix(normalize(wxyz))

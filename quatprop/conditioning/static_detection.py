@@ -21,8 +21,8 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
+    from quatprop.conditioning import ConditioningInputs
     from quatprop.conditioning.cells import Cells
-    from quatprop.conditioning.inputs import ConditioningInputs
 
 
 AT_REST = 0.05
@@ -108,8 +108,7 @@ class _Steadiness:
         before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
         apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
         error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
-        changed: Bool = apart > np.maximum(self.agreement, NOISE * error)
-        return changed
+        return np.asarray(apart > np.maximum(self.agreement, NOISE * error))
 
 
 def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Rest:
@@ -187,8 +186,7 @@ def _quiet_rates(rates: Cells) -> Intp:
             Setting("bias", "X,Y,Z"),
         )
     cells = cells[slow]
-    quiet: Intp = cells[_quiet(rates, cells, QUIET)]
-    return quiet
+    return np.asarray(cells[_quiet(rates, cells, QUIET)])
 
 
 def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
@@ -201,8 +199,7 @@ def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
     cells = cells[steady]
-    quiet: Intp = cells[_quiet(forces, cells, FORCE_QUIET * size)]
-    return quiet
+    return np.asarray(cells[_quiet(forces, cells, FORCE_QUIET * size)])
 
 
 def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
@@ -212,16 +209,14 @@ def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples may be large or small by chance.
     by_chance = 2 / np.sqrt(6 * (signal["count"][cells] - 1))
-    quiet: Bool = scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest)
-    return quiet
+    return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 
 def _periods(rates: Cells, quiet: Intp, signals: list[_Steadiness]) -> list[Intp]:
     """Return runs of at least two neighbouring cells over which no signal changes its mean."""
-    neighbours = np.diff(rates["index"][quiet]) == 1
-    neighbours &= np.diff(quiet) == 1
+    apart = (np.diff(rates["index"][quiet]) != 1) | (np.diff(quiet) != 1)
     periods = []
-    for run in np.split(quiet, np.flatnonzero(~neighbours) + 1):
+    for run in np.split(quiet, np.flatnonzero(apart) + 1):
         start, stop = int(run[0]), int(run[-1]) + 1
         while start < stop:
             end = _end_of_agreement(signals, start, stop)

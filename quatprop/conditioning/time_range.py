@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning import Conditioning, ConditioningReport
     from quatprop.series import GyroSeries
-    from quatprop.times import Instant
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +67,11 @@ def absolute_range(
     UsageError
         The range ends before it starts.
     """
-    start_ns = _absolute(settings.start, first_ns, last_ns)
-    end_ns = _absolute(settings.end, first_ns, last_ns)
+    origins = {"clock": 0, "first": first_ns, "last": last_ns}
+    start_ns, end_ns = (
+        None if instant is None else instant.ns + origins[instant.origin]
+        for instant in (settings.start, settings.end)
+    )
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
             Setting("start"),
@@ -78,13 +80,6 @@ def absolute_range(
             "; swap them, or check units",
         )
     return start_ns, end_ns
-
-
-def _absolute(instant: Instant | None, first_ns: int, last_ns: int) -> int | None:
-    """Return an instant on the log's clock, ns, given the log's first and last stamps."""
-    if instant is None:
-        return None
-    return instant.ns + {"clock": 0, "first": first_ns, "last": last_ns}[instant.origin]
 
 
 def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:
@@ -119,16 +114,12 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list
 
 
 def clipped(
-    batches: Iterable[GyroSeries],
-    start_ns: int | None,
-    end_ns: int | None,
-    outside: list[int] | None = None,
+    batches: Iterable[GyroSeries], start_ns: int | None, end_ns: int | None, outside: list[int]
 ) -> Iterator[GyroSeries]:
     """Yield the samples with start <= t <= end; None leaves an end open.
 
     The samples before and after are counted in the two numbers of `outside`.
     """
-    outside = [0, 0] if outside is None else outside
     low = np.iinfo(np.int64).min if start_ns is None else start_ns
     high = np.iinfo(np.int64).max if end_ns is None else end_ns
     for batch in batches:

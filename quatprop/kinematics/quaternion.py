@@ -173,8 +173,7 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
     q, v = _array(q), _array(v)
     w, vector = q[..., :1], q[..., 1:]
     twice = 2 * np.cross(vector, v)
-    rotated: Float64 = v + w * twice + np.cross(vector, twice)
-    return rotated
+    return np.asarray(v + w * twice + np.cross(vector, twice))
 
 
 def rotation_matrix(q: ArrayLike) -> Float64:
@@ -191,8 +190,7 @@ def rotation_matrix(q: ArrayLike) -> Float64:
         Shape ``(..., 3, 3)``; its columns are the body axes resolved in the reference frame.
     """
     q = _array(q)
-    columns = [rotate(q, axis) for axis in np.eye(3)]
-    return np.stack(columns, axis=-1)
+    return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
 
 
 def from_matrix(matrix: ArrayLike) -> Float64:
@@ -233,8 +231,7 @@ def from_matrix(matrix: ArrayLike) -> Float64:
     q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
     with np.errstate(invalid="ignore", over="ignore"):
         q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    unit: Float64 = np.where(q[..., :1] < 0, -q, q)
-    return unit
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
 
 
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:

@@ -285,5 +285,4 @@ def _between(  # noqa: PLR0913  # what determines an attitude
     else:
         attitudes = multiply(wxyz[before], steps)
     # At a sample itself the attitude is the sample's, to the bit.
-    exact: Float64 = np.where((fraction == 0)[:, None], wxyz[before], attitudes)
-    return exact
+    return np.asarray(np.where((fraction == 0)[:, None], wxyz[before], attitudes))

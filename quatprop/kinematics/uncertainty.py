@@ -252,8 +252,7 @@ def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
         Shape ``(N, 3, 3)``, rad^2.
     """
     turn = rotation_matrix(wxyz)
-    reference: Float64 = turn @ covariance @ turn.swapaxes(-1, -2)
-    return reference
+    return np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))
 
 
 def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:

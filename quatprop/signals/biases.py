@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.conditioning.bias_series import BiasSeries
+from quatprop.conditioning.calibration import BiasSeries
 from quatprop.errors import LogError, UsageError
 from quatprop.formats import open_log
 from quatprop.messages.definitions import message_type

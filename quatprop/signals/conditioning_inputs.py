@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.conditioning.inputs import FROM_TRANSFORMS, ConditioningInputs
+from quatprop.conditioning import FROM_TRANSFORMS, ConditioningInputs
 from quatprop.errors import LogError, UsageError
 from quatprop.signals.quaternion_check import QuaternionCheck
 

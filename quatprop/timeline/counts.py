@@ -134,6 +134,21 @@ class Counts(StampCounts):
     nonfinite: Event = field(default_factory=Event)
 
 
+HANDLED = {
+    ("", ""): "kept: a zero-length step leaves the attitude unchanged",
+    ("on_backwards", "drop"): "dropped",
+    ("on_backwards", "sort"): "sorted",
+    ("on_backwards", "keep"): Text("refused without ", Setting("on_backwards", "drop|sort")),
+    ("on_nonfinite", "drop"): "dropped",
+    ("on_nonfinite", "hold"): "replaced by the last finite rate",
+    ("on_nonfinite", "keep"): Text("refused without ", Setting("on_nonfinite", "drop|hold")),
+    ("on_gap", "hold"): "propagated across",
+    ("on_gap", "zero"): "no rotation assumed",
+    ("on_gap", "split"): "restarted from q0",
+}
+"""Setting and its value -> what was done to an event."""
+
+
 def remarks(counts: Counts, policy: Policy) -> list[Text]:
     """Return a sentence for every event that a reader of the result should know of.
 
@@ -144,39 +159,20 @@ def remarks(counts: Counts, policy: Policy) -> list[Text]:
     policy
         How it was handled.
     """
-    backwards = {"drop": Text("dropped"), "sort": Text("sorted")}
-    nonfinite = {"drop": Text("dropped"), "hold": Text("replaced by the last finite rate")}
-    gaps = {"zero": Text("no rotation assumed"), "split": Text("restarted from q0")}
-    refused = "refused without "
-    events = (
-        (
-            counts.duplicates,
-            "repeated timestamp{s}",
-            Text("kept: a zero-length step leaves the attitude unchanged"),
-        ),
-        (
-            counts.backwards,
-            "non-monotonic timestamp{s}",
-            backwards.get(policy.on_backwards, Text(refused, Setting("on_backwards", "drop|sort"))),
-        ),
-        (
-            counts.nonfinite,
-            "non-finite rate{s}",
-            nonfinite.get(policy.on_nonfinite, Text(refused, Setting("on_nonfinite", "drop|hold"))),
-        ),
-        (
-            counts.gaps,
-            "interval{s} longer than " + duration_text(counts.gap_limit_ns or 0),
-            gaps.get(policy.on_gap, Text("propagated across")),
-        ),
-    )
+    limit = duration_text(counts.gap_limit_ns or 0)
+    events = {
+        "": (counts.duplicates, "repeated timestamp{s}"),
+        "on_backwards": (counts.backwards, "non-monotonic timestamp{s}"),
+        "on_nonfinite": (counts.nonfinite, "non-finite rate{s}"),
+        "on_gap": (counts.gaps, f"interval{{s}} longer than {limit}"),
+    }
     sentences = [
         Text(
             f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
-            handled,
+            HANDLED[setting, getattr(policy, setting, "")],
             f"), first at sample {event.first_index}, t = {event.first_ns} ns",
         )
-        for event, noun, handled in events
+        for setting, (event, noun) in events.items()
         if event.count
     ]
     return [*sentences, *_time_remarks(counts)]
