@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.into.mcap_copy import ROSBAG2, SERIALIZED, McapCopy
 from quatprop.into.rosbag2_metadata import Added, extended_record
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
 from quatprop.writers.mcap.file import McapFile
@@ -117,30 +117,23 @@ class McapCopyWriter(MessageWriter):
     _output: OutputFile
 
     def __init__(self, log: McapLog, target: Path | str, message: Message) -> None:
-        self._output = OutputFile(target)
+        super().__init__(OutputFile(target))
         try:
-            with output_errors(target):
+            with self._errors():
                 self._part = McapPart(log, self._output.stream, message)
         except BaseException:
             self._output.discard()
             raise
         self.encoder = self._part.encoder
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Append messages, after everything of the log that was logged before them."""
-        with output_errors(self._output.target):
-            self._part.write(log_ns, messages)
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._part.write(log_ns, messages)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the file with its provenance."""
-        with output_errors(self._output.target):
-            self._part.finish(
-                lambda text: extended_record(text, self.encoder.topic, [self._part.added]),
-                provenance,
-            )
-        self._output.finish()
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        topic, part = self.encoder.topic, self._part
+        part.finish(lambda text: extended_record(text, topic, [part.added]), provenance)
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._part.close()
-        self._output.discard()
+        super().abort()

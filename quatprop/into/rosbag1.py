@@ -24,7 +24,7 @@ from quatprop.containers.rosbag1.records import (
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.text import Setting
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.messages.encoders import attitude_encoder
 from quatprop.writers.rosbag1 import records
@@ -75,10 +75,10 @@ class BagCopyWriter(MessageWriter):
         self.encoder = attitude_encoder(message, ("ros1",))
         refuse_streams(target, "a ROS 1 bag")
         self._copy = BagCopy(log)
-        self._output = OutputFile(target)
+        super().__init__(OutputFile(target))
         with ExitStack() as resources:
             resources.callback(self._output.discard)
-            with output_errors(target):
+            with self._errors():
                 self._bag = BagFile(
                     self._output.stream,
                     self.encoder.topic,
@@ -89,23 +89,18 @@ class BagCopyWriter(MessageWriter):
                 )
             resources.pop_all()
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Append messages, after everything of the log that was logged before them."""
-        with output_errors(self._output.target):
-            self._bag.write(log_ns, messages)
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._bag.write(log_ns, messages)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the bag with its provenance."""
-        with output_errors(self._output.target):
-            self._bag.flush()
-            self._copy.up_to(None, self._bag)
-            self._bag.finish(provenance, self._copy.connections)
-        self._output.finish()
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        self._bag.flush()
+        self._copy.up_to(None, self._bag)
+        self._bag.finish(provenance, self._copy.connections)
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._bag.abort()
-        self._output.discard()
+        super().abort()
 
 
 class BagCopy:

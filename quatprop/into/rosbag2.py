@@ -17,7 +17,7 @@ from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
 from quatprop.into.rosbag2_metadata import Added, MetadataError, extended, extended_record
 from quatprop.text import Setting, plain
-from quatprop.writers.atomic import OutputPath, output_errors
+from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.messages.encoders import attitude_encoder
 
@@ -81,19 +81,16 @@ class Rosbag2CopyWriter(MessageWriter):
     def __init__(self, log: MessageLog, target: Path | str, message: Message) -> None:
         self._message = message
         self.encoder = attitude_encoder(message, ("cdr",))
-        self._target = target
         self._source = log.path
         self._files = _files(log.path)
         self._parts: list[_Part] = []
         self._part_log = ExitStack()
         is_folder = log.path.is_dir()
-        with self._output_errors():
-            starts = [_first_ns(file) for file in self._files[1:]]
-        # Messages before the start of the next part belong to this one.
-        self._ends = [*starts, _LATEST]
-        self._output = OutputPath(target, folder=is_folder)
+        super().__init__(OutputPath(target, folder=is_folder))
         try:
-            with self._output_errors():
+            with self._errors():
+                # Messages before the start of the next part belong to this one.
+                self._ends = [*map(_first_ns, self._files[1:]), _LATEST]
                 if is_folder:
                     self._output.path.mkdir()
                     self._copy_other_files()
@@ -102,35 +99,33 @@ class Rosbag2CopyWriter(MessageWriter):
             self.abort()
             raise
 
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
         """Append messages, to one part or to several."""
-        with self._output_errors():
-            while len(log_ns):
-                end = self._ends[len(self._parts) - 1]
-                count = int(np.searchsorted(log_ns, end)) if end != _LATEST else len(log_ns)
-                if count:
-                    self._parts[-1].write(log_ns[:count], messages[:count])
-                log_ns, messages = log_ns[count:], messages[count:]
-                if len(log_ns):
-                    self._finish_part({})
-                    self._open_next()
-
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the bag with its provenance."""
-        custom = {f"quatprop {self.encoder.topic.name}": provenance_json(provenance)}
-        with self._output_errors():
-            while len(self._parts) < len(self._files):
+        while len(log_ns):
+            end = self._ends[len(self._parts) - 1]
+            count = int(np.searchsorted(log_ns, end)) if end != _LATEST else len(log_ns)
+            if count:
+                self._parts[-1].write(log_ns[:count], messages[:count])
+            log_ns, messages = log_ns[count:], messages[count:]
+            if len(log_ns):
                 self._finish_part({})
                 self._open_next()
-            self._write_metadata(custom)
-            self._finish_part(custom)
+
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        """Copy the rest, finish the bag with its provenance."""
+        custom = {f"quatprop {self.encoder.topic.name}": provenance_json(provenance)}
+        while len(self._parts) < len(self._files):
+            self._finish_part({})
+            self._open_next()
+        self._write_metadata(custom)
+        self._finish_part(custom)
 
     def abort(self) -> None:
         """Remove what was not committed."""
         for part in self._parts[-1:]:
             part.close()
         self._part_log.close()
-        self._output.discard()
+        super().abort()
 
     def _write_metadata(self, custom: Mapping[str, str]) -> None:
         """Write metadata.yaml where the bag has one.
@@ -171,14 +166,14 @@ class Rosbag2CopyWriter(MessageWriter):
         self._part_log.close()
 
     @contextmanager
-    def _output_errors(self) -> Iterator[None]:
+    def _errors(self) -> Iterator[None]:
         """Turn errors of the system and of SQLite into an error that names the target."""
-        with output_errors(self._target):
+        with super()._errors():
             try:
                 yield
             except (sqlite3.Error, apsw.Error) as error:
                 raise OutputError(
-                    self._target,
+                    self._output.target,
                     f"{plain(self._source)} cannot be copied: {error}; write the attitudes to a "
                     "file of their own with ",
                     Setting("output"),

@@ -177,6 +177,9 @@ class OutputPath:
             self._temp = LockedTemp(self._place, lambda path: path.mkdir())
         self.path = self._temp.path / self._place.name
 
+    def finish(self) -> None:
+        """Do nothing: whoever has created it has closed it."""
+
     def publish(self) -> None:
         """Put the finished file or folder in its place."""
         try:

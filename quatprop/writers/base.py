@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.provenance import as_json
+from quatprop.writers.atomic import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
     from typing import Any, Self
 
@@ -76,8 +78,6 @@ class Transaction(ABC):
     the first in its place: :meth:`finish`, which may fail, and :meth:`publish`.
     """
 
-    _output: OutputFile | OutputPath
-
     def commit(self, provenance: Mapping[str, object]) -> None:
         """Finish the file and put it in its place; see :meth:`finish`."""
         self.finish(provenance)
@@ -100,9 +100,9 @@ class Transaction(ABC):
             The file cannot be finished.
         """
 
+    @abstractmethod
     def publish(self) -> None:
         """Put the finished file in its place."""
-        self._output.publish()
 
     @abstractmethod
     def abort(self) -> None:
@@ -115,7 +115,43 @@ class Transaction(ABC):
         self.abort()
 
 
-class TableWriter(Transaction):
+class FileWriter(Transaction):
+    """Writes a file or folder; errors of the system become errors that name it.
+
+    Parameters
+    ----------
+    output
+        What is written.
+    """
+
+    _output: OutputFile | OutputPath
+
+    def __init__(self, output: OutputFile | OutputPath) -> None:
+        self._output = output
+
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Write the file to its end."""
+        with self._errors():
+            self._finish(provenance)
+            self._output.finish()
+
+    @abstractmethod
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        """Write what is left to write."""
+
+    def publish(self) -> None:
+        """Put the finished file in its place."""
+        self._output.publish()
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._output.discard()
+
+    def _errors(self) -> AbstractContextManager[None]:
+        return output_errors(self._output.target)
+
+
+class TableWriter(FileWriter):
     """A file of named columns: int64 stamps ``t_ns`` first, then float64.
 
     Attributes
@@ -128,7 +164,6 @@ class TableWriter(Transaction):
 
     _output: OutputFile
 
-    @abstractmethod
     def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         """Append a batch of rows: stamps and the named columns, all of one length.
 
@@ -139,12 +174,17 @@ class TableWriter(Transaction):
         BrokenPipeError
             The reader of the output has gone.
         """
-
-
-class MessageWriter(Transaction):
-    """A container to which one topic is written whose messages all have one size."""
+        with self._errors():
+            self._write(t_ns, columns)
 
     @abstractmethod
+    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        """Append a batch of rows."""
+
+
+class MessageWriter(FileWriter):
+    """A container to which one topic is written whose messages all have one size."""
+
     def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
         """Append a batch of messages.
 
@@ -160,6 +200,12 @@ class MessageWriter(Transaction):
         OutputError
             The disk is full, or the target is otherwise gone.
         """
+        with self._errors():
+            self._write(log_ns, messages)
+
+    @abstractmethod
+    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+        """Append a batch of messages."""
 
 
 class SeriesWriter(Transaction):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.file import McapFile
 from quatprop.writers.messages.topics import PROFILES
@@ -40,27 +40,22 @@ class McapWriter(MessageWriter):
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         self._topic = topic.name
-        self._output = OutputFile(target)
-        with output_errors(target):
+        super().__init__(OutputFile(target))
+        with self._errors():
             profile = PROFILES.get(topic.encoding, "")
             self._file = McapFile(self._output.stream, profile, compression)
             self._channel = self._file.add_channel(topic)
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Append a batch of messages."""
-        with output_errors(self._output.target):
-            self._channel.write(log_ns, messages)
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._channel.write(log_ns, messages)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance."""
-        with output_errors(self._output.target):
-            finish_with_provenance(self._file, self._topic, provenance)
-        self._output.finish()
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        finish_with_provenance(self._file, self._topic, provenance)
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._file.abort()
-        self._output.discard()
+        super().abort()
 
 
 def finish_with_provenance(file: McapFile, topic: str, provenance: Mapping[str, object]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.rosbag1.file import BagFile
 from quatprop.writers.targets import refuse_streams
@@ -40,22 +40,17 @@ class BagWriter(MessageWriter):
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         refuse_streams(target, "a ROS 1 bag")
-        self._output = OutputFile(target)
-        with output_errors(target):
+        super().__init__(OutputFile(target))
+        with self._errors():
             self._bag = BagFile(self._output.stream, topic, compression)
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
-        """Append a batch of messages."""
-        with output_errors(self._output.target):
-            self._bag.write(log_ns, messages)
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._bag.write(log_ns, messages)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the bag, with its provenance."""
-        with output_errors(self._output.target):
-            self._bag.finish(provenance)
-        self._output.finish()
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        self._bag.finish(provenance)
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._bag.abort()
-        self._output.discard()
+        super().abort()

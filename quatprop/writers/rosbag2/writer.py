@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from quatprop.errors import OutputError
-from quatprop.writers.atomic import OutputPath, output_errors
+from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.file import McapFile
 from quatprop.writers.messages.topics import Topic
@@ -159,46 +159,40 @@ class SqliteBagWriter(MessageWriter):
     storage = StoragePlugin.SQLITE3
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
-        self._target = target
-        self._output = OutputPath(target, folder=True)
+        super().__init__(OutputPath(target, folder=True))
         self._bag = BulkWriter(self._output.path, version=9, storage_plugin=self.storage)
         self._bag.compression_mode = _COMPRESSIONS[compression]
-        with _output_errors(target):
+        with self._errors():
             self._bag.open()
             self._connection = self._bag.add_connection(
                 topic.name, topic.type_name, msgdef=topic.schema.decode(), rihs01=topic.digest
             )
 
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
-        """Append a batch of messages."""
-        with _output_errors(self._target):
-            self._bag.write_block(self._connection, log_ns, messages)
+    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+        self._bag.write_block(self._connection, log_ns, messages)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the folder, with its provenance."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         if provenance:
             self._bag.set_custom_data("quatprop", provenance_json(provenance))
-        with _output_errors(self._target):
-            self._bag.close()
+        self._bag.close()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         with suppress(OSError, sqlite3.Error):
             self._bag.abort()
-        self._output.discard()
+        super().abort()
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn errors of the system and of SQLite into an error that names the target."""
+        with super()._errors():
+            try:
+                yield
+            except sqlite3.Error as error:
+                raise OutputError(self._output.target, f"cannot be written: {error}") from error
 
 
 class McapBagWriter(SqliteBagWriter):
     """Write messages to a ROS 2 bag that stores them in MCAP; parameters as above."""
 
     storage = StoragePlugin.MCAP
-
-
-@contextmanager
-def _output_errors(target: Path | str) -> Iterator[None]:
-    """Turn errors of the system and of SQLite into an error that names the target."""
-    with output_errors(target):
-        try:
-            yield
-        except sqlite3.Error as error:
-            raise OutputError(target, f"cannot be written: {error}") from error

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from quatprop.arrow_arrays import to_arrow
 from quatprop.provenance import METADATA_KEY
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import TableWriter, block_slices, provenance_json
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class ArrowTable(TableWriter):
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
-        self._output = OutputFile(target)
+        super().__init__(OutputFile(target))
         self._t_ns = np.empty(GROUP, np.int64)
         self._columns = np.empty((len(names), GROUP), np.float64)
         self._filled = 0
@@ -51,8 +51,7 @@ class ArrowTable(TableWriter):
     def _write_group(self, group: pa.RecordBatch) -> None:
         """Write a group; its memory is reused afterwards."""
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
+    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         for rows, place in block_slices(len(t_ns), self._filled, GROUP):
             self._t_ns[place] = t_ns[rows]
             for buffer, column in zip(self._columns, columns, strict=True):
@@ -67,6 +66,5 @@ class ArrowTable(TableWriter):
             return
         rows = slice(0, self._filled)
         arrays = [to_arrow(self._t_ns[rows]), *(to_arrow(column[rows]) for column in self._columns)]
-        with output_errors(self._output.target):
-            self._write_group(pa.record_batch(arrays, schema=self._schema))
+        self._write_group(pa.record_batch(arrays, schema=self._schema))
         self._filled = 0

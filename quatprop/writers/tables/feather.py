@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
-from quatprop.writers.atomic import output_errors, scratch_file
+from quatprop.writers.atomic import scratch_file
 from quatprop.writers.tables.arrow import ArrowTable, metadata
 
 if TYPE_CHECKING:
@@ -34,25 +34,23 @@ class FeatherTable(ArrowTable):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
         self._body = scratch_file(target)
-        with output_errors(target):
+        with self._errors():
             self._rows = pa.ipc.new_stream(self._body, self._schema)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         self._flush()
         schema = self._schema.with_metadata(metadata(provenance))
-        with output_errors(self._output.target), self._body as body:
+        with self._body as body:
             self._rows.close()
             body.seek(0)
             with pa.ipc.new_file(self._output.stream, schema) as file:
                 for group in pa.ipc.open_stream(body):
                     file.write(group.replace_schema_metadata(schema.metadata))
-        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._body.close()
-        self._output.discard()
+        super().abort()
 
     def _write_group(self, group: pa.RecordBatch) -> None:
         self._rows.write(group)

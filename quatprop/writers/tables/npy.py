@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.writers.atomic import OutputFile, output_errors, scratch_file
+from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 from quatprop.writers.targets import refuse_streams
 
@@ -42,29 +42,20 @@ class NpyTable(TableWriter):
         self._dtype = np.dtype([("t_ns", "<i8"), *((name, "<f8") for name in names)])
         self._count = 0
         refuse_streams(target, "a NumPy file")
-        self._output = OutputFile(target)
-        with output_errors(target):
+        super().__init__(OutputFile(target))
+        with self._errors():
             self._write_header()
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
+    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         rows = np.empty(len(t_ns), self._dtype)
         for name, column in zip(self._dtype.fields or (), (t_ns, *columns), strict=True):
             rows[name] = column
-        with output_errors(self._output.target):
-            self._output.stream.write(rows.data)
+        self._output.stream.write(rows.data)
         self._count += len(rows)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
-        """Write the file to its end."""
-        with output_errors(self._output.target):
-            self._output.stream.seek(0)
-            self._write_header()
-        self._output.finish()
-
-    def abort(self) -> None:
-        """Remove what was not committed."""
-        self._output.discard()
+    def _finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
+        self._output.stream.seek(0)
+        self._write_header()
 
     def _write_header(self) -> None:
         """Write the header, which has the same length for any number of rows."""
@@ -83,24 +74,18 @@ class NpzTable(TableWriter):
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._output = OutputFile(target)
+        super().__init__(OutputFile(target))
         self._count = 0
         self._columns = {name: scratch_file(target) for name in ("t_ns", *names)}
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
-        with output_errors(self._output.target):
-            for body, column in zip(self._columns.values(), (t_ns, *columns), strict=True):
-                body.write(np.ascontiguousarray(column).data)
+    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+        for body, column in zip(self._columns.values(), (t_ns, *columns), strict=True):
+            body.write(np.ascontiguousarray(column).data)
         self._count += len(t_ns)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         provenance_array = np.array(provenance_json(provenance))
-        with (
-            output_errors(self._output.target),
-            zipfile.ZipFile(self._output.stream, "w") as archive,
-        ):
+        with zipfile.ZipFile(self._output.stream, "w") as archive:
             for name, body in self._columns.items():
                 with _member(archive, name) as member:
                     dtype = np.dtype("<i8" if name == "t_ns" else "<f8")
@@ -109,17 +94,12 @@ class NpzTable(TableWriter):
                     shutil.copyfileobj(body, member, 1 << 20)
             with _member(archive, PROVENANCE) as member:
                 np.lib.format.write_array(member, provenance_array, allow_pickle=False)
-        self._close()
-        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""
-        self._close()
-        self._output.discard()
-
-    def _close(self) -> None:
         for body in self._columns.values():
             body.close()
+        super().abort()
 
 
 def _header(dtype: np.dtype[Any], count: int) -> dict[str, object]:

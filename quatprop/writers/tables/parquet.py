@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import pyarrow.parquet
 
-from quatprop.writers.atomic import output_errors
 from quatprop.writers.tables.arrow import GROUP, ArrowTable, metadata
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ class ParquetTable(ArrowTable):
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
-        with output_errors(target):
+        with self._errors():
             self._parquet = pyarrow.parquet.ParquetWriter(
                 self._output.stream,
                 self._schema,
@@ -51,13 +50,10 @@ class ParquetTable(ArrowTable):
                 },
             )
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file, with its provenance."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         self._flush()
-        with output_errors(self._output.target):
-            self._parquet.add_key_value_metadata(metadata(provenance))
-            self._parquet.close()
-        self._output.finish()
+        self._parquet.add_key_value_metadata(metadata(provenance))
+        self._parquet.close()
 
     def abort(self) -> None:
         """Remove what was not committed."""

@@ -15,7 +15,7 @@ import pyarrow.csv
 from quatprop.arrow_arrays import to_arrow
 from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.provenance import COMMENT
-from quatprop.writers.atomic import OutputFile, output_errors, scratch_file
+from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 
 if TYPE_CHECKING:
@@ -51,42 +51,38 @@ class TextTable(TableWriter):
     def __init__(
         self, target: Path | str, header: str, formatter: Formatter, *, comment: bool = False
     ) -> None:
-        self._output = OutputFile(target)
+        super().__init__(OutputFile(target))
         self._body = scratch_file(target) if comment else self._output.stream
         self._header = header.encode()
         self._pool = OrderedThreadPool(formatter, self._write_text)
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
-        """Append a batch of rows."""
+    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
         for begin in range(0, len(t_ns), PIECE):
             rows = slice(begin, begin + PIECE)
             piece = [t_ns[rows], *(column[rows] for column in columns)]
             self._pool.submit(piece)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the file to its end."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         self._pool.drain()
         self._pool.shutdown()
         self._write_text(b"")
         if self._body is not self._output.stream:
-            with output_errors(self._output.target), self._body as body:
+            with self._body as body:
                 self._output.stream.write(COMMENT + provenance_json(provenance).encode() + b"\n")
                 body.seek(0)
                 shutil.copyfileobj(body, self._output.stream, 1 << 20)
-        self._output.finish()
 
     def abort(self) -> None:
         """Remove what was not committed."""
         self._pool.shutdown()
         if self._body is not self._output.stream:
             self._body.close()
-        self._output.discard()
+        super().abort()
 
     def _write_text(self, text: pa.Buffer | bytes) -> None:
         header, self._header = self._header, b""
-        with output_errors(self._output.target):
-            self._body.write(header)
-            self._body.write(text)
+        self._body.write(header)
+        self._body.write(text)
 
 
 def delimited(separator: str, names: Sequence[str]) -> Formatter:
