@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.logs import GRAVITY, ImuEncoder, open_log_writer
 from quatprop.simulate.motion import Shape, motion_named
-from quatprop.simulate.run import simulate, truth_beside
+from quatprop.simulate.run import GRAVITY, ImuEncoder, open_log_writer, simulate, truth_beside
 from quatprop.writers import GENERAL_KINDS, WRITERS
 
 SHAPE = Shape(angle=Fraction(25))

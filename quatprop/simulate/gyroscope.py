@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.simulate.product import hamilton
+from quatprop.simulate.motion import hamilton
 from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:

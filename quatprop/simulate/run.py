@@ -1,4 +1,9 @@
-"""One simulated recording: the log and, beside it, the truth."""
+"""One simulated recording: the log and, beside it, the truth.
+
+Tables have stamps in ns and rates in rad/s as ``t_ns,wx,wy,wz``. Containers have
+``sensor_msgs/Imu`` on ``/imu``: the header stamp is when the sample was taken, the log time when
+it arrived, a little later.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +11,28 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from quatprop.errors import OutputError, UsageError
 from quatprop.progress import metered
 from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import record
-from quatprop.simulate.logs import open_log_writer
 from quatprop.simulate.motion import motion_named
-from quatprop.writers import WRITERS, kind_of, open_writer
+from quatprop.text import listed, quoted
+from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table, open_writer
+from quatprop.writers.base import AttitudeMessages, ColumnTable
+from quatprop.writers.messages.encoders import ABSENT, RosEncoder
+from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from quatprop.series import AttitudeSeries
     from quatprop.simulate.gyroscope import Gyroscope
     from quatprop.simulate.motion import Shape
+    from quatprop.writers.base import AttitudeWriter
+
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
@@ -63,7 +79,7 @@ def simulate(  # noqa: PLR0913  # a recording in full
     q0
         True attitude at the first sample, body -> reference, wxyz.
     kind, compression
-        As for :func:`quatprop.simulate.logs.open_log_writer`.
+        As for :func:`open_log_writer`.
     truth
         Where the true attitudes go, scalar-first; None writes none.
 
@@ -111,3 +127,112 @@ def _provenance(
             "q0_wxyz": list(q0),
         },
     }
+
+
+RATE_COLUMNS = ("wx", "wy", "wz")
+
+DEFAULT_COMPRESSIONS = {"rosbag2-mcap": "none"}
+"""Where a recorder's default is not that of the attitude writer."""
+
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2."""
+
+_TRANSPORT_NS = 1_000_000
+_JITTER_NS = 100_000
+_SCRAMBLE = 0x9E3779B1
+"""Multiplier that spreads neighbouring integers (Knuth, The Art of Computer Programming, 6.4)."""
+
+
+class ImuEncoder(RosEncoder):
+    """Encodes samples as messages on ``/imu``.
+
+    The orientation is marked absent; the acceleration is that of a sensor that only rotates, in a
+    reference frame whose z axis points up: the reaction to gravity.
+
+    Parameters
+    ----------
+    deviation
+        Standard deviation of the rates' noise, rad/s, for the covariance.
+    ros1
+        Whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2.
+    """
+
+    def __init__(self, deviation: float, *, ros1: bool) -> None:
+        constants = {
+            "covariance": np.reshape(ABSENT, (3, 3)),
+            "rate_covariance": (deviation**2 * np.eye(3)).ravel(),
+        }
+        super().__init__(Message("Imu", "/imu", child="imu"), ros1=ros1, constants=constants)
+
+    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+        """Return the messages of a batch of true attitudes and measured rates, shape ``(N,)``."""
+        rows = self._records.stamped(series.t_ns, target)
+        rows["rate"], rows["acceleration"] = series.rate, _reaction(series.wxyz)
+        return rows
+
+
+def arrival_ns(t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return when each message arrives: 1 to 1.1 ms after its stamp, unevenly.
+
+    The jitter is a scrambled stamp, not a random number, so that it depends on neither seed nor
+    batches. Up to 10 kHz messages arrive in order.
+    """
+    return t_ns + _TRANSPORT_NS + (t_ns * _SCRAMBLE & 0xFFFFFFFF) % _JITTER_NS
+
+
+def _reaction(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the upward reaction to gravity in the body frame, m/s^2: ``q* (0, 0, g) q``."""
+    w, x, y, z = wxyz.T
+    up = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    return GRAVITY * np.stack(up, axis=1)
+
+
+def open_log_writer(
+    target: Path | str,
+    kind: str | None = None,
+    *,
+    deviation: float = 0.0,
+    compression: str | None = None,
+) -> AttitudeWriter:
+    """Open a writer of a simulated log.
+
+    Parameters
+    ----------
+    target
+        Where to write; ``"-"`` is stdout.
+    kind
+        One of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`.
+    deviation
+        Standard deviation of the rates' noise, rad/s, for the messages' covariance.
+    compression
+        ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default.
+
+    Returns
+    -------
+    AttitudeWriter
+        Takes true attitudes with the measured rates.
+
+    Raises
+    ------
+    OutputError
+        The kind or suffix is unknown, or the target cannot be written.
+    UsageError
+        The kind has no such compression.
+    """
+    kind = kind_of(target, kind)
+    if kind not in GENERAL_KINDS:
+        raise OutputError(
+            target, f"kind {quoted(kind)} holds attitudes only; choose {listed(GENERAL_KINDS)}"
+        )
+    compressions = WRITERS[kind].compressions
+    if compression not in (None, *compressions):
+        raise UsageError(
+            f"a {kind} log cannot be compressed with {quoted(compression)}; "
+            f"choose {listed(compressions)}"
+        )
+    if WRITERS[kind].columns:
+        return ColumnTable(open_table(target, RATE_COLUMNS, kind), lambda series: series.rate)
+    encoder = ImuEncoder(deviation, ros1="ros1" in WRITERS[kind].encodings)
+    compression = compression or DEFAULT_COMPRESSIONS.get(kind)
+    container = open_messages(target, kind, encoder.topic, compression)
+    return AttitudeMessages(container, encoder, target, arrival_ns)

@@ -85,8 +85,8 @@ def _messages(
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": _text((".csv",), "tables.csv:CsvTable", columns=True, comments=True),
-    "tsv": _text((".tsv",), "tables.csv:TsvTable", columns=True, comments=True),
+    "csv": _text((".csv",), "tables.text:CsvTable", columns=True, comments=True),
+    "tsv": _text((".tsv",), "tables.text:TsvTable", columns=True, comments=True),
     "jsonl": _text((".jsonl", ".ndjson"), "tables.jsonl:JsonLinesTable", columns=True),
     "parquet": Format(
         (".parquet", ".pq"),
