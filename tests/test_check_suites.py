@@ -1,6 +1,7 @@
 """Suites: what is refused, what an update does, and the reports for CI."""
 
 import json
+import math
 import os
 import shlex
 import shutil
@@ -900,3 +901,39 @@ def test_a_file_that_a_key_names_is_beside_the_suite_and_pinned(tmp_path, key):
     (tmp_path / "beside.txt").touch()
     _, (case,) = cases.load_cases(suite)
     assert case.inputs[key] == str(tmp_path / "beside.txt")
+
+
+@pytest.mark.parametrize(
+    ("limit", "code", "sentence"),
+    [
+        ('tol = "3sigma"', 1, "largest error 5 sigma, at most 3 sigma"),
+        ("max-sigma = 4", 1, "largest error 5 sigma, at most 4 sigma"),
+        ('tol = "1deg"\nrms-tol = "1e-4rad"', 1, "RMS error"),
+        ('tol = "0.1mrad"', 1, "above the tolerance"),
+        ('tol = "6sigma"', 0, "largest error 5 of 6 sigma"),
+        ('tol = "1deg"', 0, "0.286479 deg of 1 deg at +0 ns"),
+        (
+            'tol = "1deg"\nalign = "first"',
+            2,
+            "(exact) and at least 2 must",
+        ),
+        ('tol = "1deg"\ndrift-tol = "1deg/h"', 2, "one pair of attitudes shows no drift"),
+        ('tol = "1deg"\nwindow = "1s"', 2, "no two pairs are 1 s apart: they span 0 ns"),
+    ],
+)
+def test_a_log_of_one_sample_is_judged_by_every_limit(tmp_path, limit, code, sentence):
+    """Its attitude is 5 standard deviations of 1 mrad about x from that of the reference."""
+    (tmp_path / "log.csv").write_text("t_ns,wx,wy,wz\n5,0,0,0\n")
+    half = 0.0025
+    (tmp_path / "truth.csv").write_text(
+        "t_ns,qw,qx,qy,qz,sigma_x,sigma_y,sigma_z\n"
+        f"5,{math.cos(half)!r},{math.sin(half)!r},0,0,0.001,0.001,0.001\n"
+    )
+    (tmp_path / "suite.toml").write_text(
+        f'[case.one]\nlog = "log.csv"\nreference-log = "truth.csv"\n{limit}\n'
+    )
+    result = check(tmp_path / "suite.toml", "--update")
+    if code < 2:
+        result = check(tmp_path / "suite.toml")
+    assert result.exit_code == code, result.output
+    assert sentence in result.output

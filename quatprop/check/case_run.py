@@ -13,7 +13,6 @@ from quatprop.check.spelling import sentence
 from quatprop.comparison.compare import compare
 from quatprop.comparison.summary import criterion_text, with_names
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
@@ -121,12 +120,6 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     ComparisonError
         They cannot be compared with these settings.
     """
-    limit = case.comparison.limit_rad
-    if len(a) == len(b) == 1 and a.t_ns[0] == b.t_ns[0]:
-        # A comparison needs two pairs; a log of one sample has one attitude.
-        error = float(geodesic_angle(a.wxyz[0], b.wxyz[0]))
-        failure = "" if error <= limit else "the only attitude is above the tolerance"
-        return CaseComparison(error, "at the only sample", failure)
     result = compare(a, b, case.comparison)
     named = partial(with_names, a="the log's attitudes", b="the reference")
     first_ns = result.association.first_ns

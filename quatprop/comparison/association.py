@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 MIN_PAIRS = 2
-"""Least pairs from which a drift and an alignment can be computed."""
+"""Least pairs, but for the only attitudes of two series: a drift needs two, and an alignment."""
 
 FAR = np.iinfo(np.int64).max
 """Median interval of a series that has no interval."""
@@ -245,7 +245,9 @@ def require_enough(
     ComparisonError
         There are too few.
     """
-    needed = max(MIN_PAIRS, int(np.ceil(settings.min_matched / 100 * matching.candidates)))
+    single = all(first == last for first, last in spans_ns) and settings.align == "none"
+    least = 1 if single else MIN_PAIRS
+    needed = max(least, int(np.ceil(settings.min_matched / 100 * matching.candidates)))
     if matching.matched >= needed:
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)

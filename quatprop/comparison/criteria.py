@@ -85,7 +85,8 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
     Raises
     ------
     ComparisonError
-        There is a limit in standard deviations, and neither series has any.
+        There is a limit in standard deviations, and neither series has any; or one on the drift
+        of a single pair.
     """
     for setting, label, name in (
         ("tol", "largest error", "max"),
@@ -118,9 +119,12 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
             if (limit := getattr(settings, setting)) is not None:
                 yield Criterion(setting, label, value, limit, "rad", value <= limit)
     if settings.drift_tol is not None:
-        drift = drift_deg_h or 0.0
-        passed = abs(drift) <= settings.drift_tol
-        yield Criterion("drift_tol", "drift", drift, settings.drift_tol, "deg/h", passed)
+        if drift_deg_h is None:
+            raise ComparisonError(
+                "one pair of attitudes shows no drift; leave ", Setting("drift_tol"), " out"
+            )
+        passed = abs(drift_deg_h) <= settings.drift_tol
+        yield Criterion("drift_tol", "drift", drift_deg_h, settings.drift_tol, "deg/h", passed)
     if settings.min_coverage is not None:
         value, least = covered.least, settings.min_coverage
         yield Criterion("min_coverage", "coverage", value, least, "%", value >= least)

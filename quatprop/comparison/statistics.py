@@ -101,7 +101,7 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
     inside = stop < len(t_ns)
     start, stop = start[inside], stop[inside]
     late = t_ns[stop] - t_ns[start] - window_ns
-    fits = late <= np.median(np.diff(t_ns))
+    fits = late <= (np.median(np.diff(t_ns)) if len(late) else 0)
     start, stop = start[fits], stop[fits]
     if not len(start):
         raise ComparisonError(
