@@ -4,6 +4,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from mcap.writer import Writer
+from rosbags.typesys import Stores, get_typestore
 
 import quatprop
 from quatprop.cli import cli
@@ -16,10 +18,10 @@ ROWS = ("0,1,0,0,0,0,0,0\n", "1000000000,0.6,0,0.8,0,0.1,0.2,0.3\n")
 BESIDE = ("yaw_rad,pitch_rad,roll_rad\n", "0,0,0\n")
 
 
-def convert(*arguments):
+def convert(*arguments, code=0):
     """Return what `quatprop convert` says."""
     result = CliRunner().invoke(cli, ["convert", *map(str, arguments)])
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == code, result.output
     return result.stderr
 
 
@@ -101,3 +103,64 @@ def test_columns_of_other_representations_are_kept_by_writing_them_again(tmp_pat
         "note: columns 'yaw_rad', 'pitch_rad', 'roll_rad' are not kept; --with writes such ones"
     ) in convert(path, out)
     assert "not kept" not in convert(path, out, "--with", "euler-zyx")
+
+
+@pytest.mark.parametrize("changes", [True, False])
+@pytest.mark.parametrize("ours", [True, False])
+def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours):
+    """A filter may be as sure of its attitude for long; only a driver says the same to the end.
+
+    Of messages that this package wrote it is known that their covariances are none of a driver.
+    """
+    t_ns = np.arange(19_000, dtype=np.int64) * 10_000_000
+    covariance = np.tile(np.diag([0.01, 0.04, 0.09]), (len(t_ns), 1, 1))
+    if changes:
+        covariance[-1] *= 4
+    wxyz = np.tile([1.0, 0, 0, 0], (len(t_ns), 1))
+    series = quatprop.AttitudeSeries(t_ns, wxyz, covariance=covariance)
+    table, log, back = (tmp_path / name for name in ("in.parquet", "log.mcap", "back.parquet"))
+    quatprop.write(series, table)
+    convert(table, log, "--message", "PoseWithCovarianceStamped")
+    if not ours:
+        log.write_bytes(log.read_bytes().replace(b"quatprop", b"another."))
+    is_constant = not (changes or ours)
+    sentence = "the covariance of the orientation is the same in the first 19000 messages, so it is"
+    assert (sentence in convert(log, back)) == is_constant
+    sigmas = [name for name in pq.read_table(back).column_names if name in SIGMAS]
+    assert sigmas == ([] if is_constant else SIGMAS)
+    if is_constant:
+        with pytest.warns(quatprop.RemarkWarning, match=sentence):
+            assert quatprop.read_attitudes(log).covariance is None
+    else:
+        np.testing.assert_allclose(quatprop.read_attitudes(log).covariance, covariance, rtol=1e-14)
+
+
+def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
+    """A row has three standard deviations or none; two of three would be lost unseen."""
+    log = tmp_path / "log.mcap"
+    diagonals = [[1.0, 4, 9], [1, 4, -1], [1, np.nan, 9], [-1, -1, -1], [np.nan] * 3]
+    store = get_typestore(Stores.LATEST)
+    make = store.types
+    vector = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"")
+        channel = writer.register_channel("/imu", "cdr", schema)
+        for second, diagonal in enumerate(diagonals, 1):
+            stamp = make["builtin_interfaces/msg/Time"](second, 0)
+            message = make["sensor_msgs/msg/Imu"](
+                make["std_msgs/msg/Header"](stamp, "imu"),
+                make["geometry_msgs/msg/Quaternion"](0.0, 0.6, 0.0, 0.8),
+                np.diag(np.array(diagonal, float)).ravel(),
+                *(vector, np.zeros(9)) * 2,
+            )
+            data = bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
+            writer.add_message(channel, second, data, second)
+        writer.finish()
+    sentence = "the covariances of 2 messages are known in part, which is not kept: they are taken"
+    with pytest.warns((quatprop.RemarkWarning, quatprop.DataLossWarning)) as caught:
+        series = quatprop.read_attitudes(log, on_invalid="drop")
+    assert sum(sentence in str(one.message) for one in caught) == 1
+    assert np.isfinite(series.covariance).all(axis=(1, 2)).tolist() == [True, False, False, False]
+    assert convert(log, tmp_path / "back.csv", "--on-invalid", "drop", code=3).count(sentence) == 1

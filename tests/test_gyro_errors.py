@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.cli import cli
-from quatprop.errors import DataLossWarning, LogError, UsageError
+from quatprop.errors import DataLossWarning, LogError, RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
@@ -429,7 +429,8 @@ def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
         }
     assert len(found) == 1
     assert any(found.pop())
-    assert read_attitudes(log, topic="/xsens/imu_data").covariance is None
+    with pytest.warns(RemarkWarning, match="it is taken as a constant of the driver"):
+        assert read_attitudes(log, topic="/xsens/imu_data").covariance is None
 
 
 def test_an_error_is_given_in_standard_deviations():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -37,12 +38,13 @@ if TYPE_CHECKING:
     from quatprop.conventions import Meaning
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.signal import Float64, Rows
+    from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
 
 
-PLACEHOLDER_MESSAGES = 20_000
-"""An orientation that is the identity in so many messages was never set."""
+CONSTANT_MESSAGES = 20_000
+"""An orientation that is the identity in so many messages was never set, and a covariance that is
+the same in all of them is a constant."""
 
 
 def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSignal:
@@ -137,11 +139,14 @@ def _of_field(
         position = [field.position] if positions else []
         covariance = [field.covariance] if covariances else []
         rows = timed_values(log, channel, reader(position, covariance))
+        if covariances:
+            # What this package wrote is of no driver.
+            rows = _known(log, rows, may_be_constant=bool(provenance))
         return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
 
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
     placeholder = _is_beside_rate(channel, field, log.path) and are_all(
-        (np.abs(wxyz) for _, wxyz, *_ in read()), IDENTITY, PLACEHOLDER_MESSAGES
+        (np.abs(wxyz) for _, wxyz, *_ in read()), IDENTITY, CONSTANT_MESSAGES
     )
     if placeholder:
         remarks += ("it is the identity in every message: a placeholder, not an attitude",)
@@ -215,28 +220,58 @@ def _in_terms(
     positions: bool,
     covariances: bool,
 ) -> Rows:
-    """Yield attitudes that are stored in the order `order`, and what is beside them.
-
-    A covariance that is the same in all of the first messages is a constant of the sensor's
-    driver, not what is known of the attitude: there is none then.
-    """
+    """Yield attitudes that are stored in the order `order`, and what is beside them."""
     places = [order.index(part) for part in range(4)]
-    varies = None if covariances else False
     for t_ns, stored, *beside in values:
         wxyz = meaning.converted(stored[:, places])
-        if varies is None:
-            varies = bool((beside[-1] != beside[-1][:1]).any())
-        covariance = _about_body(wxyz, beside[-1]) if varies else None
+        covariance = beside[-1] if covariances else None
+        if covariance is not None:
+            # Quaternions are not checked yet.
+            with np.errstate(over="ignore", invalid="ignore"):
+                covariance = reference_covariance(conjugate(wxyz), covariance)
         yield t_ns, wxyz, beside[0] if positions else None, covariance
 
 
-def _about_body(wxyz: Float64, numbers: Float64) -> Float64:
-    """Return covariances about body axes, NaN where they are marked as unknown."""
-    size = math.isqrt(numbers.shape[1])
-    of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
-    is_known = np.isfinite(of_rotation).all(axis=(1, 2))
-    is_known &= (np.diagonal(of_rotation, axis1=1, axis2=2) >= 0).all(axis=1)
-    of_rotation[~is_known] = np.nan
-    # Quaternions are not checked yet.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return reference_covariance(conjugate(wxyz), of_rotation)
+def _known(
+    log: MessageLog, rows: Iterator[tuple[Any, ...]], *, may_be_constant: bool
+) -> Iterator[tuple[Any, ...]]:
+    """Yield rows with their covariances, NaN where these are marked as unknown.
+
+    With None where all of the first messages have the same: that is a constant of the sensor's
+    driver, not what is known of each attitude.
+    """
+    first: list[tuple[Any, ...]] = []
+    count, varies = 0, may_be_constant
+    while not varies and count < CONSTANT_MESSAGES and (batch := next(rows, None)) is not None:
+        first.append(batch)
+        count += len(batch[0])
+        varies = bool((batch[-1] != first[0][-1][:1]).any())
+    if not varies and first and first[0][-1][:1].any():
+        _add_remark(
+            log,
+            f"the covariance of the orientation is the same in the first {count} messages, so it "
+            "is taken as a constant of the driver, not as what is known of each attitude",
+        )
+    in_part = 0
+    for *row, numbers in chain(first, rows):
+        if not varies:
+            yield (*row, None)
+            continue
+        size = math.isqrt(numbers.shape[1])
+        of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
+        variances = np.diagonal(of_rotation, axis1=1, axis2=2)
+        is_known = np.isfinite(of_rotation).all(axis=(1, 2)) & (variances >= 0).all(axis=1)
+        in_part += int(np.count_nonzero(~is_known & (variances > 0).any(axis=1)))
+        of_rotation[~is_known] = np.nan
+        yield (*row, of_rotation)
+    if in_part:
+        _add_remark(
+            log,
+            f"the covariances of {in_part} messages are known in part, which is not kept: they "
+            "are taken as unknown",
+        )
+
+
+def _add_remark(log: MessageLog, remark: str) -> None:
+    """Add a remark on what is read, once however often that is."""
+    log.remarks = [*(one for one in log.remarks if one != remark), remark]
