@@ -21,7 +21,7 @@ from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, ManifestEntry, write_table
 from quatprop.batch.outputs import output_paths, shard
-from quatprop.batch.run import BatchTask, propagate_log
+from quatprop.batch.run import BatchSettings, BatchTask, propagate_log
 from quatprop.cli import cli
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
@@ -49,7 +49,10 @@ def log(path, rate=1.0, samples=5):
 
 def task(path, output, name):
     """Return the task of a log."""
-    return BatchTask(Job(str(path), OutputSettings(str(output))), name)
+    return BatchTask(str(path), str(output), name)
+
+
+SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")))
 
 
 def outputs_in(folder):
@@ -114,7 +117,7 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
     monkeypatch.setattr(batch, "run", fails)
     bad, good = (str(log(tmp_path / name)) for name in ("bad.csv", "good.csv"))
     tasks = [task(name, tmp_path / "out.csv", "out.csv") for name in (bad, good)]
-    results = [propagate_log(task) for task in tasks]
+    results = [propagate_log(task, SETTINGS) for task in tasks]
     assert str(results[0].error).startswith(sentence.format(log=bad))
     assert not results[1].error
     # One log is propagated in this process.
@@ -630,9 +633,8 @@ def test_the_number_of_threads_makes_no_other_output(tmp_path):
     assert "up to date" in run(path, "-o", tmp_path / "out", "--skip-existing").stderr
     assert run(path, "-o", tmp_path / "out", "--threads", "1", "-q").exit_code == 0
     assert (tmp_path / "out" / "a.parquet").read_bytes() == first
-    one = task(path, tmp_path / "out" / "a.parquet", "a.parquet")
-    assert one.with_threads(4).job.settings.threads == 4
-    assert one.with_threads(2).with_threads(4).job.settings.threads == 2
+    assert SETTINGS.with_threads(4).job.settings.threads == 4
+    assert SETTINGS.with_threads(2).with_threads(4).job.settings.threads == 2
 
 
 def test_the_installed_command_runs_processes(tmp_path):
@@ -649,14 +651,14 @@ def test_a_cluster_that_is_not_there(tmp_path):
     pytest.importorskip("distributed")
     far = task(log(tmp_path / "a.csv"), tmp_path / "a.npy", "a.npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
-        list(on_a_cluster([far], "nonsense", Manifest(str(tmp_path))))
+        list(on_a_cluster([far], SETTINGS, "nonsense", Manifest(str(tmp_path))))
 
 
-def raising(task, _version):
+def raising(task, settings, _version):
     """Raise what a worker without this package does."""
     if task.name == "a":
         raise ModuleNotFoundError("No module named 'quatprop'")
-    return propagate_log(task)
+    return propagate_log(task, settings)
 
 
 def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
@@ -667,11 +669,11 @@ def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
     manifest = Manifest(str(tmp_path))
     quiet = {"processes": False, "dashboard_address": None, "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **quiet) as cluster:
-        results = dict(on_a_cluster(tasks, cluster.scheduler_address, manifest))
+        results = dict(on_a_cluster(tasks, SETTINGS, cluster.scheduler_address, manifest))
     assert str(results[0].error).endswith(
         "a.csv: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
     )
-    assert results[1].report is not None
+    assert not results[1].error
     assert {n: entry["state"] for n, entry in entries(tmp_path).items()} == {
         "a": "failed", "b": "done",
     }  # fmt: skip
@@ -685,13 +687,13 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
     manifest = Manifest(str(tmp_path))
     quiet = {"processes": False, "dashboard_address": None}
     with distributed.LocalCluster(n_workers=0, **quiet) as cluster:
-        results = on_a_cluster([far], cluster.scheduler_address, manifest)
+        results = on_a_cluster([far], SETTINGS, cluster.scheduler_address, manifest)
         with pytest.raises(UsageError, match=r"has no workers; start some, and try again$"):
             list(results)
     cancelled = distributed.client.FutureCancelledError("a", "lost")
     monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
     with distributed.LocalCluster(n_workers=1, **quiet) as cluster:
-        results = on_a_cluster([far], cluster.scheduler_address, manifest)
+        results = on_a_cluster([far], SETTINGS, cluster.scheduler_address, manifest)
         with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
             list(results)
 
@@ -711,7 +713,8 @@ def test_files_of_settings_are_the_same_from_every_folder(tmp_path, monkeypatch)
 
 def test_a_worker_of_another_version_is_refused(tmp_path):
     """Its outputs would be those of another version."""
-    result = propagate_on_worker(task("a.csv", tmp_path / "a.csv", "a.csv"), "0.0.1")
+    there = task("a.csv", tmp_path / "a.csv", "a.csv")
+    result = propagate_on_worker(there, SETTINGS, "0.0.1")
     assert result.error == (
         f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
     )

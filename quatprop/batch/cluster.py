@@ -6,13 +6,12 @@ import ctypes
 import os
 import sys
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.batch.run import failed, propagate_log
-from quatprop.containers.stores import is_address, without_secret
+from quatprop.containers.stores import is_address
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.text import Setting, plain, quoted
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.run import BatchResult, BatchTask
+    from quatprop.batch.run import BatchResult, BatchSettings, BatchTask
 
 AHEAD = 1000
 """Logs that are submitted to a cluster before the first of them is done."""
@@ -41,7 +40,11 @@ KEPT_BYTES, MAPPED_BYTES, DEFAULT_MAPPED_BYTES = 1 << 28, 1 << 25, 1 << 17
 
 
 def on_a_cluster(
-    tasks: Sequence[BatchTask], scheduler: str, manifest: Manifest, retries: int = 0
+    tasks: Sequence[BatchTask],
+    settings: BatchSettings,
+    scheduler: str,
+    manifest: Manifest,
+    retries: int = 0,
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
 
@@ -49,6 +52,8 @@ def on_a_cluster(
     ----------
     tasks
         One for each log; the workers must see the same paths, and have the same quatprop.
+    settings
+        What they share.
     scheduler
         Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``.
     manifest
@@ -71,7 +76,7 @@ def on_a_cluster(
             "pip install 'quatprop[dask]'"
         ) from error
     with _client(scheduler) as client:
-        waiting = enumerate(tasks)
+        waiting, settings = enumerate(tasks), settings.with_threads(1)
         indices: dict[str, int] = {}
         completed = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
 
@@ -79,7 +84,8 @@ def on_a_cluster(
             for index, task in islice(waiting, count):
                 future = client.submit(
                     propagate_on_worker,
-                    _absolute(task).with_threads(1),
+                    _absolute(task),
+                    settings,
                     __version__,
                     pure=False,
                     retries=retries,
@@ -131,25 +137,23 @@ def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
     from distributed.scheduler import KilledWorker
 
     try:
-        result = future.result()
+        return future.result()
     except KilledWorker:
         reason = "the workers that ran it were killed; do they have enough memory?"
     except FutureCancelledError:
         return None
     except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
         reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
-    else:
-        return replace(result, log=task.log, output=without_secret(task.job.output.path))
     return failed(task, f"{plain(task.log)}: {reason}")
 
 
-def propagate_on_worker(task: BatchTask, version: str) -> BatchResult:
+def propagate_on_worker(task: BatchTask, settings: BatchSettings, version: str) -> BatchResult:
     """Propagate one log in a worker, which must have the same version of quatprop."""
     if version != __version__:
         reason = f"its worker has quatprop {__version__}, not {version}; install the same version"
         return failed(task, f"{plain(task.log)}: {reason}")
     with _freed_memory_kept():
-        return propagate_log(task)
+        return propagate_log(task, settings)
 
 
 @contextmanager
@@ -175,9 +179,7 @@ def _freed_memory_kept() -> Iterator[None]:
 
 def _absolute(task: BatchTask) -> BatchTask:
     """Return a task whose log and output do not depend on the current folder."""
-    log, output = task.job.log, task.job.output
-    output = replace(output, path=_absolute_path(output.path))
-    return replace(task, job=replace(task.job, log=_absolute_path(log), output=output))
+    return task._replace(path=_absolute_path(task.path), output=_absolute_path(task.output))
 
 
 def _absolute_path(path: str) -> str:

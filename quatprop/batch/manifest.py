@@ -12,7 +12,7 @@ import json
 import os
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from io import FileIO
+from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,7 +141,8 @@ class Manifest:
         Other batches wait meanwhile: a table of fewer entries must not come after theirs.
         """
         with self._locked() as stream:
-            entries = {entry["output"]: entry for entry in entries_in(stream)}
+            lines = BufferedReader(stream)
+            entries = {entry["output"]: entry for entry in entries_in(lines)}
             write_table((entry for _, entry in sorted(entries.items())), self._table)
 
     @contextmanager
@@ -197,13 +198,13 @@ def options_digest(job: Job) -> str:
     return hashlib.sha256(repr((job.settings, replace(job.output, path=""))).encode()).hexdigest()
 
 
-def origin_digest(job: Job, options: str) -> str | None:
+def origin_digest(inputs: Iterable[str], options: str) -> str | None:
     """Return a digest of what an output is made from: version, settings, and the files it reads.
 
     None where a store does not say what it has.
     """
     files: list[tuple[object, ...]] = []
-    for name in (job.log, *job.settings.inputs.values()):
+    for name in inputs:
         if is_address(name):
             try:
                 files += objects_of(name)

@@ -7,8 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
 from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
@@ -18,7 +17,7 @@ from quatprop.containers.stores import is_address, without_secret
 from quatprop.containers.transfers import upload
 from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.pipeline.job import Job, run
-from quatprop.provenance import digest_of
+from quatprop.provenance import as_json, digest_of
 from quatprop.temp_files import temp_folder
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
@@ -29,40 +28,71 @@ if TYPE_CHECKING:
 
     from quatprop.batch.logs import FoundLog
     from quatprop.batch.manifest import Manifest
+    from quatprop.containers.base import Loss
     from quatprop.pipeline.report import RunReport
 
 REQUESTS = 32
 """Logs in an object store about which it is asked at a time."""
 
 
-@dataclass(frozen=True, slots=True)
-class BatchTask:
-    """One log of a batch.
+class BatchTask(NamedTuple):
+    """One log of a batch; small, as it is sent to a process.
 
     Parameters
     ----------
-    job
-        How it is propagated, and where its output goes.
+    path
+        The log's path or address.
+    output
+        The path or the address of its attitudes.
     name
         Path of the output in the folder of the batch.
     maybe
         As for :class:`quatprop.batch.logs.FoundLog`.
     """
 
-    job: Job
+    path: str
+    output: str
     name: str
     maybe: bool = False
-
-    def with_threads(self, count: int) -> BatchTask:
-        """Return the task with so many threads, unless its settings say how many."""
-        settings = self.job.settings
-        settings = replace(settings, threads=settings.threads or count)
-        return replace(self, job=replace(self.job, settings=settings))
 
     @property
     def log(self) -> str:
         """The log as it may be shown."""
-        return without_secret(self.job.log)
+        return without_secret(self.path)
+
+
+@dataclass(frozen=True, slots=True)
+class BatchSettings:
+    """What all logs of a batch share.
+
+    Parameters
+    ----------
+    job
+        How logs are propagated; its paths are ignored.
+    options
+        Digest of its settings.
+    reports
+        Whether results have the reports of the runs.
+    """
+
+    job: Job
+    options: str
+    reports: bool = False
+
+    @classmethod
+    def of(cls, job: Job, *, reports: bool = False) -> BatchSettings:
+        """Return the settings of a batch, with the digest."""
+        return cls(job, options_digest(job), reports)
+
+    def with_threads(self, count: int) -> BatchSettings:
+        """Return the same with so many threads, unless the settings say how many."""
+        settings = self.job.settings
+        settings = replace(settings, threads=settings.threads or count)
+        return replace(self, job=replace(self.job, settings=settings))
+
+    def origin(self, task: BatchTask) -> str | None:
+        """Return the digest of what the output of a log is made from; None if it is not known."""
+        return origin_digest([task.path, *self.job.settings.inputs.values()], self.options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +101,21 @@ class BatchResult:
 
     Parameters
     ----------
-    log, output
-        The log, and where its attitudes are.
     entry
         What the manifest records.
     error
         Why there are no attitudes; empty where there are.
+    remarks, losses
+        As in the report.
     report
-        The report of the run; None where there are no attitudes.
+        The report of the run, as JSON; None if it is not wanted, or where there are no attitudes.
     """
 
-    log: str
-    output: str
     entry: ManifestEntry
     error: str | Text = ""
-    report: RunReport | None = None
+    remarks: tuple[str | Text, ...] = ()
+    losses: tuple[Loss, ...] = ()
+    report: Any = None
 
 
 def plan(
@@ -128,12 +158,13 @@ def plan(
                 f"{quoted(log_name(log.path))}; ",
                 OTHER_OUTPUT,
             )
-        output = replace(job.output, path=path)
-        tasks.append(BatchTask(replace(job, log=log.path, output=output), name, log.maybe))
+        tasks.append(BatchTask(log.path, path, name, log.maybe))
     return tasks
 
 
-def outdated(tasks: Iterable[BatchTask], manifest: Manifest) -> list[BatchTask]:
+def outdated(
+    tasks: Iterable[BatchTask], settings: BatchSettings, manifest: Manifest
+) -> list[BatchTask]:
     """Return the tasks whose outputs are not there, or were made from something else."""
     entries, is_there = manifest.entries(), manifest.existing_outputs()
 
@@ -143,24 +174,23 @@ def outdated(tasks: Iterable[BatchTask], manifest: Manifest) -> list[BatchTask]:
             return False
         if not is_there(task.name):
             return False
-        return bool(entry["origin"] == origin_digest(task.job, options_digest(task.job)))
+        return bool(entry["origin"] == settings.origin(task))
 
     tasks = list(tasks)
-    if not any(is_address(task.job.log) for task in tasks):
+    if not any(is_address(task.path) for task in tasks):
         return [task for task in tasks if not is_current(task)]
     with ThreadPoolExecutor(REQUESTS) as pool:
         current = pool.map(is_current, tasks)
         return [task for task, is_done in zip(tasks, current, strict=True) if not is_done]
 
 
-def propagate_log(task: BatchTask) -> BatchResult:
+def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
     began = time.perf_counter()
     # Before the log is read: if it changes meanwhile, the next batch propagates it again.
-    options = options_digest(task.job)
-    origin = origin_digest(task.job, options)
+    origin = settings.origin(task)
     try:
-        result = _done(task)
+        result = _done(task, settings)
     except QuatpropError as error:
         no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
         result = failed(task, error.text, "no rates" if no_log else "failed")
@@ -169,37 +199,46 @@ def propagate_log(task: BatchTask) -> BatchResult:
             raise
         result = failed(task, Text(f"{plain(task.log)}: ", user_error.text))
     seconds = time.perf_counter() - began
-    entry = replace(result.entry, seconds=seconds, options=options, origin=origin)
+    entry = replace(result.entry, seconds=seconds, options=settings.options, origin=origin)
     return replace(result, entry=entry)
 
 
-def _done(task: BatchTask) -> BatchResult:
+def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an output for an object store is made here, and copied there."""
-    job = task.job
-    path = job.output.path
-    if not is_address(path):
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        report = run(job, summary=False)
-        return BatchResult(task.log, path, _entry_of(task, report, path), report=report)
+    if not is_address(task.output):
+        os.makedirs(os.path.dirname(task.output) or ".", exist_ok=True)  # noqa: PTH103, PTH120
+        return _propagated(task, settings, task.output)
     temp = temp_folder()
     try:
-        local = temp.path / os.path.basename(path.partition("?")[0])  # noqa: PTH119
-        report = run(replace(job, output=replace(job.output, path=str(local))), summary=False)
-        entry = _entry_of(task, report, str(local))
-        upload(local, path)
+        local = temp.path / os.path.basename(task.output.partition("?")[0])  # noqa: PTH119
+        result = _propagated(task, settings, str(local))
+        upload(local, task.output)
     finally:
         temp.remove()
-    return BatchResult(task.log, without_secret(path), entry, report=report)
+    return result
+
+
+def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
+    """Propagate one log into a file of this machine."""
+    job = settings.job
+    job = replace(job, log=task.path, output=replace(job.output, path=path))
+    report = run(job, summary=False)
+    return BatchResult(
+        _entry_of(task, report, path),
+        remarks=report.remarks,
+        losses=report.losses,
+        report=as_json(report.as_json()) if settings.reports else None,
+    )
 
 
 def _entry_of(task: BatchTask, report: RunReport, path: str) -> ManifestEntry:
     log, result = report.source.digest, report.result
-    if log.sha256 is None and not is_address(task.job.log):
-        log = digest_of(task.job.log)
+    if log.sha256 is None and not is_address(task.path):
+        log = digest_of(task.path)
     output = digest_of(path)
     return ManifestEntry(
         state="data lost" if report.data_lost else "done",
-        log=log_name(task.job.log),
+        log=log_name(task.path),
         output=task.name,
         samples=result.samples,
         rows=result.rows,
@@ -219,13 +258,16 @@ def _entry_of(task: BatchTask, report: RunReport, path: str) -> ManifestEntry:
 
 def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
     """Return the result of a log without attitudes."""
-    entry = ManifestEntry(state, log_name(task.job.log), task.name, error=str(error))
-    return BatchResult(task.log, task.job.output.path, entry, error)
+    return BatchResult(
+        ManifestEntry(state, log_name(task.path), task.name, error=str(error)), error
+    )
 
 
-def propagate_and_record(task: BatchTask, manifest: Manifest) -> BatchResult:
+def propagate_and_record(
+    task: BatchTask, settings: BatchSettings, manifest: Manifest
+) -> BatchResult:
     """Propagate one log, and record it at once: nothing complete is done again after a kill."""
-    result = propagate_log(task)
+    result = propagate_log(task, settings)
     try:
         manifest.append(result.entry)
     except OutputError as error:  # the store has gone
@@ -234,7 +276,11 @@ def propagate_and_record(task: BatchTask, manifest: Manifest) -> BatchResult:
 
 
 def on_this_machine(
-    tasks: Sequence[BatchTask], processes: int, manifest: Manifest, retries: int = 0
+    tasks: Sequence[BatchTask],
+    settings: BatchSettings,
+    processes: int,
+    manifest: Manifest,
+    retries: int = 0,
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log as soon as it is done.
 
@@ -242,6 +288,8 @@ def on_this_machine(
     ----------
     tasks
         One for each log.
+    settings
+        What they share.
     processes
         Number of logs at a time.
     manifest
@@ -256,6 +304,6 @@ def on_this_machine(
         return result
 
     threads = max(1, available_cores() // max(1, min(processes, len(tasks))))
-    tasks = [task.with_threads(threads) for task in tasks]
-    work = partial(propagate_and_record, manifest=manifest)
+    settings = settings.with_threads(threads)
+    work = partial(propagate_and_record, settings=settings, manifest=manifest)
     return map_processes(work, tasks, processes, on_killed, isolated=True, retries=retries)

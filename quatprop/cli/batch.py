@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.run import BatchResult, BatchTask
-    from quatprop.pipeline.report import RunReport
+    from quatprop.batch.run import BatchResult, BatchSettings, BatchTask
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -86,7 +85,7 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     DIR/manifest.jsonl lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.run import outdated, plan
+    from quatprop.batch.run import BatchSettings, outdated, plan
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
     from quatprop.cli.progress import bar, on_terminal
 
@@ -105,10 +104,11 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**options, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
-    tasks = outdated(planned, manifest) if batch["skip_existing"] else planned
+    settings = BatchSettings.of(job, reports=as_json)
+    tasks = outdated(planned, settings, manifest) if batch["skip_existing"] else planned
     if tasks:
         manifest.prepare()
-    with closing(_results(tasks, batch, manifest)) as results:
+    with closing(_results(tasks, settings, batch, manifest)) as results:
         meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
         shown = _Shown(tasks, meter, quiet=quiet, keeps=as_json)
         with meter:
@@ -156,15 +156,15 @@ def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
 
 
 def _results(
-    tasks: list[BatchTask], batch: Mapping[str, Any], manifest: Manifest
+    tasks: list[BatchTask], settings: BatchSettings, batch: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
     from quatprop.batch.cluster import on_a_cluster
     from quatprop.batch.run import on_this_machine
 
     if batch["dask"] is not None:
-        return on_a_cluster(tasks, batch["dask"], manifest, batch["retries"])
+        return on_a_cluster(tasks, settings, batch["dask"], manifest, batch["retries"])
     processes = batch["processes"] or os.cpu_count() or 1
-    return on_this_machine(tasks, processes, manifest, batch["retries"])
+    return on_this_machine(tasks, settings, processes, manifest, batch["retries"])
 
 
 class _Shown:
@@ -179,7 +179,7 @@ class _Shown:
         self.reports: dict[int, Any] = {}
         self._errors: list[str] = []
         self._samples = 0
-        self._total, self._quiet, self._keeps = len(tasks), quiet, keeps
+        self._tasks, self._quiet, self._keeps = tasks, quiet, keeps
         self._width = max((len(plain(task.log)) for task in tasks), default=0)
         self._meter = meter
 
@@ -189,13 +189,14 @@ class _Shown:
 
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
+        task = self._tasks[index]
         if self._keeps:
-            self.reports[index] = _report(result)
+            self.reports[index] = _report(task, result)
         if result.entry.state == "failed":
             self._errors.append(spelled(result.error))
             self._say(f"Error: {self._errors[-1]}")
-        elif not self._quiet and result.report is not None:
-            self._say(_line(result, result.report, self._width))
+        elif not self._quiet and result.entry.span_s is not None:
+            self._say(_line(task, result, result.entry.span_s, self._width))
         self._meter.update()
 
     def _say(self, text: str) -> None:
@@ -205,16 +206,16 @@ class _Shown:
 
     def finish(self, skipped: int, other_files: int) -> None:
         """Show the errors again, which may have scrolled away, and the totals."""
-        if self._errors and self._total > 1:
+        if self._errors and len(self._tasks) > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
-        if not self._total:
+        if not self._tasks:
             what = "its output is" if skipped == 1 else f"all {skipped} outputs are"
             click.echo(f"nothing to do: {what} up to date", err=True)
             return
         tables = self.states["no rates"]
-        logs = self._total - tables
+        logs = len(self._tasks) - tables
         text = f"{logs - self.states['failed']} of {logs} logs done, {self._samples:,} samples"
         if skipped:
             text += f"; {skipped} skipped, as their outputs are up to date"
@@ -223,29 +224,28 @@ class _Shown:
         click.echo(text + "; ignored " * bool(ignored) + " and ".join(ignored), err=True)
 
 
-def _line(result: BatchResult, report: RunReport, width: int) -> str:
+def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> str:
     """Return the result of one log in a line, and its warnings and losses below."""
     from quatprop.cli.spelling import spelled
+    from quatprop.containers.stores import without_secret
     from quatprop.rendering import loss_lines
     from quatprop.text import plain
     from quatprop.times import duration_text
 
-    counts = report.counts
-    samples = f"{counts.used:>12,} samples over {duration_text(counts.span_ns):<10}"
-    lines = [f"{plain(result.log):<{width}}  {samples}  -> {plain(result.output)}"]
-    lines += [f"  warning: {spelled(remark)}" for remark in report.remarks]
-    return "\n".join(lines + [f"  {line}" for line in loss_lines(report.losses)])
+    span = duration_text(round(span_s * 1e9))
+    samples = f"{result.entry.samples:>12,} samples over {span:<10}"
+    lines = [f"{plain(task.log):<{width}}  {samples}  -> {plain(without_secret(task.output))}"]
+    lines += [f"  warning: {spelled(remark)}" for remark in result.remarks]
+    return "\n".join(lines + [f"  {line}" for line in loss_lines(result.losses)])
 
 
-def _report(result: BatchResult) -> Any:
-    from quatprop.provenance import as_json
+def _report(task: BatchTask, result: BatchResult) -> dict[str, object]:
+    from quatprop.containers.stores import without_secret
 
-    return as_json(
-        {
-            "log": result.log,
-            "output": result.output,
-            "error": str(result.error) or None,
-            "seconds": result.entry.seconds,
-            "report": result.report and result.report.as_json(),
-        }
-    )
+    return {
+        "log": task.log,
+        "output": without_secret(task.output),
+        "error": str(result.error) or None,
+        "seconds": result.entry.seconds,
+        "report": result.report,
+    }
