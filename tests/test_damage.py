@@ -30,7 +30,7 @@ from quatprop.messages.definitions import message_type
 from quatprop.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
-CUTS = 200
+CUTS = 120
 CUT_LOGS = [
     "small.csv",
     "semicolons.csv",

@@ -5,7 +5,7 @@ from decimal import Decimal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 from messages_reference import block_of
@@ -244,6 +244,7 @@ stamps = st.fixed_dictionaries({"sec": st.integers(0, 2**31), "nanosec": st.inte
         min_size=1,
     )
 )  # fmt: skip
+@settings(max_examples=50)
 def test_all_at_once_is_one_by_one(messages):
     """Random messages, with fields that come and go."""
     sample = {"a": {"x": 1, "y": 2, "z": 3}, "b": {"stamp": {"sec": 1, "nanosec": 2}, "c": 4}}
