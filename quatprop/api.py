@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Unpack
 
+    from numpy.typing import NDArray
+
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import CompareOptions
     from quatprop.containers.base import Loss
@@ -47,6 +49,12 @@ class PropagatedSeries(AttitudeSeries):
     """
 
     report: RunReport = field(kw_only=True, compare=False, repr=False)
+
+    def __getitem__(  # type: ignore[override]  # of no series with a report
+        self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]
+    ) -> AttitudeSeries:
+        """Return some attitudes; the report is about all of them."""
+        return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
 
 
 def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:

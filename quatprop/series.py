@@ -6,8 +6,8 @@ one are the same type: readers yield many short series in order, writers take th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
 """Names of the columns of standard deviations, rad."""
 
-Scalar = TypeVar("Scalar", bound=np.generic)
-
 BLOCK = 131_072
 """Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
 
@@ -41,7 +39,54 @@ def blocks(rows: int) -> Iterator[slice]:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class GyroSeries:
+class _Series:
+    """What series of rates and of attitudes have in common: columns with a row for each stamp."""
+
+    t_ns: Int64
+    _rows: ClassVar[str]
+
+    def _keep(self, **columns: NDArray[Any] | None) -> None:
+        """Keep columns as read-only arrays."""
+        for name, values in columns.items():
+            if values is not None:
+                view = values.view()
+                view.setflags(write=False)
+                object.__setattr__(self, name, view)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+        """Return some rows: views for a slice, copies for a mask or positions."""
+
+        def column(name: str) -> Any:
+            values = getattr(self, name)
+            return values[chosen] if isinstance(values, np.ndarray) else values
+
+        return type(self)(*(column(field.name) for field in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return series, at least one and all with the same columns, as one."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def column(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
+
+        return cls(*(column(field.name) for field in fields(cls)))
+
+    def __repr__(self) -> str:
+        name, t_ns = type(self).__name__, self.t_ns
+        if not len(t_ns):
+            return f"<{name}: no {self._rows}>"
+        span = duration_text(int(t_ns[-1]) - int(t_ns[0]))
+        return f"<{name}: {len(t_ns):,} {self._rows} over {span} from t = {t_ns[0]} ns>"
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class GyroSeries(_Series):
     """Angular rates of the body relative to the reference, in time.
 
     Arrays, lists, and columns or tables of pandas, polars and Arrow are taken, and kept as
@@ -74,32 +119,21 @@ class GyroSeries:
     dtype('float64')
     """
 
-    t_ns: Int64
+    _rows: ClassVar = "samples"
+
     rate: Float64
     span_ns: Int64 | None = None
     averages: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
-        rate = rows_of("rate", self.rate, len(self.t_ns), 3)
-        object.__setattr__(self, "rate", _read_only(rate))
-        if self.span_ns is not None:
-            object.__setattr__(self, "span_ns", _read_only(stamps_of("span_ns", self.span_ns)))
-            if len(self.span_ns) != len(self.t_ns):
+        t_ns, span_ns = stamps_of("t_ns", self.t_ns), self.span_ns
+        if span_ns is not None:
+            span_ns = stamps_of("span_ns", span_ns)
+            if len(span_ns) != len(t_ns):
                 raise SeriesError(
-                    f"Expected `span_ns` of shape ({len(self.t_ns)},), got {self.span_ns.shape}"
+                    f"Expected `span_ns` of shape ({len(t_ns)},), got {span_ns.shape}"
                 )
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        """Return some samples: views for a slice, copies for a mask or positions."""
-        span_ns = None if self.span_ns is None else self.span_ns[chosen]
-        return type(self)(self.t_ns[chosen], self.rate[chosen], span_ns, self.averages)
-
-    def __repr__(self) -> str:
-        return _summary(self, "samples")
+        self._keep(t_ns=t_ns, rate=rows_of("rate", self.rate, len(t_ns), 3), span_ns=span_ns)
 
     def is_integrated(self, method: str) -> bool:
         """Tell whether a method takes each sample as the whole rotation since the one before.
@@ -145,19 +179,6 @@ class GyroSeries:
         """Return the same samples with other rates, shape ``(N, 3)``, rad/s."""
         return replace(self, rate=rate)
 
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return series, at least one and all of the same kind, as one."""
-        if len(parts) == 1:
-            return parts[0]
-        spans = [part.span_ns for part in parts if part.span_ns is not None]
-        return cls(
-            np.concatenate([part.t_ns for part in parts]),
-            np.concatenate([part.rate for part in parts]),
-            np.concatenate(spans) if spans else None,
-            parts[0].averages,
-        )
-
 
 def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
     """Cut a stream of samples at fixed sample indices, wherever its batches ended.
@@ -192,7 +213,7 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class AttitudeSeries:
+class AttitudeSeries(_Series):
     """Attitudes of the body, in time.
 
     Takes what :class:`GyroSeries` takes.
@@ -220,57 +241,32 @@ class AttitudeSeries:
         The shapes or the types do not fit.
     """
 
-    t_ns: Int64
+    _rows: ClassVar = "attitudes"
+
     wxyz: Float64
     position: Float64 | None = None
     covariance: Float64 | None = None
     rate: Float64 | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", _read_only(stamps_of("t_ns", self.t_ns)))
-        wxyz = rows_of("wxyz", self.wxyz, len(self.t_ns), 4)
-        object.__setattr__(self, "wxyz", _read_only(wxyz))
+        t_ns = stamps_of("t_ns", self.t_ns)
+        rows = {"wxyz": rows_of("wxyz", self.wxyz, len(t_ns), 4)}
         for name in ("position", "rate"):
             if (values := getattr(self, name)) is not None:
-                rows = rows_of(name, values, len(self.t_ns), 3)
-                object.__setattr__(self, name, _read_only(rows))
-        if self.covariance is not None:
-            covariance = np.asarray(self.covariance, np.float64)
-            if covariance.shape != (len(self.t_ns), 3, 3):
+                rows[name] = rows_of(name, values, len(t_ns), 3)
+        covariance = self.covariance
+        if covariance is not None:
+            covariance = np.asarray(covariance, np.float64)
+            if covariance.shape != (len(t_ns), 3, 3):
                 raise SeriesError(
-                    f"Expected `covariance` of shape ({len(self.t_ns)}, 3, 3), got "
-                    f"{covariance.shape}"
+                    f"Expected `covariance` of shape ({len(t_ns)}, 3, 3), got {covariance.shape}"
                 )
-            object.__setattr__(self, "covariance", _read_only(covariance))
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
+        self._keep(t_ns=t_ns, covariance=covariance, **rows)
 
     @classmethod
     def from_seconds(cls, t_s: Float64, wxyz: Float64) -> Self:
         """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
         return cls(seconds_in_ns("t_s", t_s), wxyz)
-
-    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> AttitudeSeries:
-        """Return some attitudes: views for a slice, copies for a mask or positions."""
-        beside = (
-            None if values is None else values[chosen]
-            for values in (self.position, self.covariance, self.rate)
-        )
-        return AttitudeSeries(self.t_ns[chosen], self.wxyz[chosen], *beside)
-
-    def __repr__(self) -> str:
-        return _summary(self, "attitudes")
-
-    @staticmethod
-    def joined(parts: Sequence[AttitudeSeries]) -> AttitudeSeries:
-        """Return series, at least one and all with the same columns, as one."""
-
-        def column(name: str) -> Any:
-            values = [getattr(part, name) for part in parts]
-            return None if values[0] is None else np.concatenate(values)
-
-        return AttitudeSeries(*map(column, ("t_ns", "wxyz", "position", "covariance", "rate")))
 
     @property
     def sigma(self) -> Float64 | None:
@@ -335,14 +331,6 @@ class AttitudeSeries:
         return _data_frame(self.to_arrow(scalar_first=scalar_first))
 
 
-def _summary(series: GyroSeries | AttitudeSeries, what: str) -> str:
-    name, t_ns = type(series).__name__, series.t_ns
-    if not len(t_ns):
-        return f"<{name}: no {what}>"
-    span = duration_text(int(t_ns[-1]) - int(t_ns[0]))
-    return f"<{name}: {len(t_ns):,} {what} over {span} from t = {t_ns[0]} ns>"
-
-
 def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:
     import pyarrow as pa
 
@@ -358,9 +346,3 @@ def _data_frame(table: pa.Table) -> Any:
     except ImportError as error:
         raise UsageError("to_pandas() needs pandas; install it with pip install pandas") from error
     return table.to_pandas()
-
-
-def _read_only(values: NDArray[Scalar]) -> NDArray[Scalar]:
-    view = values.view()
-    view.setflags(write=False)
-    return view
