@@ -18,6 +18,7 @@ from test_containers_ulog import added, gyro, write
 from quatprop import read_rates
 from quatprop.cli import cli
 from quatprop.containers.file_source import FileSource
+from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import RemarkWarning, UnreadableLogError
 from quatprop.formats import open_log
 
@@ -140,10 +141,14 @@ def test_a_topic_of_two_types_is_remarked_on(tmp_path):
     )
 
 
-def test_a_topic_with_two_definitions_is_read_by_both(tmp_path):
+def test_a_topic_with_two_definitions_is_read_by_both(tmp_path, monkeypatch):
     """Each recorder writes the definition that it has; messages come in order of their times."""
     log, other = write_mcap(tmp_path / "log.mcap", count=40), tmp_path / "other.mcap"
+    read = []
+    original = McapLog.blocks
+    monkeypatch.setattr(McapLog, "blocks", lambda *one: read.append(one) or original(*one))
     expected = read_rates(log, topic="/imu")
+    reads_of_one = len(read)
     with log.open("rb") as file:
         messages = list(make_reader(file).iter_messages(topics=["/imu"]))
     schema = messages[0][0]
@@ -164,6 +169,7 @@ def test_a_topic_with_two_definitions_is_read_by_both(tmp_path):
     recorded = "topic '/imu' was recorded with 2 different message definitions, "
     with pytest.warns(RemarkWarning, match=recorded + "each of which was read by its own"):
         found = read_rates(other)
+    assert len(read) == 3 * reads_of_one
     assert found.t_ns.tolist() == expected.t_ns.tolist()
     assert found.rate.tolist() == expected.rate.tolist()
     # Of attitudes neither --topic nor --quat-field could tell one from the other.

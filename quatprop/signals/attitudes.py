@@ -24,7 +24,7 @@ from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
-from quatprop.signals.message_values import FieldReader, stamps_logged, timed_values
+from quatprop.signals.message_values import FieldReader, logged_values, stamps_of, timed_values
 from quatprop.signals.signal import AttitudeSignal
 from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
@@ -160,7 +160,7 @@ def _of_field(
         remarks=remarks + clock.remarks,
         provenance=provenance,
         read=read,
-        stamps=partial(stamps_logged, log, channel, reader()),
+        stamps=lambda: stamps_of(logged_values(log, channel, reader())),
         has_positions=field.position is not None,
         may_have_covariances=field.covariance is not None and meaning == HAMILTON,
         placeholder=placeholder,
@@ -189,14 +189,15 @@ def _of_transforms(
     frames = chosen_frames(log, channel, selection.frame)
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
     reader = TransformReader(log, channel, frames, clock)
-    stamps = partial(stamps_logged, log, channel, reader)
 
     def read(*, positions: bool = False, covariances: bool = False) -> Rows:
         rows = timed_values(log, channel, reader)
         order = SCALAR_FIRST.order
         return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
 
-    if clock.name == "header" and are_all((t_ns for t_ns, _ in stamps()), 0):
+    if clock.name == "header" and are_all(
+        (t_ns for t_ns, *_ in timed_values(log, channel, reader)), 0
+    ):
         raise zero_stamps(log, channel)
     return AttitudeSignal(
         name=channel.topic,
@@ -207,7 +208,7 @@ def _of_transforms(
         clock=clock.name,
         provenance=provenance,
         read=read,
-        stamps=stamps,
+        stamps=lambda: stamps_of(logged_values(log, channel, reader)),
         has_positions=True,
     )
 

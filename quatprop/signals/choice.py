@@ -20,8 +20,7 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.messages.definitions import message_type
-from quatprop.series import GyroSeries
-from quatprop.signals.message_values import channels_of
+from quatprop.signals.message_values import channels_of, series_of, stamps_of
 from quatprop.signals.signal import RateSignal, Signal, no_parts
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -143,15 +142,9 @@ def _joined(log: MessageLog | TableLog, signals: list[SignalT]) -> SignalT:
             "definitions, which are not read together; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
         )
-    averages = first.method == "end"
 
     def merged() -> Iterator[Columns]:
-        return merge_by_time([_logged(s) for s in signals if isinstance(s, RateSignal)])
-
-    def batches() -> Iterator[GyroSeries]:
-        for columns in merged():
-            t_ns, rate, *spans = columns.values
-            yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
+        return merge_by_time([s.rows() for s in signals if isinstance(s, RateSignal)])
 
     remark = (
         f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
@@ -159,18 +152,12 @@ def _joined(log: MessageLog | TableLog, signals: list[SignalT]) -> SignalT:
     )
     return replace(
         first,
-        stamps=lambda: ((columns.values[0], columns.log_ns) for columns in merged()),
-        batches=batches,
+        stamps=lambda: stamps_of(merged()),
+        batches=lambda: series_of(merged(), averages=first.method == "end"),
+        rows=merged,
         part_reader=no_parts,
         remarks=(*first.remarks, remark),
     )
-
-
-def _logged(signal: RateSignal) -> Iterator[Columns]:
-    """Yield the samples of a signal with their log times."""
-    for (_, log_ns), series in zip(signal.stamps(), signal.batches(), strict=True):
-        spans = () if series.span_ns is None else (series.span_ns,)
-        yield Columns(log_ns, (series.t_ns, series.rate, *spans))
 
 
 def message_candidates(

@@ -18,9 +18,10 @@ from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.progress import metered
+from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -165,27 +166,33 @@ def timed_values(
         What the reader gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
         ``(N, k)``, float64, first.
     """
-    for columns in _in_log_order(log, channel, reader, within):
+    for columns in logged_values(log, channel, reader, within):
         yield columns.values
 
 
-def stamps_logged(
-    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
-) -> Iterator[tuple[Int64, Int64]]:
-    """Yield the stamps of one channel and their log times, in order of the log times.
-
-    Yields
-    ------
-    tuple
-        Shapes ``(N,)``, int64 ns.
-    """
-    for columns in _in_log_order(log, channel, reader, within):
+def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of rows and their log times, shapes ``(N,)``, int64 ns."""
+    for columns in rows:
         yield columns.values[0], columns.log_ns
 
 
-def _in_log_order(
-    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None
+def series_of(rows: Iterable[Columns], *, averages: bool) -> Iterator[GyroSeries]:
+    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans."""
+    for columns in rows:
+        t_ns, rate, *spans = columns.values
+        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
+
+
+def logged_values(
+    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
 ) -> Iterator[Columns]:
+    """Yield the values of one channel with their log times, in order of these.
+
+    Parameters
+    ----------
+    log, channel, reader, within
+        As for :func:`timed_values`.
+    """
     every = blocks_of(log, channel) if within is None else log.blocks_within(channel, within)
     blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
     batches = (_readable(log, channel, reader, block) for block in blocks)

@@ -13,7 +13,7 @@ from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
 from quatprop.signals.clock import choose_clock
-from quatprop.signals.message_values import stamps_logged, timed_values
+from quatprop.signals.message_values import logged_values, series_of, stamps_of
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
 from quatprop.tables.base import is_table
@@ -21,13 +21,13 @@ from quatprop.tables.matching.column_names import SCALED_RATE_UNITS
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.merge import Columns
     from quatprop.containers.time_range import TimeRange
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
-    from quatprop.signals.message_values import MessageReader
     from quatprop.signals.time_ranges import RangeReader, TableRangeReader
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
@@ -152,40 +152,41 @@ def _of_field(
             f"the unit of field {quoted(field.name)} in topic {quoted(channel.topic)}",
             Setting("rate_unit", "rad/s|deg/s"),
         )
-    scale *= UNITS[unit]
+    factor, averages = scale * UNITS[unit], field.method == "end"
     clock = choose_clock(log, channel, field.stamps, selection)
     reader = partial(rate_reader, log, channel, field, clock)
+
+    def rows(within: TimeRange | None = None) -> Iterator[Columns]:
+        for columns in logged_values(log, channel, reader(), within):
+            t_ns, rate, *spans = columns.values
+            if factor != 1.0:
+                rate *= factor
+            yield replace(columns, values=(t_ns, rate, *spans))
+
+    def batches(within: TimeRange | None = None) -> Iterator[GyroSeries]:
+        return series_of(rows(within), averages=averages)
+
+    def part_reader() -> RangeReader | None:
+        span = log.recorded_span(channel)
+        if span is None:
+            return None
+        from quatprop.signals.time_ranges import RangeReader
+
+        return RangeReader(span, lambda within: stamps_of(rows(within)), batches)
+
     return RateSignal(
         name=channel.topic,
         type_name=channel.type_name,
         field=field.name,
         clock=clock.name,
         remarks=(*_remarks(channel, field, selection.rate_unit), *clock.remarks),
-        stamps=lambda: stamps_logged(log, channel, reader()),
-        batches=lambda: _samples(log, channel, field, reader(), scale),
+        stamps=lambda: stamps_of(rows()),
+        batches=batches,
+        rows=rows,
         unit=unit,
         method=field.method,
         increments=field.span is not None,
-        part_reader=partial(_part_reader, log, channel, field, reader, scale),
-    )
-
-
-def _part_reader(
-    log: MessageLog,
-    channel: Channel,
-    field: RateField,
-    reader: Callable[[], MessageReader],
-    scale: float,
-) -> RangeReader | None:
-    span = log.recorded_span(channel)
-    if span is None:
-        return None
-    from quatprop.signals.time_ranges import RangeReader
-
-    return RangeReader(
-        span,
-        lambda within: stamps_logged(log, channel, reader(), within),
-        lambda within: _samples(log, channel, field, reader(), scale, within),
+        part_reader=part_reader,
     )
 
 
@@ -199,18 +200,3 @@ def _remarks(channel: Channel, field: RateField, unit: str | None) -> Iterator[s
             f"{channel.type_name} has its rates in {field.unit}, by definition; they are read as "
             f"{unit}, as asked for"
         )
-
-
-def _samples(  # noqa: PLR0913, PLR0917  # what to read, and how
-    log: MessageLog,
-    channel: Channel,
-    field: RateField,
-    reader: MessageReader,
-    scale: float,
-    within: TimeRange | None = None,
-) -> Iterator[GyroSeries]:
-    """Yield the rates of one channel in order of their log times."""
-    averages = field.method == "end"
-    for t_ns, rate, *spans in timed_values(log, channel, reader, within):
-        span_ns = spans[0] if spans else None
-        yield GyroSeries(t_ns, rate if scale == 1.0 else rate * scale, span_ns, averages)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conditioning.time_range import PartReader
+    from quatprop.containers.merge import Columns
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.series import GyroSeries
@@ -79,6 +80,9 @@ class RateSignal(Signal):
         The integration rule that fits the sensor, where the definition of its messages says it.
     increments
         Whether samples are increments, which the sensor has integrated.
+    rows
+        Reads the samples of messages with their log times: their values are the arguments of
+        :class:`quatprop.series.GyroSeries`; nothing for a table.
     """
 
     batches: Callable[[], Iterator[GyroSeries]]
@@ -86,6 +90,7 @@ class RateSignal(Signal):
     method: str | None = None
     increments: bool = False
     part_reader: Callable[[], PartReader | None] = no_parts
+    rows: Callable[[], Iterator[Columns]] = lambda: iter(())
 
     @property
     def samples(self) -> str:
