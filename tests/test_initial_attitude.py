@@ -370,5 +370,6 @@ def test_a_series_that_begins_later_says_by_how_much(tmp_path):
     result = run(SAMPLES / "tumbling.bag", "-o", tmp_path / "out.csv", "--q0", late)
     assert (
         "late.csv: its first attitude is 15 s after the first sample that is used "
-        "(1700000015000000000 and 1700000000000000000 ns); are both on the same clock?"
+        "(1700000015000000000 and 1700000000000000000 ns); are both on the same clock? "
+        "If so, begin there with --start 1700000015000000000\n"
     ) in result.stderr

@@ -231,6 +231,11 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
             f"its {word} attitude is {duration_text(abs(stamp - t_ns))} "
             f"{'after' if stamp > t_ns else 'before'} the first sample that is used ({stamp} and "
             f"{t_ns} ns); are both on the same clock?",
+            *(
+                (" If so, begin there with ", Setting("start", str(stamp)))
+                if before is None
+                else ()
+            ),
         )
     if after[0] - before[0] > MAX_INTERPOLATION_NS:
         raise TimelineError(
