@@ -25,8 +25,8 @@ def option(setting: Setting, side: str = "") -> str:
     if side and side not in LOOKUPS and setting.name not in _once():
         name += f"-{side}"
     text = f"--{name} {setting.value}" if setting.value else f"--{name}"
-    # Attitudes of a file that is only looked up have no options of their own.
-    return f"{text} of quatprop convert" if side in LOOKUPS else text
+    # Attitudes of a file that is only looked up have no options of their own; start is the run's.
+    return f"{text} of quatprop convert" if side in LOOKUPS and name != "start" else text
 
 
 def _once() -> set[str]:
