@@ -63,22 +63,22 @@ class CaseComparison:
         The worst error, rad; None where they cannot be compared.
     where
         The time of the worst error.
+    summary
+        The worst error, the tolerance, where, and what else was judged: errors in sigma, and how
+        much of the reference was compared; empty where they cannot be compared.
     failure
         Why the error is not accepted; empty where it is.
     cause
         The likely cause of the error; empty where none is known.
-    also
-        What else was judged: errors in sigma, and how much of the reference was
-        compared; may be empty.
     report
         The report of the comparison, JSON-ready; None where there is none.
     """
 
     error_rad: float | None
     where: str = ""
+    summary: str = ""
     failure: str = ""
     cause: str = ""
-    also: str = ""
     report: Mapping[str, object] | None = None
 
 
@@ -136,12 +136,13 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         for one in result.criteria
         if not one.passed and (one.setting, one.unit) != ("tol", "rad")
     ]
+    where, also = f"at {_since(result.worst.t_ns, first_ns)}", "".join(map(_also, result.criteria))
     return CaseComparison(
         error_rad=result.worst.error_rad,
-        where=f"at {_since(result.worst.t_ns, first_ns)}",
+        where=where,
+        summary=_summary(case, result.worst.error_rad, f"{where}{also}"),
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes if one),
-        also="".join(map(_also, result.criteria)),
         report=result.report(),
     )
 
@@ -179,16 +180,14 @@ def angle_text(angle: float, *, in_degrees: bool) -> str:
     return f"{math.degrees(angle):.6g} deg" if in_degrees else f"{angle:.3g} rad"
 
 
-def error_text(case: Case, comparison: CaseComparison) -> str:
-    """Return the worst error, the tolerance, and where; empty where nothing was compared."""
-    if comparison.error_rad is None:
-        return ""
+def _summary(case: Case, error_rad: float, where: str) -> str:
+    """Return the worst error, the tolerance, and where."""
     error, *limit = (
         angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (comparison.error_rad, case.comparison.limit_rad)
+        for angle in (error_rad, case.comparison.limit_rad)
         if math.isfinite(angle)
     )
-    return f"{' of '.join([error, *limit])} {comparison.where}{comparison.also}"
+    return f"{' of '.join([error, *limit])} {where}"
 
 
 def _also(criterion: Criterion) -> str:

@@ -145,11 +145,9 @@ class _CaseParser:
         if "log" not in values:
             self._refuse('there is no log; name it with log = "PATH"')
         log = self._inputs["log"] = self._path("log")
-        texts = self._texts(PROPAGATION_KEYS)
-        parsed = self._parse(PROPAGATION_KEYS, texts)
+        parsed, texts = self._settings(PROPAGATION_KEYS)
         reference = self._reference()
-        reference_texts = self._texts(REFERENCE_KEYS)
-        given = self._parse(REFERENCE_KEYS, reference_texts)
+        given, reference_texts = self._settings(REFERENCE_KEYS)
         external = None
         if reference is None:
             path = self._path("reference-log") if "reference-log" in values else log
@@ -161,14 +159,19 @@ class _CaseParser:
         except UsageError as error:
             self._refuse(sentence(error))
         strict = pins_log and not {"time-offset", "match", "max-dt"} & values.keys()
-        comparison_texts = self._comparison_texts(stored=reference is not None)
-        if not strict and (reference is not None or not pins_log):
-            comparison_texts = {"min-coverage": DEFAULT_COVERAGE, **comparison_texts}
+        stored, usual = reference is not None, {}
+        if not strict and (stored or not pins_log):
+            usual["min-coverage"] = DEFAULT_COVERAGE
+        if stored:
+            usual["tol"] = DEFAULT_TOLERANCE
+        elif not {"tol", "max-sigma"} & values.keys():
+            self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
+        compared, comparison_texts = self._settings(COMPARISON_KEYS, usual)
         return Case(
             name=self._table.name,
             log=log,
             propagation=propagation,
-            comparison=comparison_settings(**self._parse(COMPARISON_KEYS, comparison_texts)),
+            comparison=comparison_settings(**compared),
             reference=reference,
             external=external,
             options=_options(parsed, texts),
@@ -206,21 +209,11 @@ class _CaseParser:
             )
         return reference
 
-    def _comparison_texts(self, *, stored: bool) -> dict[str, object]:
-        if not ({"tol", "max-sigma"} & self._values.keys() or stored):
-            self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
-        usual = {"tol": DEFAULT_TOLERANCE} if stored else {}
-        return {**usual, **self._texts(COMPARISON_KEYS)}
-
     def _path(self, key: str) -> str:
         value = self._values[key]
         if not isinstance(value, str) or not value or value == "-":
             self._refuse("this is not a path; write one as text, relative to the suite", key)
         return str(self._suite.path.parent / value)
-
-    def _texts(self, keys: Mapping[str, str]) -> dict[str, object]:
-        """Return values as text, as on the command line: 5 is no duration; true and false stay."""
-        return {key: self._text(key, value) for key, value in self._values.items() if key in keys}
 
     def _text(self, key: str, value: object) -> object:
         if isinstance(value, list):
@@ -231,9 +224,15 @@ class _CaseParser:
             self._refuse("this takes text, a number or a list of them", key)
         return value if isinstance(value, bool) else str(value)
 
-    def _parse(self, keys: Mapping[str, str], texts: Mapping[str, object]) -> dict[str, Any]:
-        """Return name of the setting -> parsed value."""
-        parsed = {}
+    def _settings(
+        self, keys: Mapping[str, str], usual: Mapping[str, str] | None = None
+    ) -> tuple[dict[str, Any], dict[str, object]]:
+        """Return the values of some keys by the name of their setting, and as text by their key.
+
+        Text is as on the command line: 5 is no duration; true and false stay.
+        """
+        own = {key: self._text(key, value) for key, value in self._values.items() if key in keys}
+        texts, parsed = {**(usual or {}), **own}, {}
         for key, text in texts.items():
             value = text
             if isinstance(text, str):
@@ -244,7 +243,7 @@ class _CaseParser:
                 parsed[keys[key]] = PARSERS[key](value)
             except UsageError as error:
                 self._refuse(error.text, key)
-        return parsed
+        return parsed, texts
 
     def _refuse(self, reason: str | Text, key: str | None = None) -> NoReturn:
         raise SuiteError(self._suite.path, reason, self._table.name, key)

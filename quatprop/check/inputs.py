@@ -16,7 +16,8 @@ MAX_TEXT = 1 << 28
 """Bytes of a file up to which it is looked at whether only its line ends changed."""
 
 _BAG_FILE = re.compile(r"metadata\.yaml|[^.].*\.(mcap|db3)(-wal|-journal|\.\w+)?|[^.].*\.(msg|idl)")
-"""Names of the files of a bag that are read: parts, also compressed, journals and definitions."""
+"""Names of the files of a bag that are read: parts, also compressed, journals and definitions;
+desktops leave others there."""
 
 LFS_POINTER = b"version https://git-lfs"
 """How a Git LFS pointer begins: the small file in place of one that was not downloaded."""
@@ -33,13 +34,11 @@ def digests_of(path: str) -> dict[str, str]:
     place = Path(path)
     if not place.is_dir():
         return {"": sha256_of(path)}
-    files = sorted(file for file in place.iterdir() if file.is_file() and _is_read(file.name))
-    return {file.name: sha256_of(str(file)) for file in files}
-
-
-def _is_read(name: str) -> bool:
-    """Return whether a file in the folder of a bag is read: desktops leave others there."""
-    return bool(_BAG_FILE.fullmatch(name))
+    return {
+        file.name: sha256_of(str(file))
+        for file in sorted(place.iterdir())
+        if file.is_file() and _BAG_FILE.fullmatch(file.name)
+    }
 
 
 def describe_change(file: Path, old: str | None, new: str | None) -> str:

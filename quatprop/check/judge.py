@@ -13,7 +13,6 @@ from quatprop.check.case_run import (
     angle_text,
     compare_case,
     compare_timestamps,
-    error_text,
     propagate_case,
     try_compare,
 )
@@ -24,13 +23,13 @@ from quatprop.check.spelling import sentence
 from quatprop.errors import LogError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.signals.attitude_input import load_attitudes
-from quatprop.text import Setting, Text, plain, quoted
+from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from quatprop.check.case import Case
-    from quatprop.check.case_run import CaseRun
+    from quatprop.check.case_run import CaseComparison, CaseRun
     from quatprop.check.lock import Pin
 
 OTHER_VERSION = "the reference was made by quatprop"
@@ -53,12 +52,13 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
         There is no result: an input is missing, or something that is pinned has changed.
     """
     hashes = hash_inputs(case)
+    update = Setting("update")
     if pin is None and case.reference is not None and Path(case.reference).exists():
-        _refuse(case, "the reference is there, but not in the lock; restore the lock, or check "
-                "with ", Setting("update"))  # fmt: skip
+        reason = "the reference is there, but not in the lock; restore the lock, or check with "
+        _refuse(case, f"{reason}{update}")
     if pin is None:
-        _refuse(case, "the lock has no entry for this case yet; run quatprop check with ",
-                Setting("update"), ", and look at what it writes")  # fmt: skip
+        reason = "the lock has no entry for this case yet; run quatprop check with "
+        _refuse(case, f"{reason}{update}, and look at what it writes")
     _refuse_changes(case, pin, hashes)
     notes = []
     if pin.quatprop != __version__:
@@ -85,6 +85,23 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
         comparison = try_compare(case, run.series, reference)
         if not comparison.failure:
             failures.append(_compare_last(case, pin, run))
+    return judged(case, comparison, failures, notes)
+
+
+def judged(
+    case: Case, comparison: CaseComparison, failures: Iterable[str] = (), notes: Iterable[str] = ()
+) -> CaseResult:
+    """Return the result of a case.
+
+    Parameters
+    ----------
+    case, comparison
+        The case, and how its attitudes differ.
+    failures
+        What else is not as it must be; empty texts do not count.
+    notes
+        Remarks that do not change the verdict.
+    """
     failures = [*filter(None, [*failures, comparison.failure])]
     if failures and comparison.cause:
         failures.append(f"likely cause: {comparison.cause}")
@@ -92,7 +109,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
         name=case.name,
         verdict="fail" if failures else "pass",
         reason="; ".join([*failures, *notes]) if failures else "",
-        summary=error_text(case, comparison),
+        summary=comparison.summary,
         error_rad=comparison.error_rad,
         notes=tuple(notes),
         comparison=comparison.report,
@@ -139,7 +156,7 @@ def option_text(value: str | None) -> str:
 
 def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
     """Refuse a case that is not as it was pinned."""
-    accept = Text("; restore it, or accept it with ", Setting("update"))
+    accept = f"; restore it, or accept it with {Setting('update')}"
     for key, old, new in differences(pin.inputs, hashes):
         base, _, name = key.partition("/")
         path = case.inputs.get(base)
@@ -147,25 +164,24 @@ def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
         if path is None or (not name and (old is None or new is None)):
             continue
         file = Path(path, name) if name else Path(path)
-        raise LogError(file, describe_change(file, old, new), accept)
+        raise LogError(file, f"{describe_change(file, old, new)}{accept}")
     if options := option_differences(pin, case):
         changes = ", ".join(
             f"{key} is {option_text(new)}, not {option_text(old)}" for key, old, new in options
         )
-        _refuse(case, f"the reference was made with other options: {changes}", accept)
+        _refuse(case, f"the reference was made with other options: {changes}{accept}")
     if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
-        _refuse(case, "the case was pinned with another kind of reference", accept)
+        _refuse(case, f"the case was pinned with another kind of reference{accept}")
     if case.reference is None:
         return
     if not Path(case.reference).exists():
-        _refuse(case, "the reference is missing; restore it, or write it with ", Setting("update"))
+        _refuse(case, f"the reference is missing; restore it, or write it with {Setting('update')}")
     if (new := sha256_of(case.reference)) != pin.reference:
         _refuse(
             case,
             f"this is not the reference that was pinned (SHA-256 {str(pin.reference)[:DIGITS]}, "
             f"now {new[:DIGITS]}){describe_provenance(case, pin)}; restore it, or write it anew "
-            "with ",
-            Setting("update"),
+            f"with {Setting('update')}",
         )
 
 
@@ -173,9 +189,9 @@ def _keys(hashes: Mapping[str, str]) -> set[str]:
     return {key.partition("/")[0] for key in hashes}
 
 
-def _refuse(case: Case, *reason: str | Setting | Text) -> NoReturn:
+def _refuse(case: Case, reason: str) -> NoReturn:
     """Refuse a case, with the file that its error is about."""
-    raise LogError(case.reference or case.inputs["log"], *reason)
+    raise LogError(case.reference or case.inputs["log"], reason)
 
 
 def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:

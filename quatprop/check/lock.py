@@ -110,10 +110,13 @@ def _defect(text: str) -> Text:
     """Return what is wrong with a lock that cannot be used."""
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith(CONFLICT_MARKERS):
-            reason = f"line {number} is a conflict marker of a merge; remove the markers, keeping "
-            return Text(reason, "one side of each case, and check with ", Setting("update"))
-    reason = "; restore it, or remove it and update"
-    return Text("it is not the lock that ", Setting("update"), " writes", reason)
+            return Text(
+                f"line {number} is a conflict marker of a merge; remove the markers, keeping one "
+                f"side of each case, and check with {Setting('update')}"
+            )
+    return Text(
+        f"it is not the lock that {Setting('update')} writes; restore it, or remove it and update"
+    )
 
 
 def _pin(entry: JsonObject) -> Pin:

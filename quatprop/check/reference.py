@@ -114,10 +114,8 @@ def refuse_replacing(target: Path) -> None:
     if not is_reference:
         raise OutputError(
             target,
-            "this was not written by check ",
-            Setting("update"),
-            ", which would replace it; move it away, or name an independent series as "
-            "reference-log",
+            f"this was not written by check {Setting('update')}, which would replace it; move it "
+            "away, or name an independent series as reference-log",
         )
 
 

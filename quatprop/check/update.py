@@ -12,7 +12,6 @@ from quatprop.check.case_run import (
     angle_text,
     chooses_rows,
     compare_case,
-    error_text,
     propagate_case,
     try_compare,
 )
@@ -22,6 +21,7 @@ from quatprop.check.judge import (
     differences,
     hash_inputs,
     judge,
+    judged,
     option_differences,
     option_text,
 )
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from quatprop.check.case import Case
     from quatprop.check.case_run import CaseRun
-    from quatprop.signals.attitude_input import AttitudeInput
 
 
 def update(case: Case, pin: Pin | None) -> CaseResult:
@@ -76,31 +75,35 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
                 return replace(result, updated="kept", pin=kept, notes=_without_version(result))
     run, every = _run(case, pin)
     changes = [] if pin is None else _changes(case, pin, run, hashes)
-    new = Pin(
+    digest = None
+    if case.external is not None:
+        result = judged(case, compare_case(case, run.series, load_attitudes(case.external).series))
+        errors = (pin.error_rad if pin else None, result.error_rad)
+        if errors[0] != errors[1] and None not in errors:
+            old, new = (angle_text(e, in_degrees=case.in_degrees) for e in errors if e is not None)
+            changes.append(f"worst error: {old} -> {new}")
+    else:
+        reference = str(case.reference)
+        changes += _compare_with_old(case, run)
+        write_reference(case, run, hashes, every)
+        digest = sha256_of(reference)
+        written = f"{len(run.series)} of {run.samples} attitudes in {plain(reference)}"
+        result = CaseResult(case.name, "pass", summary=written)
+    pinned = Pin(
         quatprop=__version__,
         inputs=hashes,
         options=case.options,
         samples=run.samples,
         every=every,
-        reference=None,
+        reference=digest,
         final_wxyz=run.final_wxyz,
-        error_rad=None,
+        error_rad=result.error_rad,
     )
-    if case.external is not None:
-        result = _judge_external(case, case.external, run, pin)
-        new = replace(new, error_rad=result.error_rad)
-    else:
-        reference = str(case.reference)
-        changes += _compare_with_old(case, run)
-        write_reference(case, run, hashes, every)
-        new = replace(new, reference=sha256_of(reference))
-        written = f"{len(run.series)} of {run.samples} attitudes in {plain(reference)}"
-        result = CaseResult(case.name, "pass", summary=written)
     return replace(
         result,
-        changes=(*changes, *result.changes),
+        changes=tuple(changes),
         updated="new" if pin is None else "updated",
-        pin=new,
+        pin=pinned,
     )
 
 
@@ -117,27 +120,6 @@ def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:
     run = propagate_case(case, guess)
     every = decimation(run.samples)
     return (run if every == guess else propagate_case(case, every)), every
-
-
-def _judge_external(
-    case: Case, external: AttitudeInput, run: CaseRun, pin: Pin | None
-) -> CaseResult:
-    """Compare a case with an independent series, which an update may fail, too."""
-    comparison = compare_case(case, run.series, load_attitudes(external).series)
-    error, changes = comparison.error_rad, []
-    if pin and pin.error_rad != error and pin.error_rad is not None and error is not None:
-        old, new = (angle_text(e, in_degrees=case.in_degrees) for e in (pin.error_rad, error))
-        changes.append(f"worst error: {old} -> {new}")
-    cause = f"; likely cause: {comparison.cause}" if comparison.cause else ""
-    return CaseResult(
-        name=case.name,
-        verdict="fail" if comparison.failure else "pass",
-        reason=comparison.failure and comparison.failure + cause,
-        summary=error_text(case, comparison),
-        error_rad=error,
-        changes=tuple(changes),
-        comparison=comparison.report,
-    )
 
 
 def _changes(case: Case, pin: Pin, run: CaseRun, hashes: Mapping[str, str]) -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -40,7 +40,7 @@ MIN_EXCITATION = 0.02
 MAX_STD = np.radians(5.0)
 """Standard deviation, rad, above which a mounting is refused."""
 
-WAY_OUT = Text("choose ", Setting("align", "mean"), ", or a longer part of the recording")
+WAY_OUT = f"choose {Setting('align', 'mean')}, or a longer part of the recording"
 """What to do where the motion shows no mounting."""
 
 
@@ -189,8 +189,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     if best is None:
         raise ComparisonError(
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
-            f"attitudes; ",
-            WAY_OUT,
+            f"attitudes; {WAY_OUT}",
         )
     _refuse_unexcited(best[1])
     return best
@@ -247,19 +246,15 @@ def _refuse_unexcited(mounting: MountingFit) -> None:
     if mounting.turn_rad < MIN_TURN:
         raise ComparisonError(
             f"the body turns by {np.degrees(mounting.turn_rad):.2g} deg only, which shows no "
-            "mounting; ",
-            WAY_OUT,
+            f"mounting; {WAY_OUT}",
         )
     if second < MIN_EXCITATION * first:
         raise ComparisonError(
             f"the body turns about one axis only (about the second by {second / first:.2%} of the "
-            "first), so the mounting about it cannot be determined; ",
-            WAY_OUT,
+            f"first), so the mounting about it cannot be determined; {WAY_OUT}",
         )
     if mounting.std_rad > MAX_STD:
         raise ComparisonError(
-            "the mounting cannot be determined better than to "
-            f"{np.degrees(mounting.std_rad):.2g} deg: A and B hardly turn together, or about one "
-            "axis only; ",
-            WAY_OUT,
+            f"the mounting cannot be determined better than to {np.degrees(mounting.std_rad):.2g} "
+            f"deg: A and B hardly turn together, or about one axis only; {WAY_OUT}",
         )

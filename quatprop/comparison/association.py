@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import normalize, slerp
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -251,13 +251,12 @@ def require_enough(
     if matching.matched >= needed:
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)
-    spans = Text(f"A is from {a} and B from {b}; see ", Setting("time_offset"))
+    spans = f"A is from {a} and B from {b}; see {Setting('time_offset')}"
     if not matching.candidates:
-        raise ComparisonError("A and B have no time in common: ", spans)
+        raise ComparisonError(f"A and B have no time in common: {spans}")
     within = f" within {duration_text(matching.max_dt_ns)}" if matching.max_dt_ns else ""
     raise ComparisonError(
         f"only {matching.matched} of {matching.candidates} samples in the common time have a "
-        f"partner ({matching.match}{within}) and at least {needed} must; ",
-        Text(spans, ", ", Setting("match"), ", ", Setting("max_dt"), " and "),
-        Setting("min_matched"),
+        f"partner ({matching.match}{within}) and at least {needed} must; {spans}, "
+        f"{Setting('match')}, {Setting('max_dt')} and {Setting('min_matched')}"
     )

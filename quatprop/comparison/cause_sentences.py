@@ -132,7 +132,7 @@ def _misreading(trial: Trial) -> tuple[str, Text | None]:
             f"what multiplies on the left in {which} multiplies on the right in {other}: body "
             "rates against inertial rates"
         )
-        return sentence, Text("propagate with ", Setting("rates", "body|inertial"))
+        return sentence, Text(f"propagate with {Setting('rates', 'body|inertial')}")
     sentence = "; also, ".join(MISREADINGS[name] for name in trial.name.split(" and "))
     remedy: list[Setting | str] = [f"if it is {side.upper()}, read it with "]
     if trial.name.startswith("layout"):
@@ -151,19 +151,19 @@ def _offset(offset: ClockError, intervals: Sequence[float]) -> tuple[str, Settin
     late = "late" if offset.seconds < 0 else "early"
     amount, std = (round(value * NS_PER_S) for value in (abs(offset.seconds), offset.std))
     sentence = f"B is {_rounded(amount, std)} {late}"
-    remedy = Text(Setting("time_offset", "auto"), " takes the offset out")
+    remedy = Text(f"{Setting('time_offset', 'auto')} takes the offset out")
     for name, interval in zip("AB", intervals, strict=True):
         within = min(max(WITHIN_STDS * offset.std, ROUNDED * interval), NEAR_INTERVAL * interval)
         for share, text in ((0.5, "half a sampling interval"), (1.0, "one sampling interval")):
             if abs(abs(offset.seconds) - share * interval) <= within:
                 sentence += f" ({text} of {name}): a clock offset, or another integration rule"
-                return sentence, Text(remedy, ", ", Setting("method"), " changes the rule")
+                return sentence, Text(remedy, f", {Setting('method')} changes the rule")
     return sentence, remedy
 
 
-RATE_UNIT = Text("see ", Setting("rate_unit", "rad/s|deg/s"), " where the rates are read")
+RATE_UNIT = Text(f"see {Setting('rate_unit', 'rad/s|deg/s')} where the rates are read")
 
-ALIGN_MOUNT = Text(Setting("align", "mount"), " takes it out")
+ALIGN_MOUNT = Text(f"{Setting('align', 'mount')} takes it out")
 
 
 def _drift(drift: ClockError) -> tuple[str, Text]:

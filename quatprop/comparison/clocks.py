@@ -15,12 +15,12 @@ import numpy as np
 
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import interpolate, interval_ns, shifted
-from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.trials import clock_error
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
@@ -53,7 +53,7 @@ MAX_RUNNER_UP = 0.98
 MIN_VARIATION = 1e-6
 """Least relative spread of a varying speed; the rounding of constant spins is below it."""
 
-GIVE_OFFSET = Text("give the offset with ", Setting("time_offset", "DUR"))
+GIVE_OFFSET = f"give the offset with {Setting('time_offset', 'DUR')}"
 """What to do where no offset can be estimated."""
 
 
@@ -101,7 +101,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     for name, speed in (("A", speed_a), ("B", speed_b)):
         if speed.std() <= MIN_VARIATION * speed.mean():
             raise ComparisonError(
-                f"{name} turns at a constant speed, which shows no time offset; ", GIVE_OFFSET
+                f"{name} turns at a constant speed, which shows no time offset; {GIVE_OFFSET}"
             )
     correlation = _correlations(speed_a, speed_b)
     peak = int(np.argmax(correlation))
@@ -109,15 +109,13 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     if best < MIN_CORRELATION:
         raise ComparisonError(
             f"the angular speeds of A and B correlate at no time offset (at best {best:.2f}); "
-            "unless the motions differ, ",
-            GIVE_OFFSET,
+            f"unless the motions differ, {GIVE_OFFSET}",
         )
     runner_up = _runner_up(correlation, peak)
     if runner_up > MAX_RUNNER_UP * best:
         raise ComparisonError(
             f"the motion repeats itself: its angular speed correlates {best:.4f} at one time "
-            f"offset and {runner_up:.4f} at another; ",
-            GIVE_OFFSET,
+            f"offset and {runner_up:.4f} at another; {GIVE_OFFSET}",
         )
     lag = peak - (len(speed_b) - 1)
     coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
@@ -134,8 +132,7 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
     if min(spans) < MIN_POINTS * step:
         raise ComparisonError(
             f"a time offset can be estimated from {MIN_POINTS} intervals or more, and one of the "
-            "series is shorter; ",
-            GIVE_OFFSET,
+            f"series is shorter; {GIVE_OFFSET}",
         )
     return step
 
@@ -211,7 +208,8 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
     ]
     if not found:
         raise ComparisonError(
-            "A and B have too few windows of common motion to estimate a time offset; ", GIVE_OFFSET
+            "A and B have too few windows of common motion to estimate a time offset; "
+            f"{GIVE_OFFSET}"
         )
     return min(found, key=lambda clock: clock.white_std)
 

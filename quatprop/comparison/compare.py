@@ -16,8 +16,7 @@ from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Comparison
 from quatprop.comparison.settings import ComparisonSettings
-from quatprop.comparison.sigmas import sigma_statistics
-from quatprop.comparison.statistics import window_statistics
+from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import normalize
 from quatprop.series import AttitudeSeries, blocks
@@ -28,8 +27,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
     from quatprop.comparison.hypotheses import Cause
-    from quatprop.comparison.sigmas import SigmaStatistics
-    from quatprop.comparison.statistics import WindowStatistics
+    from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
 
 
 UNIT_LENGTH = 1e-3

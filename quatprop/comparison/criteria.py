@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison.meter import CoveredTime
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.comparison.sigmas import SigmaStatistics
-    from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
+    from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,28 +102,28 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
             yield Criterion(setting, label, value, limit, "rad", value <= limit)
             continue
         if sigmas is None:
+            shown = "" if setting == "max_sigma" else str(limit)
             raise ComparisonError(
-                "neither series has standard deviations, which ",
-                Setting(setting, "" if setting == "max_sigma" else str(limit)),
-                " needs; write them with ",
-                Setting("sigma"),
+                f"neither series has standard deviations, which {Setting(setting, shown)} needs; "
+                f"write them with {Setting('sigma')}"
             )
         value = getattr(sigmas, name)
         yield Criterion(setting, label, value, limit.count, "sigma", value <= limit.count)
+    others = [
+        ("drift_tol", "drift", drift_deg_h or 0.0, "deg/h"),
+        ("min_coverage", "coverage", covered.least, "%"),
+    ]
     if window is not None:
-        for setting, label, value in (
-            ("window_tol", "worst error over windows", window.max_rad),
-            ("window_rms_tol", "RMS error over windows", window.rms_rad),
-        ):
-            if (limit := getattr(settings, setting)) is not None:
-                yield Criterion(setting, label, value, limit, "rad", value <= limit)
-    if settings.drift_tol is not None:
-        if drift_deg_h is None:
-            raise ComparisonError(
-                "one pair of attitudes shows no drift; leave ", Setting("drift_tol"), " out"
-            )
-        passed = abs(drift_deg_h) <= settings.drift_tol
-        yield Criterion("drift_tol", "drift", drift_deg_h, settings.drift_tol, "deg/h", passed)
-    if settings.min_coverage is not None:
-        value, least = covered.least, settings.min_coverage
-        yield Criterion("min_coverage", "coverage", value, least, "%", value >= least)
+        others = [
+            ("window_tol", "worst error over windows", window.max_rad, "rad"),
+            ("window_rms_tol", "RMS error over windows", window.rms_rad, "rad"),
+            *others,
+        ]
+    if settings.drift_tol is not None and drift_deg_h is None:
+        raise ComparisonError(
+            f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
+        )
+    for setting, label, value, unit in others:
+        if (limit := getattr(settings, setting)) is not None:
+            passed = value >= limit if setting == "min_coverage" else abs(value) <= limit
+            yield Criterion(setting, label, value, limit, unit, passed)

@@ -24,11 +24,12 @@ from quatprop.comparison.hypotheses import (
     isolated_samples,
 )
 from quatprop.comparison.rule_trials import method_trials
-from quatprop.comparison.statistics import NS_PER_S, rms
+from quatprop.comparison.statistics import rms
 from quatprop.comparison.trials import ClockError, trials
 from quatprop.comparison.window_trials import CLOCKS, MISTAKES, WindowTrials
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.comparison.alignment import align, mean_rotation
-from quatprop.comparison.statistics import NS_PER_S, S_PER_H, rms
+from quatprop.comparison.statistics import S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, Text
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,7 +118,7 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
             f"the body frames differ by {degrees_text(float(geodesic_angle(IDENTITY, body)))}",
             before,
             rms(geodesic_angle(pairs.a, multiply(pairs.b, body))),
-            Text(Setting("align", "mount"), " takes it out"),
+            Text(f"{Setting('align', 'mount')} takes it out"),
         )
     b = aligned if alignment == "mount" else pairs.b
     sentence, unbiased = _without_bias(pairs, b)
@@ -164,7 +165,7 @@ def _without_bias(pairs: Pairs, b: Float64) -> tuple[str, Float64]:
     x, y, z = np.degrees(bias) * S_PER_H
     sentence = f"B's body rates are larger than A's by a constant {x:.4g}, {y:.4g}, {z:.4g} deg/h"
     # Steps of one second, by the rates that begin them.
-    t_ns = np.arange(len(b)) * int(NS_PER_S)
+    t_ns = np.arange(len(b)) * NS_PER_S
     rate = np.append(of_b - seconds[:, None] * bias, np.zeros((1, 3)), axis=0)
     return sentence, attitudes(t_ns, rate, q0=b[0])
 

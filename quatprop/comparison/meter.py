@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.statistics import NS_PER_S, S_PER_H, ErrorStatistics
+from quatprop.comparison.statistics import S_PER_H, ErrorStatistics
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.timeline.stamps import MEDIAN_WINDOW
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.criteria import Coverage, Criterion
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
-    from quatprop.comparison.sigmas import SigmaStatistics
-    from quatprop.comparison.statistics import ErrorStatistics, WindowStatistics
+    from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
     from quatprop.text import Text
 
 _ARRAYS = ("pairs", "errors")

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.trials import Trial, size
 from quatprop.kinematics.increments import METHODS, rotation_vectors
 from quatprop.kinematics.rates import rotation_vectors_between
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

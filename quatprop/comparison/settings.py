@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 from quatprop.errors import UsageError
 from quatprop.settings import parse_all
 from quatprop.settings.parsers import Choice, duration, length, number
-from quatprop.settings.quantities import RAD_PER_UNIT, quantity
+from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.text import Setting, quoted, shown
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class ComparisonSettings:
         for name in ("window_tol", "window_rms_tol"):
             if getattr(self, name) is not None and not self.window:
                 raise UsageError(
-                    Setting(name), " needs windows; give their length with ", Setting("window")
+                    f"{Setting(name)} needs windows; give their length with {Setting('window')}"
                 )
 
     @property
@@ -139,22 +139,6 @@ def error_limit(value: object) -> float | Sigmas:
     return quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg, or in sigma: 3sigma")
 
 
-def drift_deg_h(value: object) -> float:
-    """Return a drift in deg/h: a number in deg/h, or text such as ``"10deg/h"``.
-
-    Raises
-    ------
-    UsageError
-        The text is not a number with one of these units.
-
-    Examples
-    --------
-    >>> drift_deg_h("0.1deg/s")
-    360.0
-    """
-    return quantity(value, DEG_H_PER_UNIT, "a drift", "10deg/h")
-
-
 def time_offset_ns(value: object) -> int | Literal["auto"]:
     """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``.
 
@@ -197,7 +181,7 @@ COMPARE: Mapping[str, Parser] = {
     "p95_tol": error_limit,
     "window_tol": angle_rad,
     "window_rms_tol": angle_rad,
-    "drift_tol": drift_deg_h,
+    "drift_tol": quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h"),
     "min_coverage": _percentage,
     "max_sigma": _sigmas,
     "align": Choice(*ALIGNMENTS),

@@ -1,4 +1,4 @@
-"""Statistics of an error in time: how large it is, and how fast it grows."""
+"""Statistics of errors: over the pairs, over windows, and in standard deviations."""
 
 from __future__ import annotations
 
@@ -9,17 +9,29 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply
 from quatprop.series import blocks
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
+    from quatprop.comparison.alignment import Alignment
+    from quatprop.comparison.association import Pairs
+    from quatprop.series import AttitudeSeries
 
 
-NS_PER_S = 1e9
 S_PER_H = 3600.0
+
+
+RELATIVE_FLOOR = 1e-7
+"""Standard deviations below this share of the largest are rounding errors of a covariance: 0."""
+
+ROUNDING_RAD = 1e-9
+"""Errors up to this are rounding errors where the standard deviation is 0."""
+
+EXACT_ALIGNMENTS = ("none", "first")
+"""Alignments that leave an exact first attitude exact; the others are estimates themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +118,7 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
     if not len(start):
         raise ComparisonError(
             f"no two pairs are {duration_text(window_ns)} apart: they span "
-            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter ",
-            Setting("window"),
+            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter {Setting('window')}",
         )
     error = geodesic_angle(_rotations(a, start, stop), _rotations(b, start, stop))
     return WindowStatistics(
@@ -123,3 +134,111 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
 
 def _rotations(q: Float64, start: Int64, stop: Int64) -> Float64:
     return multiply(conjugate(q[start]), q[stop])
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaStatistics:
+    """Errors e in standard deviations: the Mahalanobis distance sqrt(e' P^-1 e), P the covariance.
+
+    An error of n standard deviations about one principal axis of P is n. Where P is right, the RMS
+    is near sqrt(3): an error has three independent parts.
+
+    Parameters
+    ----------
+    max, rms, p95
+        Over the pairs whose standard deviations are not 0; p95 is the least that 95 % of the
+        errors do not exceed. Infinite where an error is beyond rounding and its standard
+        deviation is 0.
+    final
+        Of the last of them.
+    max_ns
+        Time of the largest, ns.
+    one_sigma_rad
+        The angle of an error of one standard deviation in the direction of each error, shape
+        ``(N,)``, rad.
+    axes_rad
+        Standard deviations about the body axes, shape ``(N, 3)``, rad; 0 where they are unknown.
+
+    References
+    ----------
+    P. C. Mahalanobis, On the generalised distance in statistics, Proceedings of the National
+    Institute of Sciences of India 2 (1936) 49-55.
+    """
+
+    max: float
+    rms: float
+    p95: float
+    final: float
+    max_ns: int
+    one_sigma_rad: Float64 = field(compare=False, repr=False)
+    axes_rad: Float64 = field(compare=False, repr=False)
+
+
+def sigma_statistics(
+    a: AttitudeSeries, b: AttitudeSeries, pairs: Pairs, alignment: Alignment
+) -> SigmaStatistics | None:
+    """Return the errors of pairs in standard deviations; None where no pair has any.
+
+    Parameters
+    ----------
+    a, b
+        The series, in order of time. Where both have covariances they are independent.
+    pairs
+        Attitudes of A and B at the same times.
+    alignment
+        How B is rotated.
+    """
+    known = [(one.t_ns, one.covariance) for one in (a, b) if one.covariance is not None]
+    if not known:
+        return None
+    distances, angles = np.empty((2, len(pairs)))
+    is_exact, axes = np.empty(len(pairs), np.bool_), np.empty((len(pairs), 3))
+    for rows in blocks(len(pairs)):
+        covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
+        for t_ns, covariances in known:
+            covariance += _interpolated(t_ns, covariances, pairs.t_ns[rows])
+        is_known = np.isfinite(covariance).all(axis=(1, 2))
+        covariance[~is_known] = 0.0
+        axes[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        is_exact[rows] = np.trace(covariance, axis1=1, axis2=2) == 0
+        if alignment.name not in EXACT_ALIGNMENTS:
+            is_known &= ~is_exact[rows]
+        step = multiply(conjugate(pairs.a[rows]), alignment.apply(pairs.b[rows]))
+        error = log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
+        angles[rows] = np.linalg.norm(error, axis=1)
+        distances[rows] = np.where(is_known, _distances(error, covariance), np.nan)
+    # An exact attitude without an error, such as the first, says nothing of the others.
+    counted = (distances > 0) | ~(is_exact | np.isnan(distances))
+    (places,) = (counted if counted.any() else ~np.isnan(distances)).nonzero()
+    if not len(places):
+        return None
+    sigmas = distances[places]
+    one_sigma = np.divide(angles, distances, out=np.zeros(len(pairs)), where=distances > 0)
+    return SigmaStatistics(
+        max=float(sigmas.max()),
+        rms=float(np.sqrt(np.mean(sigmas**2))),
+        p95=float(np.percentile(sigmas, 95, method="inverted_cdf")),
+        final=float(sigmas[-1]),
+        max_ns=int(pairs.t_ns[places[sigmas.argmax()]]),
+        one_sigma_rad=one_sigma,
+        axes_rad=axes,
+    )
+
+
+def _distances(error: Float64, covariance: Float64) -> Float64:
+    """Return Mahalanobis distances ``(N,)``; infinite for errors about axes of variance 0."""
+    variances, axes = np.linalg.eigh(covariance)
+    parts = np.einsum("nij,ni->nj", axes, error)
+    is_exact = variances <= RELATIVE_FLOOR**2 * variances[:, -1:]
+    squares = np.where(np.abs(parts) > ROUNDING_RAD, np.inf, 0.0)
+    np.divide(parts**2, variances, out=squares, where=~is_exact)
+    distances: Float64 = np.sqrt(squares.sum(axis=1))
+    return distances
+
+
+def _interpolated(t_ns: Int64, covariances: Float64, wanted_ns: Int64) -> Float64:
+    """Return covariances at wanted times, ``(N, 3, 3)``, linear in between."""
+    wanted, known = (np.asarray(times - t_ns[0], np.float64) for times in (wanted_ns, t_ns))
+    columns = covariances.reshape(-1, 9).T
+    values = [np.interp(wanted, known, column) for column in columns]
+    return np.stack(values, axis=1).reshape(-1, 3, 3)

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import AppliedOffset, Comparison
-    from quatprop.comparison.sigmas import SigmaStatistics
-    from quatprop.comparison.statistics import WindowStatistics
+    from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.rendering import Row, Spell
     from quatprop.signals.attitude_input import ReadAttitudes
 

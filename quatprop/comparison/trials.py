@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.comparison.alignment import kabsch
-from quatprop.comparison.statistics import NS_PER_S
 from quatprop.comparison.windows import PER_WINDOW, centred
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, rotate
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -182,8 +182,7 @@ def _quiet_rates(rates: Cells) -> Intp:
     if not slow.any():
         raise UsageError(
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
-            "more than the bias of a gyroscope: the body turns; give ",
-            Setting("bias", "X,Y,Z"),
+            f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}",
         )
     cells = cells[slow]
     return np.asarray(cells[_quiet(rates, cells, QUIET)])
@@ -271,8 +270,7 @@ def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list
 
 def _no_rest(why: str) -> UsageError:
     return UsageError(
-        f"the log has no period of rest to take the bias from{why}; give ",
-        Setting("bias", "X,Y,Z"),
-        ", or look for a shorter rest with ",
-        Setting("bias", "static:DUR"),
+        f"the log has no period of rest to take the bias from{why}; give "
+        f"{Setting('bias', 'X,Y,Z')}, or look for a shorter rest with "
+        f"{Setting('bias', 'static:DUR')}",
     )

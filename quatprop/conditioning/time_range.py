@@ -74,10 +74,8 @@ def absolute_range(
     )
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
-            Setting("start"),
-            f" is {duration_text(start_ns - end_ns)} after ",
-            Setting("end"),
-            "; swap them, or check units",
+            f"{Setting('start')} is {duration_text(start_ns - end_ns)} after {Setting('end')}; "
+            "swap them, or check units",
         )
     return start_ns, end_ns
 
@@ -97,8 +95,8 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list
     )
     remarks = [
         Text(
-            Setting(name),
-            f" is {side} sample and leaves nothing out; a number without a unit is in ns",
+            f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit is "
+            "in ns",
         )
         for name, side, instant, left_out in ends
         if instant is not None and instant.origin == "clock" and not left_out

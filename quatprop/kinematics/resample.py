@@ -114,21 +114,16 @@ class Steady:
         if rows > MAX_ROWS:
             raise UsageError(
                 f"between the samples at {before} and {after} ns there would be {int(rows):,} "
-                f"attitudes at {float(self._rate):.6g} Hz; is a timestamp wrong? Choose ",
-                *(
-                    Setting("on_gap", "split"),
-                    ", a lower ",
-                    Setting("rate"),
-                    ", or leave a part out",
-                ),
-                *(" with ", Setting("start"), " or ", Setting("end")),
+                f"attitudes at {float(self._rate):.6g} Hz; is a timestamp wrong? Choose "
+                f"{Setting('on_gap', 'split')}, a lower {Setting('rate')}, or leave a part out "
+                f"with {Setting('start')} or {Setting('end')}"
             )
         rows = int(t_ns[-1] - t_ns[0]) * self._rate / NS_PER_S
         if rows > MAX_ROWS and rows > MAX_PER_SAMPLE * len(t_ns):
             raise UsageError(
                 f"between {len(t_ns)} samples from {t_ns[0]} to {t_ns[-1]} ns there would be "
-                f"{int(rows):,} attitudes at {float(self._rate):.6g} Hz; choose a lower ",
-                Setting("rate"),
+                f"{int(rows):,} attitudes at {float(self._rate):.6g} Hz; choose a lower "
+                f"{Setting('rate')}",
             )
 
 

@@ -137,8 +137,7 @@ class Timeline:
             raise TimelineError(
                 self.path,
                 f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is not finite; "
-                "choose ",
-                Setting("on_nonfinite", "drop|hold"),
+                f"choose {Setting('on_nonfinite', 'drop|hold')}",
             )
         if self.policy.on_nonfinite == "drop":
             return batch[good], np.flatnonzero(good)
@@ -154,11 +153,9 @@ class Timeline:
             if self._last_finite is None:
                 raise TimelineError(
                     self.path,
-                    f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not finite "
-                    "and there is none before it to hold; choose ",
-                    Setting("on_nonfinite", "drop"),
-                    ", or begin later with ",
-                    Setting("start"),
+                    f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not "
+                    "finite and there is none before it to hold; choose "
+                    f"{Setting('on_nonfinite', 'drop')}, or begin later with {Setting('start')}",
                 )
             rate[latest_good < 0] = self._last_finite
         self._last_finite = rate[-1]

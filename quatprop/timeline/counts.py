@@ -138,10 +138,10 @@ HANDLED = {
     ("", ""): "kept: a zero-length step leaves the attitude unchanged",
     ("on_backwards", "drop"): "dropped",
     ("on_backwards", "sort"): "sorted",
-    ("on_backwards", "keep"): Text("refused without ", Setting("on_backwards", "drop|sort")),
+    ("on_backwards", "keep"): Text(f"refused without {Setting('on_backwards', 'drop|sort')}"),
     ("on_nonfinite", "drop"): "dropped",
     ("on_nonfinite", "hold"): "replaced by the last finite rate",
-    ("on_nonfinite", "keep"): Text("refused without ", Setting("on_nonfinite", "drop|hold")),
+    ("on_nonfinite", "keep"): Text(f"refused without {Setting('on_nonfinite', 'drop|hold')}"),
     ("on_gap", "hold"): "propagated across",
     ("on_gap", "zero"): "no rotation assumed",
     ("on_gap", "split"): "restarted from q0",
@@ -188,10 +188,7 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
     ):
         yield Text(
             "the timestamps are whole seconds, each of several samples: they do not tell when a "
-            "sample was taken; choose another with ",
-            Setting("clock"),
-            " or ",
-            Setting("time_col"),
+            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}",
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
@@ -203,16 +200,12 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
             )
     if counts.used > 1 and counts.span_ns == 0:
         yield Text(
-            f"all timestamps are {counts.first_ns} ns; is there another ",
-            Setting("clock"),
-            " or time column, or are they in another ",
-            Setting("time_unit"),
-            "?",
+            f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
+            f"time column, or are they in another {Setting('time_unit')}?",
         )
     elif counts.used >= MIN_SAMPLES and FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S:
         rate = (counts.used - 1) * NS_PER_S / counts.span_ns
         yield Text(
             f"{rate:,.0f} samples per second are beyond any gyroscope; if the timestamps are in "
-            "another unit, use ",
-            Setting("time_unit", "s|ms|us|ns"),
+            f"another unit, use {Setting('time_unit', 's|ms|us|ns')}",
         )

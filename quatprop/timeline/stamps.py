@@ -107,10 +107,8 @@ class StampChecks:
             raise TimelineError(
                 self.path,
                 f"time steps back by {duration_text(int(reached[first]) - int(t_ns[first]))} at "
-                f"sample {event.first_index} (t = {event.first_ns} ns); choose ",
-                Setting("on_backwards", "drop|sort"),
-                ", or another ",
-                Setting("clock"),
+                f"sample {event.first_index} (t = {event.first_ns} ns); choose "
+                f"{Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}",
             )
         return back
 
@@ -160,10 +158,8 @@ class StampChecks:
         if int(t_ns[-1]) - first_ns > LONGEST_NS:
             raise TimelineError(
                 self.path,
-                f"its timestamps span more than 292 years, up to {t_ns[-1]} ns; check ",
-                Setting("time_unit"),
-                ", the time column or ",
-                Setting("clock"),
+                f"its timestamps span more than 292 years, up to {t_ns[-1]} ns; check "
+                f"{Setting('time_unit')}, the time column or {Setting('clock')}",
             )
         if counts.last_ns is None:
             counts.first_ns = first_ns
@@ -196,8 +192,6 @@ class StampChecks:
             raise TimelineError(
                 self.path,
                 f"a gap ends at sample {counts.gaps.first_index} (t = {counts.gaps.first_ns} ns), "
-                f"longer than {duration_text(limit)}; choose ",
-                Setting("on_gap", "hold|zero|split"),
-                " or a longer ",
-                Setting("max_gap"),
+                f"longer than {duration_text(limit)}; choose "
+                f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
