@@ -15,22 +15,8 @@ import pyarrow as pa
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-_TYPES = {
-    np.dtype(name): kind
-    for name, kind in (
-        ("f8", pa.float64()),
-        ("f4", pa.float32()),
-        ("f2", pa.float16()),
-        ("i8", pa.int64()),
-        ("u8", pa.uint64()),
-        ("i4", pa.int32()),
-        ("u4", pa.uint32()),
-        ("i2", pa.int16()),
-        ("u2", pa.uint16()),
-        ("i1", pa.int8()),
-        ("u1", pa.uint8()),
-    )
-}
+_CODES = ("f8", "f4", "f2", "i8", "u8", "i4", "u4", "i2", "u2", "i1", "u1")
+_TYPES = {np.dtype(code): pa.from_numpy_dtype(np.dtype(code)) for code in _CODES}
 _held: deque[pa.Buffer] = deque(maxlen=2)
 _DTYPES = {kind: dtype for dtype, kind in _TYPES.items()}
 

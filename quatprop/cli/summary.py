@@ -17,13 +17,11 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from quatprop.conditioning.static_detection import Rest
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
     from quatprop.rendering import Row
+    from quatprop.series import Float64
 
 
 INDENT = 12
@@ -160,7 +158,7 @@ def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
     )
 
 
-def _mount(mount: NDArray[np.float64], frames: Sequence[str] | None) -> str:
+def _mount(mount: Float64, frames: Sequence[str] | None) -> str:
     if frames is not None:
         return f"{plain(' -> '.join(frames))}, by the static transforms of the log"
     rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount)

@@ -22,7 +22,7 @@ from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.series import reblock
 from quatprop.settings.parsers import FROM_THE_LOG
-from quatprop.signals.conditioning_inputs import conditioning_inputs
+from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
 from quatprop.text import Setting

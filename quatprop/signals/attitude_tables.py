@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
-    from quatprop.signals.signal import Float64, Int64, Rows
+    from quatprop.series import Float64, Int64
+    from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch
     from quatprop.text import Text

@@ -1,27 +1,27 @@
-"""What a log has beside its rates, in the same messages or rows: specific force, orientation."""
+"""What conditioning takes from a log beside its rates: in the same messages or rows, or others."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
+from quatprop.conditioning import FROM_TRANSFORMS, ConditioningInputs
+from quatprop.errors import LogError, UsageError
 from quatprop.messages.signal_fields import fields_beside
 from quatprop.selection import AttitudeSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
+from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import is_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
+    from quatprop.conditioning import Conditioning
+    from quatprop.conditioning.cells import Rows
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import TableLog
-
-    Rows = Iterator[Any]
 
 _ACCELERATION = re.compile(
     r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
@@ -29,6 +29,67 @@ _ACCELERATION = re.compile(
     re.IGNORECASE,
 )
 """Columns of specific force, by their name without a unit."""
+
+
+def conditioning_inputs(
+    log: MessageLog | TableLog | None,
+    source: RateSignal,
+    selection: RateSelection,
+    wanted: Conditioning,
+) -> ConditioningInputs:
+    """Return what is needed besides the rates.
+
+    Parameters
+    ----------
+    log
+        An open log that can be read again; None for rates in memory.
+    source, selection
+        Its rates, and how they were chosen.
+    wanted
+        What is to be done to them.
+
+    Raises
+    ------
+    LogError, UsageError
+        The biases or the mounting that are asked for cannot be read.
+    """
+    biases = mounting = None
+    if wanted.bias_from is not None:
+        from quatprop.signals.biases import read_biases
+
+        biases = read_biases(wanted.bias_from, log, selection)
+    if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
+        from quatprop.signals.static_transforms import frame_mounting
+
+        mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
+    if log is None:
+        return ConditioningInputs(biases=biases, mounting=mounting)
+    return ConditioningInputs(
+        force=lambda: _force(log, source, selection),
+        orientation=lambda: _orientation(log, source, selection),
+        biases=biases,
+        mounting=mounting,
+        topic=source.name,
+    )
+
+
+def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+    """Yield specific forces, if the log has some that can be read."""
+    try:
+        yield from specific_forces(log, source, selection) or ()
+    except (LogError, UsageError):
+        return
+
+
+def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+    """Yield the log's own orientation, if it has one that was ever set."""
+    try:
+        own = own_orientation(log, source, selection)
+    except (LogError, UsageError):
+        return
+    if not own.placeholder:
+        for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
+            yield series.t_ns, series.wxyz
 
 
 def specific_forces(
@@ -45,21 +106,17 @@ def specific_forces(
     """
     if is_table(log):
         return _table_forces(log, selection)
-    return _message_forces(cast("MessageLog", log), source, selection)
-
-
-def _message_forces(log: MessageLog, source: RateSignal, selection: RateSelection) -> Rows | None:
-    for channel in channels_of(log, source.name):
+    messages = cast("MessageLog", log)
+    for channel in channels_of(messages, source.name):
         if channel.type_name != source.type_name:
             continue
         beside = fields_beside(channel, source.field, log.path)
         if beside.rate is None or beside.acceleration is None:
             continue
         name, absent = beside.acceleration
-        clock = choose_clock(log, channel, beside.rate.stamps, selection)
-        reading = FieldReader(log, channel, clock, [name], [absent])
-        rows: Rows = timed_values(log, channel, reading)
-        return rows
+        clock = choose_clock(messages, channel, beside.rate.stamps, selection)
+        reader = FieldReader(messages, channel, clock, [name], [absent])
+        return cast("Rows", timed_values(messages, channel, reader))
     return None
 
 
@@ -74,8 +131,7 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
     if len(axes) != 3:  # noqa: PLR2004  # axes
         return None
     timed = match_rates(log, selection).timed
-    rows: Rows = log.metered_rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
-    return rows
+    return log.metered_rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
 
 
 def own_orientation(
@@ -93,6 +149,8 @@ def own_orientation(
     LogError, UsageError
         There is none, or it cannot be read.
     """
+    from quatprop.signals.attitudes import choose_attitudes
+
     wanted = AttitudeSelection.like(selection)
     if not is_table(log):
         beside = _beside(cast("MessageLog", log), source)

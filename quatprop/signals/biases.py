@@ -23,10 +23,9 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import NDArray
-
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
+    from quatprop.series import Float64, Int64
     from quatprop.tables.base import TableLog
 
 
@@ -129,9 +128,7 @@ def _of_channel(
     return _series(source, bias.name, rows)
 
 
-def _series(
-    source: str, name: str, rows: Iterable[tuple[NDArray[np.int64], NDArray[np.float64]]]
-) -> BiasSeries:
+def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:
     parts = list(rows)
     stamps = [t_ns for t_ns, _ in parts] or [np.empty(0, np.int64)]
     biases = [bias for _, bias in parts] or [np.empty((0, 3))]

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.stamps import Stamp
     from quatprop.selection import SignalSelection
-
-    Int64 = NDArray[np.int64]
+    from quatprop.series import Int64
 
 
 class Clock(NamedTuple):

@@ -35,15 +35,12 @@ from quatprop.times import NS_PER_UNIT, duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from quatprop.containers.base import MessageLog
     from quatprop.selection import SignalSelection
-    from quatprop.series import AttitudeSeries
+    from quatprop.series import AttitudeSeries, Float64, Int64
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
-    Float64 = NDArray[np.float64]
     Row = tuple[int, Float64]
 
 MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
@@ -109,7 +106,7 @@ def attitude_at(
             ) from None
 
 
-def stamps_in(path: Path | str) -> NDArray[np.int64]:
+def stamps_in(path: Path | str) -> Int64:
     """Return the stamps of a series of attitudes or of rates, in order, shape ``(N,)``, int64 ns.
 
     Parameters

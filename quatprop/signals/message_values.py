@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.time_range import TimeRange
+    from quatprop.series import Float64, Int64
     from quatprop.signals.clock import Clock
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 ABSENT = -1.0
 """What the first number of a covariance is where the value beside it is not measured."""

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.series import Float64, Int64
+
 
 ZERO = 1e-6
 """Lengths below this count as zero: they have no direction."""

@@ -13,11 +13,10 @@ from quatprop.text import quoted
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
+    from quatprop.series import Float64, Int64
     from quatprop.signals.clock import Clock
     from quatprop.signals.message_values import MessageReader
 
@@ -93,7 +92,7 @@ class _BurstReader(GroupDecoder):
         t_ns = stamp_ns[message] - before
         return Columns(block.log_ns[message], (t_ns, rate), block.not_before_ns)
 
-    def _check(self, counts: NDArray[np.int64], room: int, spacing_ns: NDArray[np.float64]) -> None:
+    def _check(self, counts: Int64, room: int, spacing_ns: Float64) -> None:
         # Written so that NaN is refused too.
         good = (counts <= room) & (spacing_ns >= 0) & (spacing_ns <= MAX_SPACING_NS)
         if not good.all():

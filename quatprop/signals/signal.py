@@ -8,18 +8,13 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from quatprop.conditioning.time_range import PartReader
     from quatprop.containers.merge import Columns
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
-    from quatprop.series import GyroSeries
+    from quatprop.series import Float64, GyroSeries, Int64
     from quatprop.text import Text
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
     Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
 
     class ReadRows(Protocol):

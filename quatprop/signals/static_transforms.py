@@ -25,13 +25,11 @@ from quatprop.tables.base import is_table
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from quatprop.containers.base import MessageLog
+    from quatprop.series import Float64
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
-    Float64 = NDArray[np.float64]
     Steps = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
 

@@ -23,13 +23,9 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from quatprop.series import GyroSeries
+    from quatprop.series import GyroSeries, Int64
     from quatprop.tables.base import Span
 
-    Int64 = NDArray[np.int64]
 
 MARGIN_NS = 60 * NS_PER_S
 """By how much delays may differ: far more than buffers and networks hold messages back."""
