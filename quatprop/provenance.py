@@ -26,6 +26,7 @@ JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
 
 _BLOCK_BYTES = 1 << 20
+_PLAIN = (bool, int, float, str)
 
 METADATA_KEY = b"quatprop"
 """Key of a file's metadata that holds the provenance, as JSON."""
@@ -50,7 +51,7 @@ def as_json(value: object) -> Any:
     """
     if isinstance(value, float) and not math.isfinite(value):
         value = None  # JSON has no infinities.
-    if value is None or isinstance(value, bool | int | float | str):
+    if value is None or isinstance(value, _PLAIN):
         return value
     if isinstance(value, Digest):
         return value.as_json()

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 _PREFIX = ".quatprop-"
 
-MANY_FILES = 500
+MANY_FILES = 50
 """A folder with more files is not listed for each output."""
 
 RELIST_S = 60.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 from quatprop.errors import SchemaError
@@ -132,6 +133,7 @@ def ros_name(type_name: str) -> str:
     return "/msg/".join(parts[-2:])
 
 
+@lru_cache(maxsize=1024)
 def steps(field_path: str) -> Steps | None:
     """Return the names and indices of a dotted path, or None for another text.
 

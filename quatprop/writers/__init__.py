@@ -154,6 +154,8 @@ def refuse_columns(
     UsageError
         They cannot be written.
     """
+    if beside is None and sigma is None:
+        return
     from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.writers.messages.kinds import MESSAGES, Message
 

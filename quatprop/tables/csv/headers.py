@@ -197,7 +197,9 @@ def _delimiter(texts: list[str]) -> str:
         # The last is for a table that is too narrow for rates: the error lists its columns.
         return sum(map(_is_data, rows)), max(widths) >= _RATES, len(widths) == 1 < min(widths)
 
-    return max(_DELIMITERS, key=fit)
+    # Tabs and blanks are also between cells where no mark is.
+    text = "".join(texts)
+    return max((mark for mark in _DELIMITERS if mark.isspace() or mark in text), key=fit)
 
 
 def _decimal(data: list[list[str]], delimiter: str) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -141,10 +143,10 @@ class BlockParser(ColumnParser):
                 decimal_point=self.layout.decimal,
             ),
         )
-        # In the main thread pyarrow would take over the handling of Ctrl-C and SIGTERM meanwhile,
-        # and a process that is told to end at that moment aborts.
-        with ThreadPoolExecutor(1) as thread:
-            table = thread.submit(read).result()
+        if threading.current_thread() is threading.main_thread():
+            table = _other_thread(os.getpid()).submit(read).result()
+        else:
+            table = read()
         numbers = np.empty((table.num_rows, len(self.columns.numbers)))
         for place, k in enumerate(self.columns.numbers):
             numbers[:, place] = to_numpy(table.column(str(k)))
@@ -157,6 +159,16 @@ class BlockParser(ColumnParser):
         if any(column.null_count for column in columns):
             raise pa.ArrowInvalid("a row without a time")
         return timestamps.sum_parts(map(_nanoseconds, columns, self.columns.units))
+
+
+@lru_cache(maxsize=1)
+def _other_thread(_process: int) -> ThreadPoolExecutor:
+    """Return a thread of this process; one that was forked has none of the threads before.
+
+    In the main thread pyarrow would take over the handling of Ctrl-C and SIGTERM while it reads,
+    and a process that is told to end at that moment aborts.
+    """
+    return ThreadPoolExecutor(1)
 
 
 def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:

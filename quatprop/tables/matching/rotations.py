@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import UndeclaredError, UsageError
 from quatprop.tables.matching.choose import ColumnMatch
 from quatprop.tables.matching.column_names import ANGLE_UNITS
+from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import EULER, EULER_NUMBERED, GENERIC, ROTATIONS
 from quatprop.tables.matching.matcher import ColumnMatcher
 from quatprop.text import Setting, listed, plain
@@ -51,7 +52,8 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
         matcher = ColumnMatcher(log, selection, "quat_cols", chosen)
         matches = [(f"euler-{chosen}", matcher, matcher.named(named))]
     if not matches:
-        _refuse_other_sequence(log, selection)
+        if chosen is not None:
+            _refuse_other_sequence(log, selection, chosen)
         return None
     if len(matches) > 1:
         names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
@@ -72,20 +74,23 @@ def _matches(
 ) -> list[tuple[str, ColumnMatcher, tuple[int, ...]]]:
     """Return each complete set of columns that one of some rotations has."""
     matches = []
+    columns = TableColumns(log, selection)
     for representation, pattern, parts in rotations:
+        if len(columns.matching(pattern)) < len(parts):
+            continue
         matcher = ColumnMatcher(log, selection, "quat_cols", parts)
         matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
     return matches
 
 
-def _refuse_other_sequence(log: TableLog, selection: AttitudeSelection) -> None:
+def _refuse_other_sequence(log: TableLog, selection: AttitudeSelection, chosen: str) -> None:
     """Refuse a sequence of angles where columns are by their names those of another one."""
     for representation, matcher, columns in _matches(log, selection, ROTATIONS):
-        if selection.from_euler is not None and representation.startswith("euler-"):
+        if representation.startswith("euler-"):
             axes = ", ".join(representation.removeprefix("euler-"))
             raise UsageError(
                 f"{plain(log.path)}: ",
-                Setting("from_euler", selection.from_euler),
+                Setting("from_euler", chosen),
                 f" contradicts the columns {matcher.names(columns)}, which by their names are "
                 f"angles about {axes}; if it is right, name the columns too, with ",
                 Setting("quat_cols", "A,B,C"),
