@@ -78,7 +78,7 @@ PLACEHOLDER = "structure_needs_at_least_one_member"
 MAX_DEFINITION = 1 << 19
 """Most bytes of a definition: parsing more takes seconds, and no real message needs it."""
 
-_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4
+BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
 """Kinds of types, as ``rosbags.interfaces.Nodetype`` numbers them."""
 
 _SHORT_NAMES = {
@@ -135,7 +135,7 @@ def message_type(channel: Channel, path: Path | str) -> Struct:
 @lru_cache(maxsize=256)
 def _message_type(type_name: str, ros1: bool, schema_encoding: str, schema: bytes) -> Struct:
     own = _parsed(type_name, schema_encoding, schema) if schema.strip() else {}
-    return _Builder(own, ros1).struct(type_name)
+    return TypeBuilder(own, ros1).struct(type_name)
 
 
 def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> dict[str, Fields]:
@@ -186,9 +186,9 @@ def _fields(type_name: str, lines: str) -> Fields:
             raise ValueError
         kind, length, name = match.groups()
         is_base = kind in NUMBERS or kind in STRINGS
-        own: Kind = (_BASE, (kind, 0)) if is_base else (_NAME, _full_name(kind, type_name))
+        own: Kind = (BASE, (kind, 0)) if is_base else (NAME, _full_name(kind, type_name))
         if length is not None:
-            own = (_ARRAY, (own, int(length))) if length.isdecimal() else (_SEQUENCE, (own, 0))
+            own = (ARRAY, (own, int(length))) if length.isdecimal() else (SEQUENCE, (own, 0))
         fields.append((name, own))
     return fields
 
@@ -225,7 +225,7 @@ def _standard(ros1: bool) -> dict[str, Fields]:
     return {name: kind[1] for name, kind in store.fielddefs.items()}
 
 
-class _Builder:
+class TypeBuilder:
     """Builds types from parsed definitions, each type once."""
 
     def __init__(self, own: Mapping[str, Fields], ros1: bool) -> None:
@@ -265,13 +265,13 @@ class _Builder:
         return self.own[name] if name in self.own else _standard(self.ros1).get(name)
 
     def _type(self, kind: Kind) -> Type:
-        if kind[0] == _BASE:
+        if kind[0] == BASE:
             return self._base(kind[1][0])
-        if kind[0] == _NAME:
+        if kind[0] == NAME:
             return self._named(kind[1])
         element, length = kind[1]
         inner = self._type(element)
-        return Array(inner, length) if kind[0] == _ARRAY else Sequence(inner)
+        return Array(inner, length) if kind[0] == ARRAY else Sequence(inner)
 
     def _base(self, name: str) -> Type:
         if name in STRINGS:

@@ -13,37 +13,25 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.messages.schema import (
-    MAX_DEPTH,
-    Array,
-    BadDefinitionError,
-    Primitive,
-    Struct,
-    Unknown,
-)
+from quatprop.messages.definitions import ARRAY, BASE, NAME, NUMBERS, TypeBuilder
+from quatprop.messages.schema import BadDefinitionError
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.containers.base import Channel
-    from quatprop.messages.schema import Type
+    from quatprop.messages.definitions import Fields, Kind
+    from quatprop.messages.schema import Struct
 
-NUMBERS: Mapping[str, Primitive] = {
-    "int8_t": Primitive("i1"),
-    "uint8_t": Primitive("u1"),
-    "int16_t": Primitive("i2"),
-    "uint16_t": Primitive("u2"),
-    "int32_t": Primitive("i4"),
-    "uint32_t": Primitive("u4"),
-    "int64_t": Primitive("i8"),
-    "uint64_t": Primitive("u8"),
-    "float": Primitive("f4"),
-    "double": Primitive("f8"),
-    "bool": Primitive("b1"),
-    "char": Primitive("u1"),
+_NUMBERS = {
+    **{f"{name}_t": name for name in NUMBERS if "int" in name},
+    "float": "float32",
+    "double": "float64",
+    "bool": "bool",
+    "char": "char",
 }
-"""Names of numbers in definitions."""
+"""Names of numbers in definitions, and in those of ROS."""
 
 MESSAGE_OF_TOPIC: Mapping[str, str] = {
     **dict.fromkeys(
@@ -93,35 +81,24 @@ def message_type(channel: Channel) -> Struct:
         It cannot be read.
     """
     lines = channel.schema.decode("utf-8", "replace").splitlines()
-    definitions = dict(line.split(":", 1) for line in lines if ":" in line)
-    if not definitions:
+    texts = dict(line.split(":", 1) for line in lines if ":" in line)
+    if not texts:
         raise BadDefinitionError(f"the log carries no definition of {quoted(channel.type_name)}")
-    return _struct(next(iter(definitions)), definitions, {}, 0)
+    types = {px4_name(name): list(_fields(name, texts)) for name in texts}
+    # The fields are packed, as in ROS 1.
+    return TypeBuilder(types, ros1=True).struct(next(iter(types)))
 
 
-def _struct(
-    name: str, definitions: Mapping[str, str], made: dict[str, Struct], depth: int
-) -> Struct:
-    """Return a type, built once however often it is named: nested types multiply quickly."""
-    if name in made:
-        return made[name]
-    if depth > MAX_DEPTH:
-        raise BadDefinitionError(f"the definition of {quoted(name)} contains itself")
-    fields = []
-    for text in filter(None, definitions[name].split(";")):
+def _fields(name: str, texts: Mapping[str, str]) -> Fields:
+    """Yield name and type of each field in the definition of a type."""
+    for text in filter(None, texts[name].split(";")):
         match = _FIELD.fullmatch(text.strip())
         if match is None:
             raise BadDefinitionError(
                 f"the definition of {quoted(name)} has a field that cannot be read: {quoted(text)}"
             )
         kind, length, own = match.groups()
-        element: Type
-        if kind in NUMBERS:
-            element = NUMBERS[kind]
-        elif kind in definitions:
-            element = _struct(kind, definitions, made, depth + 1)
-        else:
-            element = Unknown(kind)
-        fields.append((own, element if length is None else Array(element, int(length))))
-    made[name] = Struct(px4_name(name), tuple(fields))
-    return made[name]
+        element: Kind = (NAME, px4_name(kind) if kind in texts else kind)
+        if kind in _NUMBERS:
+            element = (BASE, (_NUMBERS[kind], 0))
+        yield own, element if length is None else (ARRAY, (element, int(length)))
