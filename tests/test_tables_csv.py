@@ -427,7 +427,7 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
     stream = text_stream.TextStream(io.BytesIO(text))
     cut = [
         bytes(block.data)
-        for block in text_stream.record_blocks(stream, data.draw(st.integers(64, 99)))
+        for block in text_stream.record_blocks(stream, 1, data.draw(st.integers(64, 99)))
     ]
     assert b"".join(cut) == text
     assert all(block.count(b'"') % 2 == 0 for block in cut)

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from quatprop.errors import UnreadableLogError, UnsupportedLogError
 from quatprop.tables.jsonl_parser import LineParser
-from quatprop.tables.text_stream import LineCounter, TextStream, note_lines, record_blocks
+from quatprop.tables.text_stream import TextStream, note_lines, record_blocks
 from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leaves
 from quatprop.text import quoted
 
@@ -90,24 +90,21 @@ class JsonLinesLog(TypedTable):
 
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
         text = self._open()
-        lines = LineCounter(1, self._open)
         parser = LineParser(
             self.path,
             [self._leaves[k] for k in columns.numbers],
             [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
         )
         try:
-            for block in record_blocks(text):
+            for block in record_blocks(text, 1):
                 yield from parser.parse(block.data)
                 if parser.rejected:
-                    line = lines.at(block.offset)
-                    rejected = [(line + number, reason) for number, reason in parser.rejected]
+                    rejected = [(block.line + number, why) for number, why in parser.rejected]
                     note_lines(self.losses, rejected)
                     parser.rejected.clear()
             if text.damage:
                 self.losses.note("end of the file", text.damage)
         finally:
-            lines.close()
             text.close()
 
 

@@ -1,16 +1,19 @@
-"""Text in record_blocks of whole records, in flat memory."""
+"""Text in blocks of whole records, in flat memory."""
 
 from __future__ import annotations
 
 import io
+from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
+
+import numpy as np
 
 from quatprop.containers.compressed_files import file_compression
 from quatprop.containers.compression import CompressionError, decompressed_pieces
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from quatprop.containers.base import Losses
 
@@ -18,6 +21,7 @@ BLOCK_BYTES = 1 << 22
 """Bytes of a block; a longer record makes a longer one."""
 
 _SMALL_LOG = 1 << 16
+_PIECE_BYTES = 1 << 18
 _LONGEST_RECORD = 1 << 26
 _LOSSES_A_BLOCK = 8
 
@@ -27,15 +31,15 @@ class TextBlock(NamedTuple):
 
     Parameters
     ----------
-    offset
-        Where it begins, counted from the beginning of the rows.
+    line
+        Number of its first line.
     data
         The records; valid until the next block is asked for.
     quoted
         Whether there are quotes in it, between which a line break may be part of a cell.
     """
 
-    offset: int
+    line: int
     data: memoryview
     quoted: bool
 
@@ -58,30 +62,33 @@ class TextStream:
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
         compression = file_compression(self._file.peek(4)[:4])
         if compression:
-            self._file = _Decompressed(self._file, compression)
-        self._rest = b""
+            self._pieces = decompressed_pieces(self._file, compression)
+        else:
+            self._pieces = iter(partial(self._file.read, _PIECE_BYTES), b"")
+        self._rest = memoryview(b"")
         self.damage = ""
         self.is_compressed = bool(compression)
 
     def fill(self, buffer: bytearray | memoryview) -> int:
         """Read until `buffer` is full or the text ends; return how many bytes were read."""
         view = memoryview(buffer)
-        filled = min(len(self._rest), len(view))
-        view[:filled] = self._rest[:filled]
-        self._rest = self._rest[filled:]
-        while filled < len(view) and not self.damage:
-            try:
-                count = self._file.readinto(view[filled:])
-            except CompressionError as error:
-                self.damage = error.reason
-                break
-            except OSError as error:
-                self.damage = f"it cannot be read further: {plain(error)}"
-                break
-            if not count:
-                break
-            filled += count
+        filled = 0
+        while filled < len(view) and (self._rest or self._read_piece()):
+            size = min(len(self._rest), len(view) - filled)
+            view[filled : filled + size] = self._rest[:size]
+            self._rest = self._rest[size:]
+            filled += size
         return filled
+
+    def _read_piece(self) -> bool:
+        """Read on; all that precedes damage is given out."""
+        try:
+            self._rest = memoryview(next(self._pieces, b""))
+        except CompressionError as error:
+            self.damage = error.reason
+        except OSError as error:
+            self.damage = f"it cannot be read further: {plain(error)}"
+        return len(self._rest) > 0
 
     def read(self, size: int) -> bytes:
         """Return the next `size` bytes, fewer at the end."""
@@ -90,47 +97,28 @@ class TextStream:
 
     def unread(self, data: bytes) -> None:
         """Give back what was read last."""
-        self._rest = data + self._rest
+        self._rest = memoryview(data + bytes(self._rest))
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
 
-class _Decompressed(io.RawIOBase):
-    """A compressed file as it decompresses; all that precedes damage is given out."""
-
-    def __init__(self, file: BinaryIO, compression: str) -> None:
-        self._file = file
-        self._pieces = decompressed_pieces(file, compression)
-        self._rest = b""
-
-    def readinto(self, buffer: Any) -> int:
-        """Fill a buffer, or a part of it."""
-        self._rest = self._rest or next(self._pieces, b"")
-        size = min(len(self._rest), len(buffer))
-        buffer[:size] = self._rest[:size]
-        self._rest = self._rest[size:]
-        return size
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-
-def record_blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:
-    """Yield a text as record_blocks that end where a record ends.
+def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:
+    """Yield a text as blocks that end where a record ends.
 
     Parameters
     ----------
     text
         The rows.
+    line
+        Number of their first line, from 1.
     size
         Bytes of a block.
     """
     # Memory costs time: a small log gets little.
     buffer = bytearray(min(size, _SMALL_LOG))
-    offset, filled = 0, text.fill(buffer)
+    filled = text.fill(buffer)
     if filled == len(buffer):
         buffer.extend(bytes(size - filled))
     while True:
@@ -142,11 +130,12 @@ def record_blocks(text: TextStream, size: int = BLOCK_BYTES) -> Iterator[TextBlo
             continue
         cut = cut or filled
         if cut:
-            yield TextBlock(offset, memoryview(buffer)[:cut], buffer.find(b'"', 0, cut) >= 0)
+            yield TextBlock(line, memoryview(buffer)[:cut], buffer.find(b'"', 0, cut) >= 0)
         if ended:
             return
+        line += int(np.count_nonzero(np.frombuffer(buffer, np.uint8, cut) == ord("\n")))
         buffer[: filled - cut] = buffer[cut:filled]
-        offset, filled = offset + cut, filled - cut
+        filled -= cut
 
 
 def record_end(buffer: bytes | bytearray, end: int) -> int:
@@ -178,49 +167,6 @@ def record_pieces(data: bytes, size: int) -> Iterator[bytes]:
             piece = piece[:end]
         yield piece
         begin += len(piece)
-
-
-class LineCounter:
-    """Counts the lines of a text.
-
-    Line numbers are needed only where a log is damaged, so a text that can be read a second time
-    is searched for line breaks only then.
-
-    Parameters
-    ----------
-    line
-        Number of the line of the first row, from 1.
-    reopen
-        Opens the rows from their beginning, if they can be read a second time.
-    """
-
-    def __init__(self, line: int, reopen: Callable[[], TextStream] | None) -> None:
-        self._line = line
-        self._reopen = reopen
-        self._text: TextStream | None = None
-        self._offset = 0
-
-    def at(self, offset: int) -> int:
-        """Return the number of the line that begins at `offset`; offsets must rise."""
-        if self._reopen is not None and self._text is None:
-            self._text = self._reopen()
-        while self._text is not None and self._offset < offset:
-            data = self._text.read(min(1 << 20, offset - self._offset))
-            if not data:
-                break
-            self._offset += len(data)
-            self._line += data.count(b"\n")
-        return self._line
-
-    def advance(self, block: TextBlock) -> None:
-        """Count the lines of a block that was read, for a text that cannot be read again."""
-        if self._reopen is None:
-            self._line += bytes(block.data).count(b"\n")
-
-    def close(self) -> None:
-        """Close what was reopened."""
-        if self._text is not None:
-            self._text.close()
 
 
 def note_lines(losses: Losses, rejected: list[tuple[int, str]]) -> None:

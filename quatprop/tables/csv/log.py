@@ -16,7 +16,7 @@ from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import LineCounter, TextStream, record_blocks, record_end
+from quatprop.tables.text_stream import TextStream, record_blocks, record_end
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -97,12 +97,11 @@ class CsvLog(TableLog):
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
-        lines = LineCounter(self._layout.line, None if self._stream else self._open_rows)
-        reader = BlockReader(self._layout, columns, lines, self.losses)
+        reader = BlockReader(self._layout, columns, self.losses)
         tail = b""
         try:
-            for block in record_blocks(text):
-                whole = self._without_truncated_line(block, tail, text, columns, lines)
+            for block in record_blocks(text, self._layout.line):
+                whole = self._without_truncated_line(block, tail, text, columns)
                 tail = bytes(block.data[-TAIL_BYTES:])
                 if not len(whole.data):
                     continue
@@ -113,7 +112,6 @@ class CsvLog(TableLog):
             if text.damage:
                 self.losses.note("end of the file", text.damage)
         finally:
-            lines.close()
             if self._stream is None:
                 text.close()
 
@@ -122,12 +120,7 @@ class CsvLog(TableLog):
         self._text = None
 
     def _without_truncated_line(
-        self,
-        block: TextBlock,
-        tail: bytes,
-        text: TextStream,
-        columns: TimedColumns,
-        lines: LineCounter,
+        self, block: TextBlock, tail: bytes, text: TextStream, columns: TimedColumns
     ) -> TextBlock:
         """Return a block without a last line that was cut off.
 
@@ -137,8 +130,8 @@ class CsvLog(TableLog):
             The block and where it comes from.
         tail
             The end of the block before.
-        columns, lines
-            What is read, and the line numbers.
+        columns
+            What is read.
         """
         if bytes(block.data[-1:]) in {b"\n", b"\r"}:
             return block
@@ -168,7 +161,7 @@ class CsvLog(TableLog):
             )
         if not truncated:
             return block
-        line = lines.at(block.offset) + data.count(b"\n", 0, begin)
+        line = block.line + data.count(b"\n", 0, begin)
         self.losses.note(f"line {line}", "it has no line end, and its last cell was cut off", 1)
         return block._replace(data=block.data[:begin])
 
@@ -178,17 +171,14 @@ class CsvLog(TableLog):
         except OSError as error:
             raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
 
-    def _open_rows(self) -> TextStream:
-        text = self._open()
-        text.read(self._layout.body)
-        return text
-
     def _restart(self) -> TextStream:
         """Return the text from its first row on, and forget what an earlier reading noted."""
         self._forget_earlier_reading()
         self.remarks.clear()
         if self._stream is None:
-            return self._open_rows()
+            rows = self._open()
+            rows.read(self._layout.body)
+            return rows
         text, self._text = self._text, None
         if text is None:
             raise UsageError("stdin can be read only once; save it to a file first")

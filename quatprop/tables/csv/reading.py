@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
     from quatprop.tables.csv.rows import ParsedRows
-    from quatprop.tables.text_stream import LineCounter, TextBlock
+    from quatprop.tables.text_stream import TextBlock
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -42,20 +42,15 @@ class BlockReader:
         How the table is laid out.
     columns
         Which columns to read.
-    lines
-        Where line numbers come from.
     losses
         Where rejected rows are noted.
     """
 
-    def __init__(
-        self, layout: CsvLayout, columns: TimedColumns, lines: LineCounter, losses: Losses
-    ) -> None:
+    def __init__(self, layout: CsvLayout, columns: TimedColumns, losses: Losses) -> None:
         self._layout = layout
         self._columns = columns
         self._block_parser = BlockParser(layout, columns)
         self._row_parser = RowParser(layout, columns)
-        self._lines = lines
         self._losses = losses
         self._first_rejected: tuple[int, str] | None = None
         self._count = 0
@@ -68,7 +63,6 @@ class BlockReader:
         except MISFITS:
             parts = list(self._piecewise(block))
         stamps = [self._stamps(rows) for rows in parts]
-        self._lines.advance(block)
         if len(parts) == 1:
             return stamps[0], parts[0].numbers
         return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
@@ -93,7 +87,7 @@ class BlockReader:
 
     def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
         """Read a block in which something does not fit, piece by piece."""
-        line = self._lines.at(block.offset)
+        line = block.line
         rejected: list[tuple[int, str]] = []
         count = 0
         for piece in record_pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
