@@ -75,7 +75,9 @@ def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
     return ByteRanges(begins, stops, np.repeat(moved, last - first))
 
 
-def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | None:
+def ranges_worth_reading(
+    starts: Int64, ends: Int64, size: int, share: int = SHARE
+) -> ByteRanges | None:
     """Return the byte ranges of a chunk that hold some of its bytes.
 
     Parameters
@@ -84,6 +86,8 @@ def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | 
         Where each wanted part begins and ends, shape ``(N,)``, int64, ascending.
     size
         Bytes of the chunk.
+    share
+        The ranges are at most 1/share of it.
 
     Returns
     -------
@@ -93,4 +97,4 @@ def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | 
     if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
         return None
     ranges = ranges_of(starts, ends, GAP)
-    return ranges if ranges.size * SHARE <= size else None
+    return ranges if ranges.size * share <= size else None

@@ -6,6 +6,7 @@ A topic that is recorded beside images has only a few messages in each chunk.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,11 +53,11 @@ def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
             messages += len(block)
             size += len(waiting[-1].data)
         if is_large or messages >= ENOUGH_MESSAGES or size >= ENOUGH_BYTES:
-            yield from _combined(waiting)
+            yield from [combined(waiting)] if waiting else []
             waiting, messages, size = [], 0, 0
         if is_large:
             yield block
-    yield from _combined(waiting)
+    yield from [combined(waiting)] if waiting else []
 
 
 def compacted(block: MessageBlock) -> MessageBlock:
@@ -81,38 +82,32 @@ def compacted(block: MessageBlock) -> MessageBlock:
     )
 
 
-def _combined(blocks: list[MessageBlock]) -> Iterator[MessageBlock]:
-    """Yield one block with the messages of several."""
-    if len(blocks) <= 1:
-        yield from blocks
-        return
-    sizes = np.array([len(block.data) for block in blocks])
+def combined(blocks: Sequence[MessageBlock]) -> MessageBlock:
+    """Return one block with copies of several, at least one."""
+    if len(blocks) == 1:
+        return blocks[0]
+    begins = accumulate((len(block.data) for block in blocks[:-1]), initial=0)
     data = np.concatenate([block.data for block in blocks])
-    yield join_blocks(data, blocks, (np.cumsum(sizes) - sizes).tolist())
+    return join_blocks(data, list(zip(blocks, begins, strict=True)))
 
 
-def join_blocks(
-    data: NDArray[np.uint8], blocks: Sequence[MessageBlock], begins: Sequence[int]
-) -> MessageBlock:
+def join_blocks(data: NDArray[np.uint8], parts: Sequence[tuple[MessageBlock, int]]) -> MessageBlock:
     """Return blocks, at least one, whose buffers are parts of one as one block.
 
     Parameters
     ----------
     data
         The buffer of all.
-    blocks
-        The messages of each part.
-    begins
-        Where in the buffer each part begins.
+    parts
+        The messages of each part, and where it begins in the buffer.
     """
-    if len(blocks) == 1 and not begins[0]:
-        return replace(blocks[0], data=data)
-    moved = list(zip(blocks, begins, strict=True))
+    if len(parts) == 1 and not parts[0][1]:
+        return replace(parts[0][0], data=data)
     return MessageBlock(
         data,
-        np.concatenate([block.starts + by for block, by in moved]),
-        np.concatenate([block.ends + by for block, by in moved]),
-        np.concatenate([block.log_ns for block in blocks]),
-        np.concatenate([block.publish_ns for block in blocks]),
-        blocks[-1].not_before_ns,
+        np.concatenate([block.starts + begin for block, begin in parts]),
+        np.concatenate([block.ends + begin for block, begin in parts]),
+        np.concatenate([block.log_ns for block, _ in parts]),
+        np.concatenate([block.publish_ns for block, _ in parts]),
+        parts[-1][0].not_before_ns,
     )

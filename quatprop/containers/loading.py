@@ -35,6 +35,9 @@ FIRST = 1 << 16
 """Bytes in the first buffer, for who reads only the beginning; each is twice as large as the one
 before, up to :data:`BUFFER`."""
 
+MOST_PARTS = 16
+"""Chunks in a group of those of which only a part is kept."""
+
 LARGE = 1 << 26
 """Bytes from which a chunk is not loaded ahead of its use."""
 
@@ -66,43 +69,32 @@ class ChunkGroup(Generic[Chunk]):
     ----------
     chunks
         The chunks.
+    sizes
+        Bytes of the records of each.
     buffer
-        Memory for their records, one after another; None for one that needs memory of its own.
-    begins
-        Where in it those of each begin.
+        Memory for their records, one after another; None where each has memory of its own.
     is_large
         Whether it is loaded only when it is its turn.
     """
 
     chunks: list[Chunk]
+    sizes: list[int]
     buffer: Bytes | None
-    begins: list[int]
     is_large: bool = False
+
+    @property
+    def begins(self) -> list[int]:
+        """Where in the buffer the records of each chunk begin."""
+        return list(accumulate(self.sizes[:-1], initial=0))
 
     def parts(self) -> Iterator[tuple[Chunk, Bytes | None]]:
         """Yield each chunk with the memory for its records."""
-        if self.buffer is None:
-            yield from ((chunk, None) for chunk in self.chunks)
-            return
-        ends = [*self.begins[1:], len(self.buffer)]
-        for chunk, begin, end in zip(self.chunks, self.begins, ends, strict=True):
-            yield chunk, self.buffer[begin:end]
+        for chunk, begin, size in zip(self.chunks, self.begins, self.sizes, strict=True):
+            yield chunk, None if self.buffer is None else self.buffer[begin : begin + size]
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedGroup(Generic[Chunk, Content]):
-    """Chunks that were loaded together.
-
-    Parameters
-    ----------
-    group
-        The chunks.
-    contents
-        What loading each of them gave.
-    """
-
-    group: ChunkGroup[Chunk]
-    contents: list[Content]
+LoadedGroup = tuple[ChunkGroup[Chunk], list[Content]]
+"""Chunks that were loaded together, and what loading each of them gave."""
 
 
 def load_in_groups(
@@ -114,19 +106,19 @@ def load_in_groups(
     Parameters
     ----------
     sized
-        The chunks, and how large the records of each are; None for one that needs memory of its
-        own.
+        The chunks, and how large the records of each are; None for one of which only a part is
+        kept, in memory of its own.
     load
         Loads a chunk into the memory that is given to it. Called in other threads.
 
     Yields
     ------
-    LoadedGroup
-        Chunks that follow each other.
+    tuple
+        Chunks that follow each other, and what loading each of them gave.
     """
 
     def loaded(group: ChunkGroup[Chunk]) -> LoadedGroup[Chunk, Content]:
-        return LoadedGroup(group, [load(*part) for part in group.parts()])
+        return group, [load(*part) for part in group.parts()]
 
     def load_group(
         group: ChunkGroup[Chunk],
@@ -150,19 +142,25 @@ def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[ChunkGroup[
     buffers = Buffers()
     chunks: list[Chunk] = []
     sizes: list[int] = []
+    share = room = 0
     limit = min(FIRST, BUFFER)
+    in_buffer = True
 
     def group() -> ChunkGroup[Chunk]:
-        return ChunkGroup(chunks, buffers.take(sum(sizes)), list(accumulate(sizes, initial=0))[:-1])
+        return ChunkGroup(chunks, sizes, buffers.take(sum(sizes)) if in_buffer else None)
 
     for chunk, size in sized:
-        if chunks and (size is None or size > LARGE or sum(sizes) + size > limit):
+        is_large = size is not None and size > LARGE
+        share = max(1, BUFFER // MOST_PARTS) if size is None else size
+        if chunks and (is_large or in_buffer != (size is not None) or room + share > limit):
             yield group()
-            chunks, sizes, limit = [], [], min(BUFFER, 2 * limit)
-        if size is None or size > LARGE:
-            yield ChunkGroup([chunk], None, [0], is_large=size is not None)
+            chunks, sizes, room, limit = [], [], 0, min(BUFFER, 2 * limit)
+        if is_large:
+            yield ChunkGroup([chunk], [share], None, is_large=True)
         else:
+            in_buffer = size is not None
             chunks.append(chunk)
-            sizes.append(size)
+            sizes.append(size or 0)
+            room += share
     if chunks:
         yield group()

@@ -13,7 +13,7 @@ from quatprop.containers.base import Channel
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
-from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, RegionError, head_of, load
+from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, RegionError, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.records import ChannelRecord, SchemaRecord
-    from quatprop.containers.mcap.regions import Region
+    from quatprop.containers.mcap.regions import ChunkHead, Region
 
 IDS = 1 << 16
 """Ids that the records of one part can have."""
@@ -95,13 +95,11 @@ def of_schema(schema: SchemaRecord) -> tuple[str, str, bytes]:
     return schema.name, schema.encoding, schema.data
 
 
-def leading_definitions(source: FileSource, region: Region) -> list[tuple[int, Buffer]]:
+def leading_definitions(
+    source: FileSource, start: int, chunk: ChunkHead
+) -> list[tuple[int, Buffer]]:
     """Return opcode and content of the definitions at the beginning of a chunk."""
-    chunk = head_of(source, region)
-    if chunk is None:
-        return []
-    size = min(chunk.end - chunk.begin, _LEADING)
-    front = source.read(region.start + chunk.begin, size)
+    front = source.read(start + chunk.begin, min(chunk.end - chunk.begin, _LEADING))
     data = bytes(decompress_prefix(front, chunk.compression, min(chunk.size, 4 * _LEADING)))
     walked = walk_records(data, stop_at=_NOT_DEFINITIONS)
     return [(opcode, data[begin:end]) for opcode, begin, end in walked.definitions]

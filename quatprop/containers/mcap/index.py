@@ -21,7 +21,6 @@ from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
     CHANNEL,
     CHUNK,
-    CHUNK_HEAD,
     DATA_END,
     INDEX_HEAD,
     MESSAGE,
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.regions import ChunkHead
     from quatprop.containers.mcap.summary import McapIndex
 
 UNDEFINED = "no record defines it"
@@ -166,12 +166,11 @@ class _Scan:
         opcode, length = RECORD.unpack_from(head.ljust(RECORD.size, b"\0"))
         end = position + RECORD.size + length
         is_whole = len(head) >= RECORD.size and end <= self.end and opcode != 0
-        if opcode == CHUNK and chunk_head(head, RECORD.size + length) is not None:
-            if is_whole or self._is_torn(position):
-                self._chunk(position, length, head)
+        if opcode == CHUNK:
+            chunk = chunk_head(head, RECORD.size + length)
+            if chunk is not None and (is_whole or self._is_torn(position)):
+                self._chunk(position, RECORD.size + length, chunk)
                 return opcode, min(end, self.end)
-            is_whole = False
-        elif opcode == CHUNK:
             is_whole = False
         if head.startswith(MAGIC):
             # Files that were put one behind another: a footer comes before, a header after.
@@ -253,10 +252,9 @@ class _Scan:
             )
             self.losses.note("data section", reason)
 
-    def _chunk(self, position: int, length: int, head: bytes) -> None:
-        first, *_ = CHUNK_HEAD.unpack_from(head, RECORD.size)
-        region = Region(position, RECORD.size + length, True, min(first, LATEST))
-        for opcode, content in leading_definitions(self.source, region):
+    def _chunk(self, position: int, length: int, chunk: ChunkHead) -> None:
+        region = Region(position, length, True, min(chunk.first_ns, LATEST), size=chunk.size)
+        for opcode, content in leading_definitions(self.source, position, chunk):
             self.definitions.add(opcode, content, f"in the {region.place}")
         region.first_id = self.definitions.first_id
         self.regions.append(region)
@@ -294,6 +292,7 @@ class _Scan:
             counts = messages.counts()
             first = int(messages.log_ns.min())
             holds = dict.fromkeys(counts, 0)
-            self.regions.append(Region(position, end, False, first, holds=holds, counts=counts))
-            self.regions[-1].first_id = self.definitions.first_id
+            region = Region(position, end, False, first, holds=holds, counts=counts, size=end)
+            region.first_id = self.definitions.first_id
+            self.regions.append(region)
         return position + end

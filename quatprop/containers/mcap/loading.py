@@ -1,94 +1,222 @@
-"""Load the regions of an MCAP file."""
+"""Read the messages of a channel in the regions of an MCAP file, and note what is lost."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
+from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, LoadedGroup, load_in_groups
-from quatprop.containers.mcap.regions import Loaded, RegionError, head_of, load
-from quatprop.containers.mcap.selected import (
-    Selected,
-    expected_ranges,
-    may_be_selected,
-    selected_messages,
+from quatprop.containers.loading import LARGE, Buffers
+from quatprop.containers.mcap.index import UNDEFINED
+from quatprop.containers.mcap.messages import (
+    indexed_offsets,
+    messages_at,
+    messages_past_damage,
+    only_messages,
 )
+from quatprop.containers.mcap.regions import PEEK, Loaded, Region, RegionError, index_of, load
+from quatprop.containers.mcap.selected import is_read_in_part, may_be_selected, selected_messages
+from quatprop.containers.mcap.walk import walk_records
+from quatprop.errors import UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.loading import ChunkGroup
+    from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.redefinitions import DefinitionCheck
-    from quatprop.containers.mcap.regions import ChunkHead, Region
 
-    Content: TypeAlias = Loaded | Selected | RegionError
-    """The whole of a region; its selected messages alone; or why it cannot be read."""
+    Bytes = NDArray[np.uint8]
 
 
-def load_regions(
-    source: FileSource, regions: Sequence[Region], ids: Sequence[int], definitions: DefinitionCheck
-) -> Generator[LoadedGroup[Region, Content], None, None]:
-    """Load regions, one after another.
+class McapReader(ChunkReader[Region, Loaded]):
+    """Reads the messages of one channel.
 
     Parameters
     ----------
     source
         The file.
-    regions
-        Where in it.
-    ids
-        The channels that are wanted.
     definitions
-        Says whether messages may be selected beside the definitions that a chunk begins with.
+        Compares definitions inside chunks with those of the index, to which losses are added.
+    topic, ids
+        The channel, and its ids in the index.
+    unchecked
+        Where chunks begin of which only selected messages were read; grows.
 
-    Yields
-    ------
-    LoadedGroup
-        Regions that follow each other.
+    Attributes
+    ----------
+    lost
+        Messages that are known to be lost.
     """
-    loader = _Loader(source, ids, definitions)
-    first = loader.head(regions[0]) if regions else None
-    is_uncompressed = first is not None and first.is_uncompressed
-    source.expect(*expected_ranges(regions, ids, uncompressed=is_uncompressed))
-    return load_in_groups(((region, loader.size(region)) for region in regions), loader.load)
 
-
-class _Loader:
     def __init__(
-        self, source: FileSource, ids: Sequence[int], definitions: DefinitionCheck
+        self,
+        source: FileSource,
+        definitions: DefinitionCheck,
+        topic: str,
+        ids: Sequence[int],
+        unchecked: set[int],
     ) -> None:
-        self.source, self.ids, self.definitions = source, ids, definitions
-        self.budget = DecompressionBudget(source.size)
+        super().__init__(source)
+        self.definitions, self.topic, self.ids = definitions, topic, ids
+        self.index, self.losses = definitions.index, definitions.index.losses
+        self.lost = 0
+        self.unchecked = unchecked
+        self._budget = DecompressionBudget(source.size)
+        self._buffers = Buffers()
 
-    def head(self, region: Region) -> ChunkHead | None:
-        try:
-            return head_of(self.source, region)
-        except OSError:
-            return None  # noted when the chunk is loaded
+    def expected(self, chunk: Region) -> list[tuple[int, int]]:
+        """Return the bytes of a region, or head and index of a chunk that is read in part."""
+        head_end = chunk.start + PEEK
+        if is_read_in_part(chunk, chunk.own(self.ids)):
+            return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
+        return [(chunk.start, max(chunk.end, head_end))]
 
-    def size(self, region: Region) -> int | None:
-        """Return the bytes of the records of a chunk; None for one that is not loaded as usual."""
-        head = self.head(region)
-        if head is None or not head.size:
+    def size(self, chunk: Region) -> int | None:
+        """Return the bytes of the records of a region; None where they are selected from."""
+        if chunk.size <= LARGE and may_be_selected(chunk, chunk.own(self.ids)):
             return None
-        own = region.own(self.ids)
-        if head.size <= LARGE and head.is_uncompressed and may_be_selected(region, own):
-            return None
-        return head.size
+        return chunk.size or None
 
-    def load(self, region: Region, into: NDArray[np.uint8] | None) -> Content:
-        """Return the selected messages of a region or, where that is as quick, all of it."""
-        own = region.own(self.ids)
+    def load(self, chunk: Region, into: Bytes | None) -> Loaded:
+        """Return the selected messages of a region, or all of it."""
+        own = chunk.own(self.ids)
+        selects = into is None and may_be_selected(chunk, own)
+        if selects and is_read_in_part(chunk, own):
+            try:
+                selection = selected_messages(self.source, chunk, own, self.definitions)
+            except (RegionError, OSError):
+                selection = None  # it is read whole, and then compared with its checksum
+            if selection is not None:
+                return selection
+        if selects and 0 < chunk.size <= LARGE:
+            into = self._buffers.take(chunk.size)
+        loaded = self._whole(chunk, into)
+        if not selects or loaded.damage:
+            return loaded
         try:
-            if into is None and (selected := selected_messages(self.source, region, own)):
-                self.definitions.check_leading(selected.data, region, own)
-                return selected
-        except (RegionError, OSError):
-            pass  # it is read whole, and then compared with its checksum
+            selection = selected_messages(self.source, chunk, own, self.definitions, loaded.data)
+        except RegionError:
+            return loaded  # it is noted when its messages are located
+        return loaded if selection is None else selection
+
+    def _whole(self, region: Region, into: Bytes | None = None) -> Loaded:
         try:
-            return load(self.source, region, self.budget, into=into)
+            return load(self.source, region, self._budget, into=into)
         except RegionError as error:
-            return error
+            return Loaded(b"", error.reason, is_readable=False)
+
+    def located(
+        self, group: ChunkGroup[Region], contents: list[Loaded]
+    ) -> Iterator[tuple[int, MessageBlock | None]]:
+        """Yield the messages of loaded regions."""
+        pairs = zip(group.chunks, contents, strict=True)
+        self.unchecked.update(region.start for region, loaded in pairs if loaded.is_partial)
+        return super().located(group, contents)
+
+    def only_messages(self, data: Bytes, first: Region) -> tuple[MessageBlock, int] | None:
+        """Return the messages of regions that hold nothing else behind the first definitions."""
+        try:
+            begin = self.definitions.check_leading(data.data, first, first.own(self.ids))
+        except RegionError:
+            return None
+        messages = only_messages(data.data, begin)
+        if messages is None:
+            return None
+        (id_,) = messages.counts()
+        return messages.block(data.data), id_
+
+    def may_have(self, chunk: Region, count: int, id_: int) -> bool:
+        """Return whether an id is wanted, and a region has so many messages of it by the index."""
+        return id_ in chunk.own(self.ids) and chunk.count(id_) in {count, None}
+
+    def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
+        """Return the messages of one region, and note what is lost of them.
+
+        Raises
+        ------
+        UnsupportedLogError
+            A chunk redefines the channel.
+        """
+        if content.offsets is not None:
+            messages = messages_at(content.data, content.offsets)
+            if messages is not None and messages.are_all_of(chunk.own(self.ids)):
+                return messages.block(content.data)
+            content = self._whole(chunk)
+            self.unchecked.discard(chunk.start)
+        reason = content.damage
+        if content.is_readable:
+            try:
+                messages = self._messages(content, chunk)
+            except RegionError as error:
+                self._refuse_redefined(content, chunk, error)
+                reason = error.reason
+            else:
+                return messages.block(content.data) if messages else None
+        lost = message_count([chunk], self.ids)
+        self.losses.note(chunk.place, reason, lost, self.topic)
+        self.lost += lost or 0
+        return None
+
+    def _messages(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
+        """Locate the messages of a region by its index or, if that fails, by its records."""
+        data, damage = loaded.data, loaded.damage
+        ids = region.own(self.ids)
+        index = index_of(self.source, region)
+        offsets = indexed_offsets(index, region, ids)
+        if offsets is not None:
+            messages = messages_at(data, offsets)
+            if messages is not None and messages.are_all_of(ids):
+                self.definitions.check_beside(data, region, ids, messages)
+                return messages
+        walked = walk_records(data)
+        self.definitions.check(data, walked.definitions, region, ids)
+        if walked.malformed:
+            self.losses.note(region.place, "too short to be messages", walked.malformed)
+        indexed = indexed_offsets(index, region, list(region.holds or ()))
+        if walked.end < len(data) and indexed is not None:
+            messages = messages_past_damage(data, walked.offsets, indexed)
+        else:
+            messages = messages_at(data, walked.offsets)
+        if offsets is None and messages:
+            self._note_undefined(region, messages)
+        messages = messages.of(ids) if messages else None
+        found = len(messages) if messages else 0
+        listed = found if offsets is None else len(offsets)
+        lost = max(0, listed - found - walked.malformed)
+        if walked.end < len(data):
+            damage = (
+                damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
+            )
+        elif lost:
+            damage = damage or "its message index lists messages that are not among its records"
+        if damage:
+            self.losses.note(region.place, damage, lost or None, self.topic)
+        self.lost += lost
+        return messages
+
+    def _refuse_redefined(self, loaded: Loaded, region: Region, error: RegionError) -> None:
+        """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
+        if loaded.has_checksum:
+            raise UnsupportedLogError(
+                self.source.path,
+                f"{region.place}: {error.reason}; MCAP forbids that; copy the messages with an "
+                "MCAP library into a file in which each definition has its own id",
+            ) from error
+
+    def _note_undefined(self, region: Region, messages: LocatedMessages) -> None:
+        """Note the messages of channels that no record defines."""
+        for id_, count in messages.counts().items():
+            if region.first_id + id_ not in self.index.channels:
+                self.losses.note(f"channel {id_}", UNDEFINED, count, region.start)
+
+
+def message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
+    """Return how many messages of some channels the regions hold; None if that is unknown."""
+    counts = [region.count(id_) for region in regions for id_ in region.own(ids)]
+    return None if None in counts else sum(count for count in counts if count is not None)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.file_source import source_of
+from quatprop.containers.base import LATEST, Channel, MessageBlock
+from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import build_index
-from quatprop.containers.mcap.loading import load_regions
-from quatprop.containers.mcap.locating import MessageLocator, message_count
+from quatprop.containers.mcap.loading import McapReader, message_count
 from quatprop.containers.mcap.metadata import read_provenance
+from quatprop.containers.mcap.redefinitions import DefinitionCheck
+from quatprop.containers.mcap.regions import Region
 from quatprop.containers.mcap.summary import MAGIC
-from quatprop.containers.time_range import TimeRange, parts_within, span_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.regions import Region
 
 
-class McapLog(MessageLog):
+class McapLog(ChunkedLog[Region]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
     Parameters
@@ -35,8 +33,6 @@ class McapLog(MessageLog):
 
     Attributes
     ----------
-    source
-        The open file.
     index
         What it holds and where.
 
@@ -54,8 +50,7 @@ class McapLog(MessageLog):
     has_publish_time = True
 
     def __init__(self, log: Path | FileSource) -> None:
-        self.source = source_of(log)
-        super().__init__(self.source.path)
+        super().__init__(log)
         try:
             magic = self.source.read(0, len(MAGIC))
             if magic != MAGIC:
@@ -68,7 +63,8 @@ class McapLog(MessageLog):
             raise
         self._regions = index.regions
         self._ids = ids_by_channel(index)
-        self._locator = MessageLocator(self.source, index)
+        self._definitions = DefinitionCheck(index)
+        self._unchecked: set[int] = set()
         self._stated = index.counts
         self.losses = index.losses
         if self.losses and not (self._ids or self._regions):
@@ -98,59 +94,30 @@ class McapLog(MessageLog):
             return sum(self._stated.get(id_, 0) for id_ in ids)
         return message_count(self._regions, ids)
 
+    def chunks_of(self, channel: Channel) -> list[Region]:
+        """Return the regions that may hold a channel, in order of time."""
+        ids = set(self._ids.get(channel, []))
+        regions = [r for r in self._regions if r.holds is None or not ids.isdisjoint(r.ids)]
+        return sorted(regions, key=lambda region: (region.first_ns, region.start))
+
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, chunk after chunk in order of their first times.
+        """Yield the messages of one channel, and compare their number with the file's."""
+        count = yield from self.read(channel, self.chunks_of(channel))
+        self._check_count(channel.topic, self._ids.get(channel, []), count)
 
-        Chunks are read and decompressed ahead, in threads. Only chunks that hold the channel are
-        read, and none is kept, so memory use does not grow with the file.
-
-        Parameters
-        ----------
-        channel
-            One of :meth:`channels`.
-
-        Yields
-        ------
-        MessageBlock
-            The messages of one chunk or several, in the order of the chunks.
-        """
-        ids, regions = self._regions_of(channel)
-        count = yield from self._blocks(channel, ids, regions)
-        self._check_count(channel.topic, ids, count)
-
-    def recorded_span(self, channel: Channel) -> TimeRange | None:
-        """Return when a channel was recorded; None where the file has no chunk index."""
-        _, regions = self._regions_of(channel)
-        return span_of(regions)
-
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the chunks that overlap a range of log times."""
-        ids, regions = self._regions_of(channel)
-        yield from self._blocks(channel, ids, parts_within(regions, within))
-
-    def _regions_of(self, channel: Channel) -> tuple[list[int], list[Region]]:
-        """Return the ids of a channel, and the regions that may hold it, in order of time."""
-        ids = self._ids.get(channel, [])
-        regions = [r for r in self._regions if r.holds is None or not set(ids).isdisjoint(r.ids)]
-        return ids, sorted(regions, key=lambda region: (region.first_ns, region.start))
-
-    def _blocks(
-        self, channel: Channel, ids: list[int], regions: list[Region]
+    def read(
+        self, channel: Channel, chunks: Sequence[Region]
     ) -> Generator[MessageBlock, None, int]:
-        """Yield the messages in some regions, and return how many there were or are lost."""
-        bounds = [*(region.first_ns for region in regions), LATEST]
-        done = count = 0
-        with closing(load_regions(self.source, regions, ids, self._locator.definitions)) as groups:
-            for group in groups:
-                done += len(group.contents)
-                block, lost = self._locator.block(group, channel.topic, ids)
-                count += lost
-                self.unchecked_chunks = len(self._locator.unchecked)
-                if block is not None:
-                    count += len(block)
-                    self._remark_on_clamped(block)
-                    yield replace(block, not_before_ns=bounds[done])
-        return count
+        """Yield the messages of one channel in some regions; return how many are there or lost."""
+        ids = self._ids.get(channel, [])
+        reader = McapReader(self.source, self._definitions, channel.topic, ids, self._unchecked)
+        count = 0
+        for block in reader.blocks(chunks):
+            count += len(block)
+            self.unchecked_chunks = len(self._unchecked)
+            self._remark_on_clamped(block)
+            yield block
+        return count + reader.lost
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""
@@ -165,10 +132,6 @@ class McapLog(MessageLog):
             return read_provenance(self.source, self.index.metadata)
         except OSError as error:
             raise self._unreadable(error) from error
-
-    def close(self) -> None:
-        """Close the file."""
-        self.source.close()
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
         remark = (

@@ -8,11 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from quatprop.containers.mcap.definitions import IDS, of_channel, of_schema
-from quatprop.containers.mcap.messages import indexed_offsets
-from quatprop.containers.mcap.regions import MESSAGE, RECORD, RegionError
+from quatprop.containers.mcap.regions import MESSAGE, RegionError
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 
@@ -54,7 +51,6 @@ class DefinitionCheck:
     def check_beside(
         self,
         data: Buffer,
-        index: Buffer,
         region: Region,
         ids: Sequence[int],
         messages: LocatedMessages,
@@ -63,8 +59,8 @@ class DefinitionCheck:
 
         Parameters
         ----------
-        data, index, region, ids
-            The chunk, its message index, and the ids in it of the channels that are read.
+        data, region, ids
+            The chunk, and the ids in it of the channels that are read.
         messages
             Their messages.
 
@@ -73,7 +69,11 @@ class DefinitionCheck:
         RegionError
             A channel that is read, or its schema, is redefined there.
         """
-        beside = memoryview(data)[: _begin_of_messages(data, index, region, ids, messages)]
+        # Messages that fill the rest of the chunk need not be followed one by one.
+        head = MESSAGE_HEAD.itemsize
+        begin = int(messages.starts[0]) - head if len(messages) else 0
+        size = int((messages.ends - messages.starts).sum()) + len(messages) * head
+        beside = memoryview(data)[: begin if begin + size == len(data) else None]
         self.check(beside, walk_records(beside).definitions, region, ids)
 
     def check(
@@ -108,31 +108,6 @@ class DefinitionCheck:
                 channels = [c.id for c in index.channels.values() if c.schema_id == id_]
                 return channels, f"schema {id_ % IDS}", _change(before.name, schema.name)
         return [], "", ""
-
-
-def _begin_of_messages(
-    data: Buffer, index: Buffer, region: Region, ids: Sequence[int], messages: LocatedMessages
-) -> int | None:
-    """Return where messages begin in a chunk of which they fill the rest; None where they do not.
-
-    To add up their lengths is far quicker than to follow the records.
-    """
-    if not len(messages):
-        return None
-    begin = int(messages.starts[0]) - MESSAGE_HEAD.itemsize
-    size = int((messages.ends - messages.starts).sum()) + len(messages) * MESSAGE_HEAD.itemsize
-    # A stride of 1 byte lets records begin anywhere.
-    lengths = np.ndarray((len(data) - 8,), "<u8", data, offset=1, strides=(1,))
-    for id_ in set(region.holds or ()).difference(ids):
-        offsets = indexed_offsets(index, region, [id_])
-        if offsets is None or len(offsets) == 0:
-            return None
-        begin = min(begin, int(offsets[0]))
-        try:
-            size += int(lengths[offsets].sum()) + len(offsets) * RECORD.size
-        except IndexError:
-            return None
-    return begin if begin >= 0 and begin + size == len(data) else None
 
 
 def _change(before: str, now: str) -> str:

@@ -34,6 +34,10 @@ CHUNK_HEAD = struct.Struct("<QQQII")
 """Start time, end time, unpacked size, CRC, length of the compression's name."""
 PEEK = 128
 """Bytes that hold the head of any record that is looked into."""
+_UNCOMPRESSED_HEAD = RECORD.size + CHUNK_HEAD.size + 8
+"""Bytes of a chunk record before records that are not compressed."""
+_AT_ONCE = 1 << 26
+"""Bytes of a chunk that are read together with its head at most."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode, length, channel and size of the entries of a message index."""
@@ -64,6 +68,8 @@ class Region:
         Its latest log time, ns; None if it is unknown.
     first_id
         What is added to its channel ids to tell them from those defined elsewhere in the file.
+    size
+        Bytes of its decompressed records by the index, which may be wrong.
     """
 
     start: int
@@ -75,11 +81,17 @@ class Region:
     counts: dict[int, int] | None = None
     first_id: int = 0
     last_ns: int | None = None
+    size: int = 0
 
     @property
     def end(self) -> int:
         """Where the next record begins in the file."""
         return self.start + self.length + self.index_length
+
+    @property
+    def is_uncompressed(self) -> bool:
+        """Whether it is a chunk whose records are in the file as they are, by the index."""
+        return self.is_chunk and self.size == self.length - _UNCOMPRESSED_HEAD
 
     @property
     def place(self) -> str:
@@ -134,11 +146,26 @@ class Loaded(NamedTuple):
         Why `data` ends early, or ``""``.
     has_checksum
         Whether a checksum shows that it is as it was written.
+    offsets
+        Where the selected messages begin in `data`, which holds copies of them and little else;
+        None where `data` is everything.
+    is_partial
+        Whether only the selected messages were read.
+    is_readable
+        Whether anything of it can be read.
     """
 
     data: Buffer
     damage: str = ""
     has_checksum: bool = False
+    offsets: NDArray[np.int64] | None = None
+    is_partial: bool = False
+    is_readable: bool = True
+
+    @property
+    def is_selection(self) -> bool:
+        """Whether it is of selected messages."""
+        return self.offsets is not None
 
 
 TORN = "the file ends inside it"
@@ -166,7 +193,7 @@ def load(
     check
         Whether to refuse a chunk whose checksum is wrong.
     into
-        Memory for the decompressed records; it has their size.
+        Memory for the decompressed records; used if it has their size.
 
     Raises
     ------
@@ -190,24 +217,31 @@ def _load(
     check: bool,
 ) -> Loaded:
     if not region.is_chunk:
-        loose = source.read(region.start, region.length)
+        loose: Buffer
+        if into is None or len(into) != region.length:
+            loose = source.read(region.start, region.length)
+        else:
+            loose = source.read_into(region.start, into)
         return Loaded(loose, TORN if len(loose) < region.length else "")
-    chunk = head_of(source, region)
+    in_place = into is not None and region.is_uncompressed
+    at_once = not in_place and region.length <= _AT_ONCE
+    front = memoryview(source.read(region.start, region.length if at_once else PEEK))
+    chunk = chunk_head(front, region.length)
     if chunk is None:
         raise RegionError("no chunk of the indexed length begins there")
     budget.check()
+    if into is not None and len(into) != chunk.size:
+        into = None
     begin, size = region.start + chunk.begin, chunk.end - chunk.begin
-    if not chunk.compression and into is not None and chunk.size == size <= source.size - begin:
+    if into is not None and in_place and chunk.is_uncompressed:
         data: Buffer = source.read_into(begin, into)
         if len(data) < size:
             return Loaded(data, TORN)
     else:
-        content = source.read(begin, size)
+        content = front[chunk.begin : chunk.end] if at_once else source.read(begin, size)
         if len(content) < size or region.start + region.length > source.size:
-            prefix = decompress_prefix(content, chunk.compression, chunk.size)[: chunk.size]
-            if into is not None:
-                into.data[: len(prefix)] = prefix
-            return Loaded(prefix, TORN)
+            prefix = decompress_prefix(content, chunk.compression, chunk.size)
+            return Loaded(prefix[: chunk.size], TORN)
         data = decompress(content, chunk.compression, chunk.size or None, into)
     budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():

@@ -1,48 +1,40 @@
-"""Selected messages of an uncompressed chunk, without reading what lies between them.
+"""Selected messages of a chunk that also holds others, such as the pictures of a camera.
 
-A camera beside an IMU fills most of a chunk, and the index says where every message begins.
+The index says where every message begins. Of a large uncompressed chunk only the selected messages
+are read.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
-from quatprop.containers.mcap.messages import indexed_offsets, messages_at
-from quatprop.containers.mcap.regions import PEEK, RECORD, head_of, index_of
+from quatprop.containers.byte_ranges import GAP, LARGE, ranges_of, ranges_worth_reading
+from quatprop.containers.mcap.messages import indexed_offsets
+from quatprop.containers.mcap.regions import RECORD, Loaded, head_of, index_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.containers.mcap.redefinitions import DefinitionCheck
     from quatprop.containers.mcap.regions import Region
 
 
-class Selected(NamedTuple):
-    """Messages that were read without the rest of their chunk.
+def selected_messages(
+    source: FileSource,
+    region: Region,
+    ids: Sequence[int],
+    definitions: DefinitionCheck,
+    records: Buffer | None = None,
+) -> Loaded | None:
+    """Return copies of the messages of selected channels, without what lies between them.
 
-    Parameters
-    ----------
-    data
-        The beginning of the chunk up to its first message, its selected messages, and the heads of
-        the others.
-    messages
-        Where the selected messages are.
-    """
-
-    data: Buffer
-    messages: LocatedMessages
-
-
-def selected_messages(source: FileSource, region: Region, ids: Sequence[int]) -> Selected | None:
-    """Return the messages of selected channels, read one byte range after another.
-
-    The heads of the other messages are read too: their lengths show that no definition is hidden
-    between them.
+    The lengths of all records show that no definition is hidden between them.
 
     Parameters
     ----------
@@ -52,76 +44,94 @@ def selected_messages(source: FileSource, region: Region, ids: Sequence[int]) ->
         A chunk.
     ids
         The channels.
+    definitions
+        Compares the definitions at the beginning of the chunk.
+    records
+        The decompressed records; None to read only those that are selected, one byte range after
+        another. The checksum is that of the whole chunk, so they are not checked against it.
 
     Returns
     -------
-    Selected or None
-        None where the chunk is better read whole: it is compressed, small or mostly selected, or
-        its index and its records do not agree. The checksum is that of the whole chunk, so the
-        messages are not checked against it.
+    Loaded or None
+        None where the chunk is better read whole, since most of it is selected, or where its index
+        and its records do not agree.
+
+    Raises
+    ------
+    RegionError
+        It redefines a selected channel.
     """
-    chunk = head_of(source, region) if may_be_selected(region, ids) else None
-    if chunk is None or not chunk.is_uncompressed:
-        return None
+    is_partial = records is None
     index = index_of(source, region)
     selected = indexed_offsets(index, region, ids)
-    indexed = indexed_offsets(index, region, list(region.holds or ()))
-    if selected is None or indexed is None or not len(selected):
+    others = indexed_offsets(index, region, [id_ for id_ in region.holds or () if id_ not in ids])
+    if selected is None or others is None or not len(selected):
         return None
-    begins = np.concatenate([[0], indexed])
-    nexts = np.append(indexed, chunk.size)
-    is_whole = np.isin(begins, selected)
-    is_whole[0] = True
-    ends = np.where(is_whole, nexts, np.minimum(begins + RECORD.size, nexts))
-    ranges = ranges_worth_reading(begins, ends, chunk.size)
-    if ranges is None:
+    offsets = np.concatenate([selected, others])
+    order = np.argsort(offsets, kind="stable")
+    is_wanted = order < len(selected)
+    begins = offsets[order]
+    nexts = np.append(begins[1:], region.size if records is None else len(records))
+    lengths = nexts - begins
+    if records is None:
+        partial = _read(source, region, begins, nexts, is_wanted)
+        if partial is None:
+            return None
+        records, begins = partial
+    leading = definitions.check_leading(records, region, ids)
+    if begins[0] != leading or begins[-1] + RECORD.size > len(records):
         return None
-    records_at = region.start + chunk.begin
-    places = records_at + ranges.begins, records_at + ranges.ends
-    data = source.read_ranges(*(place.tolist() for place in places))
-    if len(data) < ranges.size or (nexts[1:] - begins[1:] < RECORD.size).any():
-        return None
-    moved = (begins - ranges.moved)[1:]
     # A stride of 1 byte lets records begin anywhere.
-    lengths = np.ndarray((len(data) - RECORD.size + 1,), "<u8", data, offset=1, strides=(1,))
-    if (lengths[moved] != nexts[1:] - begins[1:] - RECORD.size).any():
+    stated = np.ndarray((len(records) - RECORD.size + 1,), "<u8", records, 1, (1,))[begins]
+    if np.count_nonzero(stated != lengths - RECORD.size):
         return None
-    messages = messages_at(data, moved[is_whole[1:]])
-    return Selected(data, messages) if messages and messages.are_all_of(ids) else None
+    begins, lengths = begins[is_wanted], lengths[is_wanted]
+    length = int(lengths[0])
+    if np.count_nonzero(lengths != length):
+        ranges = ranges_of(begins, begins + lengths, GAP)
+        data = ranges.of(np.frombuffer(records, np.uint8))
+        return Loaded(data.data, offsets=begins - ranges.moved, is_partial=is_partial)
+    # Records of one length are copied in a single call.
+    every = np.ndarray((len(records) - length + 1,), f"V{length}", records, 0, (1,))
+    data = every[begins].view(np.uint8)
+    return Loaded(data.data, offsets=np.arange(0, len(data), length), is_partial=is_partial)
 
 
-def expected_ranges(
-    regions: Sequence[Region], ids: Sequence[int], *, uncompressed: bool
-) -> tuple[list[int], list[int]]:
-    """Return where the reading of the messages of some channels begins: byte ranges of the file.
-
-    Parameters
-    ----------
-    regions
-        Regions with messages of the channels.
-    ids
-        The channels.
-    uncompressed
-        Whether chunks are not compressed, so that large ones are read in part: what they hold is
-        known from their heads and indexes.
+def _read(
+    source: FileSource,
+    region: Region,
+    begins: NDArray[np.int64],
+    nexts: NDArray[np.int64],
+    is_wanted: NDArray[np.bool_],
+) -> tuple[Buffer, NDArray[np.int64]] | None:
+    """Read what precedes the first record, the wanted records, and the heads of the others.
 
     Returns
     -------
-    begins, ends
-        The ranges, bytes.
+    tuple or None
+        The bytes, and where in them the records begin; None where the whole chunk is as quick to
+        read.
     """
-    begins, ends = [], []
-    for region in regions:
-        if uncompressed and may_be_selected(region, region.own(ids)):
-            begins += [region.start, region.start + region.length]
-            ends += [region.start + PEEK, region.end]
-        else:
-            begins.append(region.start)
-            ends.append(max(region.end, region.start + PEEK))
-    return begins, ends
+    chunk = head_of(source, region)
+    if chunk is None or not chunk.is_uncompressed or chunk.size != region.size:
+        return None
+    starts = np.concatenate([[0], begins])
+    ends = np.where(is_wanted, nexts, np.minimum(begins + RECORD.size, nexts))
+    ranges = ranges_worth_reading(starts, np.concatenate([begins[:1], ends]), chunk.size)
+    if ranges is None:
+        return None
+    at = region.start + chunk.begin
+    data = source.read_ranges((at + ranges.begins).tolist(), (at + ranges.ends).tolist())
+    return (data, begins - ranges.moved[1:]) if len(data) == ranges.size else None
 
 
 def may_be_selected(region: Region, ids: Sequence[int]) -> bool:
-    """Return whether a region is large, and holds other channels."""
-    is_large = region.is_chunk and region.length >= LARGE
-    return is_large and region.holds is not None and not set(region.holds) <= set(ids)
+    """Return whether a region is a chunk with other channels, by an index of its messages."""
+    if not region.is_chunk or not region.index_length or region.holds is None:
+        return False
+    return not set(region.holds) <= set(ids)
+
+
+def is_read_in_part(region: Region, ids: Sequence[int]) -> bool:
+    """Return whether only the selected messages of a region are read."""
+    return region.is_uncompressed and region.length >= LARGE and may_be_selected(region, ids)

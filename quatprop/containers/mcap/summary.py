@@ -188,10 +188,12 @@ def _indexed_chunk(content: memoryview, data_end: int) -> Region:
     first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
     holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
-    (index_length,) = struct.unpack_from("<Q", content, begin + map_size)
+    index_length, name_length = struct.unpack_from("<QI", content, begin + map_size)
+    _, size = struct.unpack_from("<QQ", content, begin + map_size + 12 + name_length)
     if start < len(MAGIC) or length < RECORD.size or start + length + index_length > data_end:
         raise ValueError
     return Region(
         *(start, length, True, min(first, LATEST), index_length, holds or None),
         last_ns=min(last, LATEST),
+        size=size,
     )

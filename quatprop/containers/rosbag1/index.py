@@ -94,15 +94,25 @@ class ChunkRecords:
         Reads the index data that follow the chunk.
     damage
         Why `data` ends early, or ``""``.
+    selected
+        Index entries of the selected messages, where `data` holds copies of them and little else.
     """
 
-    data: NDArray[np.uint8]
+    data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     read_index: Callable[[], bytes] = bytes
     damage: str = ""
+    selected: dict[int, NDArray[np.void]] | None = None
+
+    @property
+    def is_selection(self) -> bool:
+        """Whether it is of selected messages."""
+        return self.selected is not None
 
     @cached_property
     def entries(self) -> dict[int, NDArray[np.void]]:
         """Index entries of each connection."""
+        if self.selected is not None:
+            return self.selected
         try:
             return index_offsets(self.read_index())
         except MalformedRecordError:
@@ -155,7 +165,10 @@ class BagIndex:
 
 
 def read_chunk(
-    file: RecordFile, chunk: BagChunk, into: NDArray[np.uint8] | None = None
+    file: RecordFile,
+    chunk: BagChunk,
+    into: NDArray[np.uint8] | None = None,
+    record: Record | None = None,
 ) -> ChunkRecords:
     """Read and decompress a chunk.
 
@@ -167,6 +180,8 @@ def read_chunk(
         Where in it.
     into
         Memory for its records; it has their size.
+    record
+        Its record, if it is known.
 
     Raises
     ------
@@ -176,15 +191,15 @@ def read_chunk(
         It cannot be decompressed.
     """
     if chunk.is_unchunked:
-        return ChunkRecords(np.frombuffer(file.at(chunk.start, chunk.end - chunk.start), np.uint8))
-    record = file.record(chunk.start)
+        size = chunk.end - chunk.start
+        records = file.at(chunk.start, size) if into is None else file.into(chunk.start, into)
+        return ChunkRecords(np.frombuffer(records, np.uint8))
+    record = record or file.record(chunk.start)
     if record.op != OP_CHUNK:
         raise MalformedRecordError("there is no chunk")
     size, length = record.number(b"size"), record.end - record.data
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
-    # The index data after a chunk has 12 bytes a message, less than the chunk itself. Anything
-    # longer is damage.
-    index = partial(file.at, record.end, max(0, min(chunk.end - record.end, size)))
+    index = index_reader(file, chunk, record, size)
     if compression == "none":
         records = file.at(record.data, length) if into is None else file.into(record.data, into)
         damage = "its end is cut off" if len(records) < length else ""
@@ -192,12 +207,20 @@ def read_chunk(
     content = file.at(record.data, length)
     if len(content) < length:
         prefix = decompress_prefix(content, compression, size)
-        if into is not None:
-            into.data[: len(prefix)] = prefix
         damage = f"its {compression} data is cut off"
         return ChunkRecords(np.frombuffer(prefix, np.uint8), index, damage)
     data = decompress(content, compression, size, into)
     return ChunkRecords(np.frombuffer(data, np.uint8), index)
+
+
+def index_reader(
+    file: RecordFile, chunk: BagChunk, record: Record, size: int
+) -> Callable[[], bytes]:
+    """Return what reads the index data behind a chunk.
+
+    They have 12 bytes a message, less than the `size` of the records. Anything longer is damage.
+    """
+    return partial(file.at, record.end, max(0, min(chunk.end - record.end, size)))
 
 
 def read_index(file: RecordFile, header: Record) -> BagIndex | None:

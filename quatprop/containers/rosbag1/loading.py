@@ -1,4 +1,4 @@
-"""Load the chunks of a ROS 1 bag, and locate the messages of some connections in them."""
+"""Read the messages of a channel in the chunks of a ROS 1 bag, and note what is lost."""
 
 from __future__ import annotations
 
@@ -6,142 +6,149 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers import byte_ranges
-from quatprop.containers.base import Loss, MessageBlock
+from quatprop.containers.base import MessageBlock
+from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
+from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.coalesce import join_blocks
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, load_in_groups
-from quatprop.containers.rosbag1.index import ChunkRecords, read_chunk
+from quatprop.containers.loading import LARGE, Buffers
+from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, read_chunk
 from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
 from quatprop.containers.rosbag1.records import (
+    HEAD,
     OP_CHUNK,
     OP_MESSAGE,
     MalformedRecordError,
     begin_of_messages,
     surviving_records,
 )
-from quatprop.containers.rosbag1.selected import expected_ranges, selected_messages
+from quatprop.containers.rosbag1.selected import selected_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
-
     from numpy.typing import NDArray
 
-    from quatprop.containers.loading import LoadedGroup
-    from quatprop.containers.rosbag1.index import BagChunk
-    from quatprop.containers.rosbag1.records import RecordFile
-
-    Content = tuple[ChunkRecords, MessageBlock | None]
-    """The records of a chunk, and those messages that were selected before it was read whole."""
+    from quatprop.containers.base import Losses
+    from quatprop.containers.rosbag1.records import Record, RecordFile
 
 
-class ChunkLoader:
-    """Loads chunks and locates messages in them.
+class BagReader(ChunkReader[BagChunk, ChunkRecords]):
+    """Reads the messages of one channel.
 
     Parameters
     ----------
     file
         The bag.
-    chunks
-        The chunks, in the order in which they are wanted.
-    connections
-        Numbers of the connections whose messages are wanted.
+    losses
+        What is lost of it; grows.
+    topic, connections
+        The channel, and the numbers of its connections.
     """
 
-    def __init__(self, file: RecordFile, chunks: Sequence[BagChunk], connections: set[int]) -> None:
-        self.file, self.chunks, self.connections = file, chunks, connections
-        self.budget = DecompressionBudget(file.size)
+    def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:
+        super().__init__(file.source)
+        self.file, self.losses, self.topic, self.connections = file, losses, topic, connections
+        self._budget = DecompressionBudget(file.size)
+        self._buffers = Buffers()
+        self._records: dict[int, Record | None] = {}
+        self._is_plain: bool | None = None
 
-    def groups(self) -> Generator[LoadedGroup[BagChunk, Content], None, None]:
-        """Load the chunks, several together and ahead of their use."""
-        compressed = bool(self.chunks) and self._is_compressed(self.chunks[0])
-        expected = expected_ranges(self.chunks, self.connections, compressed=compressed)
-        self.file.source.expect(*expected)
-        return load_in_groups(((chunk, self._size(chunk)) for chunk in self.chunks), self._load)
+    def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
+        """Return the bytes of a chunk, or of the head of one that is read in part."""
+        head_end = chunk.start + HEAD
+        if self._is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
+            if self._is_plain is None:
+                record = self._record(chunk)
+                self._is_plain = record is None or record.fields[b"compression"] == b"none"
+            if self._is_plain:
+                return [(chunk.start, head_end)]
+        return [(chunk.start, max(chunk.end, head_end))]
 
-    def block(
-        self, loaded: LoadedGroup[BagChunk, Content]
-    ) -> tuple[MessageBlock | None, list[Loss]]:
-        """Return the messages of loaded chunks, and what is lost of them."""
-        group = loaded.group
-        data = loaded.contents[0][0].data if group.buffer is None else group.buffer
-        everything = _only_messages(data, loaded, self.connections)
-        if everything is not None:
-            return everything, []
-        blocks, begins, losses = [], [], []
-        for (content, selected), chunk, begin in zip(
-            loaded.contents, group.chunks, group.begins, strict=True
-        ):
-            inside = chunk.inside(self.connections)
-            messages, damage = selected, ""
-            if messages is None and not content.damage:
-                messages = _indexed(content.data, content.entries, chunk, inside)
-            if messages is None:
-                messages, damage = _scanned(content, inside)
-            expected = sum(chunk.counts.get(conn, 0) for conn in inside)
-            missing = expected - len(messages)
-            if damage or missing > 0:
-                reason = damage or "it has fewer messages than it says"
-                losses.append(Loss(chunk.place, reason, missing or None))
-            if len(messages):
-                blocks.append(messages)
-                begins.append(begin)
-        return (join_blocks(data, blocks, begins) if blocks else None), losses
-
-    def _is_compressed(self, chunk: BagChunk) -> bool:
-        try:
-            return self.file.record(chunk.start).fields.get(b"compression", b"none") != b"none"
-        except MalformedRecordError:
-            return False
-
-    def _size(self, chunk: BagChunk) -> int | None:
+    def size(self, chunk: BagChunk) -> int | None:
         """Return the bytes of the records of a chunk; None for one that is not loaded as usual."""
+        record = self._records[chunk.start] = self._record(chunk)
+        if chunk.is_unchunked:
+            return chunk.end - chunk.start
+        if record is None:
+            return None
+        size = _size_of(record)
+        return None if self._is_mixed(chunk) and size <= LARGE else size or None
+
+    def load(self, chunk: BagChunk, into: NDArray[np.uint8] | None) -> ChunkRecords:
+        """Return the selected messages of a chunk, or all of it."""
+        record = self._records.pop(chunk.start)
+        inside = chunk.inside(self.connections)
+        selects = into is None and self._is_mixed(chunk) and record is not None
+        if selects and record is not None:
+            selection = selected_messages(self.file, chunk, record, inside)
+            if selection is not None:
+                return selection
+            if 0 < (size := _size_of(record)) <= LARGE:
+                into = self._buffers.take(size)
+        loaded = self._whole(chunk, record, into)
+        if selects and record is not None and not loaded.damage:
+            return selected_messages(self.file, chunk, record, inside, loaded) or loaded
+        return loaded
+
+    def _whole(
+        self, chunk: BagChunk, record: Record | None = None, into: NDArray[np.uint8] | None = None
+    ) -> ChunkRecords:
+        try:
+            self._budget.check()
+            loaded = read_chunk(self.file, chunk, into, record)
+        except (MalformedRecordError, CompressionError) as error:
+            return ChunkRecords(damage=str(error))
+        self._budget.spend(0 if chunk.is_unchunked else len(loaded.data))
+        return loaded
+
+    def only_messages(
+        self,
+        data: NDArray[np.uint8],
+        first: BagChunk,  # noqa: ARG002  # the numbers are compared with each chunk's
+    ) -> tuple[MessageBlock, int] | None:
+        """Return the messages of chunks that hold nothing else behind the first definitions."""
+        begin = begin_of_messages(data)
+        return None if begin is None else only_messages(data, begin)
+
+    def may_have(self, chunk: BagChunk, count: int, id_: int) -> bool:
+        """Return whether a connection is wanted, and a chunk has so many messages of it."""
+        return id_ in chunk.inside(self.connections) and chunk.counts.get(id_) == count
+
+    def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
+        """Return the messages of one chunk, and note what is lost of them."""
+        inside = chunk.inside(self.connections)
+        messages, damage = None, ""
+        if not content.damage:
+            messages = _indexed(content.data, content.entries, chunk, inside)
+        if messages is None and content.is_selection:
+            content = self._whole(chunk)
+        if messages is None:
+            messages, damage = _scanned(content, inside)
+        missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
+        if damage or missing > 0:
+            reason = damage or "it has fewer messages than it says"
+            self.losses.note(chunk.place, reason, missing or None, self.topic)
+        return messages
+
+    def _is_mixed(self, chunk: BagChunk) -> bool:
+        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
+
+    def _record(self, chunk: BagChunk) -> Record | None:
+        """Return the record of a chunk; None where there is none that is whole."""
         try:
             record = None if chunk.is_unchunked else self.file.record(chunk.start)
             if record is None or record.op != OP_CHUNK or record.end > self.file.size:
                 return None
-            if record.fields.get(b"compression") != b"none":
-                return record.number(b"size") or None
+            record.number(b"size")
         except MalformedRecordError:
             return None
-        size = record.end - record.data
-        is_mixed = not chunk.counts.keys() <= chunk.inside(self.connections)
-        return None if is_mixed and byte_ranges.LARGE <= size <= LARGE else size or None
-
-    def _load(self, chunk: BagChunk, into: NDArray[np.uint8] | None) -> Content:
-        """Read the selected messages of a chunk or, where that is as quick, all of it."""
-        inside = chunk.inside(self.connections)
-        part = selected_messages(self.file, chunk, inside) if into is None else None
-        if part is not None and (selected := _indexed(*part, chunk, inside)) is not None:
-            return ChunkRecords(part[0]), selected
-        try:
-            self.budget.check()
-            loaded = read_chunk(self.file, chunk, into)
-            self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
-        except (MalformedRecordError, CompressionError) as error:
-            loaded = ChunkRecords(np.empty(0, np.uint8), damage=str(error))
-        return loaded, None
+        return record if b"compression" in record.fields else None
 
 
-def _only_messages(
-    data: NDArray[np.uint8], loaded: LoadedGroup[BagChunk, Content], wanted: set[int]
-) -> MessageBlock | None:
-    """Return the messages of chunks that hold nothing else, which is quick; else None."""
-    if any(content.damage or selected is not None for content, selected in loaded.contents):
-        return None
-    begin = begin_of_messages(data)
-    messages = None if begin is None else only_messages(data, begin)
-    if begin is None or messages is None:
-        return None
-    block, conn = messages
-    chunks, begins = loaded.group.chunks, loaded.group.begins
-    for chunk, end in zip(chunks, [*begins[1:], len(data)], strict=True):
-        count, rest = divmod(end - begin, block.stride)
-        if rest or conn not in chunk.inside(wanted) or chunk.counts.get(conn) != count:
-            return None
-        begin = end
-    return block
+def _size_of(record: Record) -> int:
+    """Return the bytes of the records of a chunk."""
+    is_plain = record.fields[b"compression"] == b"none"
+    return record.end - record.data if is_plain else record.number(b"size")
 
 
 def _indexed(
@@ -166,7 +173,7 @@ def _indexed(
         parts.append(part)
     if len(parts) == 1:
         return parts[0]
-    block = join_blocks(data, parts, [0] * len(parts))
+    block = join_blocks(data, [(part, 0) for part in parts])
     return block.at(np.argsort(block.starts))
 
 

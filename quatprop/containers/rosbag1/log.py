@@ -4,34 +4,33 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.file_source import source_of
+from quatprop.containers.base import Channel
+from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
-from quatprop.containers.rosbag1.loading import ChunkLoader
+from quatprop.containers.rosbag1.loading import BagReader
 from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import OP_BAG_HEADER, MalformedRecordError, RecordFile
-from quatprop.containers.time_range import TimeRange, parts_within, span_of
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
 
 
-class Rosbag1Log(MessageLog):
+class Rosbag1Log(ChunkedLog[BagChunk]):
     """A ROS 1 bag.
 
     Parameters
@@ -41,8 +40,6 @@ class Rosbag1Log(MessageLog):
 
     Attributes
     ----------
-    source
-        The open file.
     index
         What it holds.
 
@@ -59,8 +56,7 @@ class Rosbag1Log(MessageLog):
     kind = "bag"
 
     def __init__(self, log: Path | FileSource) -> None:
-        self.source = source_of(log)
-        super().__init__(self.source.path)
+        super().__init__(log)
         self._file = RecordFile(self.source)
         try:
             self.index = index = self._index()
@@ -148,47 +144,19 @@ class Rosbag1Log(MessageLog):
         channels = (replace(channel, count=count) for channel, count in counts.items())
         return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, chunk after chunk, in order of their start."""
-        wanted, chunks = self._chunks_of(channel)
-        return self._blocks(channel, wanted, chunks)
+    def chunks_of(self, channel: Channel) -> list[BagChunk]:
+        """Return the chunks that hold a channel, in order of time."""
+        wanted = self._connections_of(channel)
+        return [chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()]
 
-    def recorded_span(self, channel: Channel) -> TimeRange | None:
-        """Return when a channel was recorded; None where the bag has no index."""
-        _, chunks = self._chunks_of(channel)
-        return span_of(chunks)
+    def read(self, channel: Channel, chunks: Sequence[BagChunk]) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel in some chunks."""
+        wanted = self._connections_of(channel)
+        return BagReader(self._file, self.losses, channel.topic, wanted).blocks(chunks)
 
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the chunks that overlap a range of log times."""
-        wanted, chunks = self._chunks_of(channel)
-        return self._blocks(channel, wanted, parts_within(chunks, within))
-
-    def _chunks_of(self, channel: Channel) -> tuple[set[int], list[BagChunk]]:
-        """Return the connections of a channel, and the chunks that hold it, in order of time."""
-        wanted = {conn for conn, described in self._channels.items() if described == channel}
-        return wanted, [
-            chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()
-        ]
-
-    def _blocks(
-        self, channel: Channel, wanted: set[int], chunks: list[BagChunk]
-    ) -> Iterator[MessageBlock]:
-        bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
-        loader = ChunkLoader(self._file, chunks, wanted)
-        done = 0
-        with closing(loader.groups()) as groups:
-            for group in groups:
-                done += len(group.contents)
-                block, losses = loader.block(group)
-                for loss in losses:
-                    self.losses.note(loss.place, loss.reason, loss.messages, channel.topic)
-                if block is not None:
-                    yield replace(block, not_before_ns=bounds[done])
+    def _connections_of(self, channel: Channel) -> set[int]:
+        return {conn for conn, described in self._channels.items() if described == channel}
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which its connection may carry, as JSON."""
         return self._recorded
-
-    def close(self) -> None:
-        """Close the file."""
-        self.source.close()

@@ -9,25 +9,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
-from quatprop.containers.rosbag1.records import HEAD, OP_CHUNK, MalformedRecordError, index_offsets
+from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
+from quatprop.containers.rosbag1.index import ChunkRecords, index_reader
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
 
     from quatprop.containers.rosbag1.index import BagChunk
-    from quatprop.containers.rosbag1.records import RecordFile
-
-    IndexEntries = dict[int, NDArray[np.void]]
+    from quatprop.containers.rosbag1.records import Record, RecordFile
 
 
 def selected_messages(
-    file: RecordFile, chunk: BagChunk, connections: AbstractSet[int]
-) -> tuple[NDArray[np.uint8], IndexEntries] | None:
-    """Return the messages of selected connections, read one byte range after another.
+    file: RecordFile,
+    chunk: BagChunk,
+    record: Record,
+    connections: AbstractSet[int],
+    whole: ChunkRecords | None = None,
+) -> ChunkRecords | None:
+    """Return copies of the messages of selected connections, and of little else.
 
     Parameters
     ----------
@@ -35,71 +36,46 @@ def selected_messages(
         The bag.
     chunk
         One of its chunks.
+    record
+        Its record.
     connections
         Numbers of the connections.
+    whole
+        All records; None to read only those that are selected, one byte range after another.
 
     Returns
     -------
-    tuple or None
-        Records, and the index entries of the selected connections. None where the chunk is better
-        read whole: it is compressed, small or mostly selected, or its index data is not what the
-        bag says.
+    ChunkRecords or None
+        None where the chunk is better read whole: it is compressed, small or mostly selected, or
+        its index data is not what the bag says.
     """
-    if chunk.is_unchunked or chunk.counts.keys() <= connections:
-        return None
-    try:
-        record = file.record(chunk.start)
+    if whole is None:
         size = record.end - record.data
-        is_uncompressed = record.op == OP_CHUNK and record.fields.get(b"compression") == b"none"
+        is_uncompressed = record.fields[b"compression"] == b"none"
         if not is_uncompressed or size < LARGE or record.end > chunk.end:
             return None
-        entries = index_offsets(file.at(record.end, min(chunk.end - record.end, size)))
-    except MalformedRecordError:
-        return None
+    else:
+        size = len(whole.data)
+    entries = (whole or ChunkRecords(read_index=index_reader(file, chunk, record, size))).entries
     if {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
         return None
     indexed = _offsets(entries)
     selected = {conn: rows for conn, rows in entries.items() if conn in connections}
     begins = _offsets(selected)
     nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
-    ranges = ranges_worth_reading(begins, nexts, size)
+    ranges = ranges_worth_reading(begins, nexts, size, SHARE if whole is None else 1)
     if ranges is None:
         return None
-    places = record.data + ranges.begins, record.data + ranges.ends
-    data = file.at_ranges(*(each.tolist() for each in places))
+    if whole is None:
+        places = record.data + ranges.begins, record.data + ranges.ends
+        data = np.frombuffer(file.at_ranges(*(each.tolist() for each in places)), np.uint8)
+    else:
+        data = ranges.of(whole.data)
     for conn, rows in selected.items():
         moved = rows.copy()
         moved["offset"] = rows["offset"] - ranges.moved[np.searchsorted(begins, rows["offset"])]
         selected[conn] = moved
-    return np.frombuffer(data, np.uint8), selected
-
-
-def expected_ranges(
-    chunks: Sequence[BagChunk], connections: AbstractSet[int], *, compressed: bool
-) -> tuple[list[int], list[int]]:
-    """Return where the reading of the messages of some connections begins: byte ranges of the file.
-
-    Parameters
-    ----------
-    chunks
-        Chunks with messages of the connections.
-    connections
-        Numbers of the connections.
-    compressed
-        Whether chunks are compressed, and so read whole.
-
-    Returns
-    -------
-    begins, ends
-        The ranges, bytes.
-    """
-    ends = []
-    for chunk in chunks:
-        is_large = chunk.end - chunk.start >= LARGE
-        is_all = chunk.counts.keys() <= chunk.inside(connections)
-        in_part = is_large and not compressed and not is_all
-        ends.append(chunk.start + HEAD if in_part else max(chunk.end, chunk.start + HEAD))
-    return [chunk.start for chunk in chunks], ends
+    return ChunkRecords(data, selected=selected)
 
 
 def _offsets(entries: dict[int, NDArray[np.void]]) -> NDArray[np.int64]:

@@ -1,0 +1,228 @@
+"""Read the messages of a channel in the chunks of a log, whichever format it has."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import closing
+from dataclasses import replace
+from itertools import accumulate
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from quatprop.containers.base import LATEST, MessageBlock, MessageLog
+from quatprop.containers.coalesce import join_blocks
+from quatprop.containers.file_source import source_of
+from quatprop.containers.loading import load_in_groups
+from quatprop.containers.time_range import TimedPart, parts_within, span_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from quatprop.containers.base import Channel
+    from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
+    from quatprop.containers.loading import ChunkGroup
+    from quatprop.containers.time_range import TimeRange
+
+    Bytes = NDArray[np.uint8]
+
+
+Chunk = TypeVar("Chunk", bound=TimedPart)
+
+
+class ChunkedLog(MessageLog, Generic[Chunk]):
+    """A file whose messages are in chunks.
+
+    Parameters
+    ----------
+    log
+        The file.
+
+    Attributes
+    ----------
+    source
+        The open file.
+
+    Raises
+    ------
+    UnreadableLogError
+        It is missing or may not be read.
+    """
+
+    def __init__(self, log: Path | FileSource) -> None:
+        self.source = source_of(log)
+        super().__init__(self.source.path)
+
+    @abstractmethod
+    def chunks_of(self, channel: Channel) -> list[Chunk]:
+        """Return the chunks that may hold a channel, in order of time."""
+
+    @abstractmethod
+    def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel in some chunks."""
+
+    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, chunk after chunk in order of their first times.
+
+        Only chunks that hold the channel are read, and none is kept, so memory use does not grow
+        with the file.
+
+        Parameters
+        ----------
+        channel
+            One of :meth:`channels`.
+
+        Yields
+        ------
+        MessageBlock
+            The messages of one chunk or several, in the order of the chunks.
+        """
+        return self.read(channel, self.chunks_of(channel))
+
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return when a channel was recorded; None where the file has no index of chunks."""
+        return span_of(self.chunks_of(channel))
+
+    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
+        """Yield the messages of the chunks that overlap a range of log times."""
+        return self.read(channel, parts_within(self.chunks_of(channel), within))
+
+    def close(self) -> None:
+        """Close the file."""
+        self.source.close()
+
+
+class ChunkContent(Protocol):
+    """What was loaded of a chunk.
+
+    Attributes
+    ----------
+    data
+        Its decompressed records, as far as they could be read.
+    damage
+        Why they end early, or ``""``.
+    is_selection
+        Whether `data` holds copies of the wanted messages, and little else.
+    """
+
+    @property
+    def data(self) -> Buffer | Bytes: ...  # noqa: D102
+    @property
+    def damage(self) -> str: ...  # noqa: D102
+    @property
+    def is_selection(self) -> bool: ...  # noqa: D102
+
+
+Content = TypeVar("Content", bound=ChunkContent)
+
+
+class ChunkReader(ABC, Generic[Chunk, Content]):
+    """Reads the messages of one channel; each format says how.
+
+    Parameters
+    ----------
+    source
+        The file.
+    """
+
+    def __init__(self, source: FileSource) -> None:
+        self.source = source
+
+    @abstractmethod
+    def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
+        """Return begin and end of the bytes of the file that are read first for a chunk."""
+
+    @abstractmethod
+    def size(self, chunk: Chunk) -> int | None:
+        """Return the bytes of the records of a chunk; None where only a part of them is kept."""
+
+    @abstractmethod
+    def load(self, chunk: Chunk, into: Bytes | None) -> Content:
+        """Return the records of a chunk, or its wanted messages.
+
+        Called in other threads.
+
+        Parameters
+        ----------
+        chunk
+            The chunk.
+        into
+            Memory of its :meth:`size` for the records; None for memory of their own, as for those
+            that turn out to have another size.
+        """
+
+    @abstractmethod
+    def only_messages(self, data: Bytes, first: Chunk) -> tuple[MessageBlock, int] | None:
+        """Return the messages of several chunks, and the id that they all have in the chunks.
+
+        None where anything else is between them, or they differ in length.
+        """
+
+    @abstractmethod
+    def may_have(self, chunk: Chunk, count: int, id_: int) -> bool:
+        """Return whether an id is wanted, and a chunk has so many messages of it by the index."""
+
+    @abstractmethod
+    def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages of one chunk, and note what is lost of them."""
+
+    def blocks(self, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
+        """Yield the messages in some chunks, in their order.
+
+        Chunks are read and decompressed ahead, in threads.
+        """
+        ranges = [each for chunk in chunks for each in self.expected(chunk)]
+        self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
+        bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
+        sized = ((chunk, self.size(chunk)) for chunk in chunks)
+        done = 0
+        with closing(load_in_groups(sized, self.load)) as groups:
+            for group, contents in groups:
+                for read, block in self.located(group, contents):
+                    done += read
+                    if block:
+                        yield replace(block, not_before_ns=bounds[done])
+
+    def located(
+        self, group: ChunkGroup[Chunk], contents: list[Content]
+    ) -> Iterator[tuple[int, MessageBlock | None]]:
+        """Yield the messages of loaded chunks as few blocks, and of how many chunks each is."""
+        sizes = [len(content.data) for content in contents]
+        if all(content.is_selection for content in contents):
+            copies = [np.frombuffer(content.data, np.uint8) for content in contents]
+            group = replace(group, sizes=sizes, buffer=np.concatenate(copies))
+        buffer = group.buffer if sizes == group.sizes else None
+        if buffer is not None and not any(content.damage for content in contents):
+            every = self._all_at_once(buffer, group)
+            if every is not None:
+                yield len(group.chunks), every
+                return
+        blocks = [self.messages(*pair) for pair in zip(contents, group.chunks, strict=True)]
+        # A chunk whose selection turned out to be wrong was loaded again, into other memory.
+        in_place = [
+            not block or len(block.data) == size for block, size in zip(blocks, sizes, strict=True)
+        ]
+        if buffer is None or not all(in_place):
+            yield from ((1, block) for block in blocks)
+            return
+        placed = zip(blocks, group.begins, strict=True)
+        parts = [(block, begin) for block, begin in placed if block]
+        yield len(blocks), join_blocks(buffer, parts) if parts else None
+
+    def _all_at_once(self, data: Bytes, group: ChunkGroup[Chunk]) -> MessageBlock | None:
+        """Return the messages of chunks that hold nothing else, which is quick; else None."""
+        found = self.only_messages(data, group.chunks[0])
+        if found is None:
+            return None
+        block, id_ = found
+        begin = int(block.ends[0]) - block.stride
+        for chunk, end in zip(group.chunks, accumulate(group.sizes), strict=True):
+            count, rest = divmod(end - begin, block.stride)
+            if rest or not self.may_have(chunk, count, id_):
+                return None
+            begin = end
+        return block
