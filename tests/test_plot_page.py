@@ -1,9 +1,13 @@
 """The report as one HTML file: loads nothing, lets nothing of a file be markup, opens anywhere."""
 
+import json
 import re
 import shutil
 import subprocess
+from base64 import b64encode
+from hashlib import sha256
 from html.parser import HTMLParser
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -17,20 +21,21 @@ from quatprop.kinematics.quaternion import exp
 HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'
 
 LOADS = {
-    "script", "link", "img", "image", "iframe", "object", "embed", "audio", "video", "source",
+    "link", "img", "image", "iframe", "object", "embed", "audio", "video", "source",
     "base", "form", "input", "button", "foreignobject", "feimage", "animate", "set",
 }  # fmt: skip
-"""Elements that fetch, run or send something."""
+"""Elements that fetch or send something."""
 
 EMPTY = {"meta", "path", "use", "rect", "line", "circle", "br"}
 
 
 class Page(HTMLParser):
-    """What a page is made of: elements with attributes, style sheets, words."""
+    """What a page is made of: elements with attributes, style sheets, scripts, words."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
-        self.elements, self.styles, self.words, self.open = [], [], [], []
+        self.elements, self.words, self.open = [], [], []
+        self.styles, self.scripts = [], []
         self.feed(text)
         self.close()
 
@@ -50,8 +55,9 @@ class Page(HTMLParser):
             assert self.open.pop() == tag
 
     def handle_data(self, data):
-        """Keep words and style sheets apart."""
-        (self.styles if self.open and self.open[-1] == "style" else self.words).append(data)
+        """Keep words, style sheets and scripts apart."""
+        apart = {"style": self.styles, "script": self.scripts}
+        apart.get(self.open[-1] if self.open else "", self.words).append(data)
 
 
 def page_of(*arguments):
@@ -64,10 +70,23 @@ def page_of(*arguments):
 
 
 def assert_loads_nothing(text, page):
-    """Check that no element and no address of a page reaches out of it."""
+    """Check that no element and no address of a page reaches out of it, and that one script runs.
+
+    It is that of the package, and browsers are told that no other may run.
+    """
     assert not page.open
     tags = {tag for tag, _ in page.elements}
     assert not tags & LOADS
+    (script,) = page.scripts
+    assert script == files("quatprop.plot").joinpath("page.js").read_text("utf-8")
+    assert [attributes for tag, attributes in page.elements if tag == "script"] == [
+        {"type": "module"}
+    ]
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    (policy,) = (attributes for _, attributes in page.elements if "http-equiv" in attributes)
+    assert policy["content"] == (
+        f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    )
     for tag, attributes in page.elements:
         assert not [name for name in attributes if name.startswith("on")], tag
         for name, value in attributes.items():
@@ -98,7 +117,7 @@ def series(tmp_path):
 
 @pytest.mark.parametrize("command", ["plot", "reference", "compare"])
 def test_a_page_loads_nothing(series, tmp_path, command):
-    """Every page holds its picture, its styles and its words itself, and no script."""
+    """Every page holds its picture, its styles, its script and its words itself."""
     new, truth = series
     target = tmp_path / "page.html"
     arguments = {
@@ -139,7 +158,7 @@ def test_names_from_a_file_are_text(tmp_path):
     ):
         text, page = page_of(*arguments)
         assert_loads_nothing(text, page)
-        assert "<script" not in text
+        assert text.count("<script") == 1
         assert "<img" not in text
         assert HOSTILE in "".join(page.words)
     picture, _ = page_of("plot", log, "-o", tmp_path / "a.svg")
@@ -187,27 +206,87 @@ CHROMIUM = next(
 )  # fmt: skip
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here to open the page in")
+def shown(page, folder, script, width=1200):
+    """Return what a script, put into a page for the test only, writes into its title."""
+    probe = folder / "probe.html"
+    text = re.sub(r"<meta http-equiv[^>]*>", "", page.read_text())
+    probe.write_text(text.replace("</body>", f'<script type="module">{script}</script></body>'))
+    arguments = [
+        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
+        "--no-first-run", "--disable-background-networking", "--disable-component-update",
+        "--disable-sync", f"--user-data-dir={folder / 'profile'}",
+        f"--window-size={width},900", "--dump-dom", probe.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=True)
+    return re.search(r"<title>(.*?)</title>", done.stdout)[1]
+
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here to open the page in")
+
+
+@needs_browser
 @pytest.mark.parametrize("width", [390, 1200])
 def test_a_browser_shows_the_page(series, tmp_path, width):
     """Chromium lays the page out at the width of a telephone and of a desk, wider than neither."""
     new, truth = series
     target = tmp_path / "page.html"
     page_of("plot", new, "--reference", truth, "--tol", "1deg", "-o", target)
-    probe = tmp_path / "probe.html"
-    # The measure is taken by a script that is put in for the test only.
     measure = (
-        "<script>addEventListener('load', () => { const svg = document.querySelector('svg');"
+        "const svg = document.querySelector('svg');"
         "document.title = [document.documentElement.scrollWidth <= innerWidth,"
         " svg.getBoundingClientRect().height > 150,"
-        " document.querySelectorAll('svg text').length > 8].join(' ') })</script>"
+        " document.querySelectorAll('svg text').length > 8].join(' ')"
     )
-    probe.write_text(target.read_text().replace("</head>", measure + "</head>"))
-    arguments = [
-        CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic",
-        "--no-first-run", "--disable-background-networking", "--disable-component-update",
-        "--disable-sync", f"--user-data-dir={tmp_path / 'profile'}",
-        f"--window-size={width},900", "--dump-dom", probe.as_uri(),
-    ]  # fmt: skip
-    shown = subprocess.run(arguments, capture_output=True, text=True, timeout=120, check=True)
-    assert "<title>true true true</title>" in shown.stdout
+    assert shown(target, tmp_path, measure, width) == "true true true"
+
+
+MOUSE = """
+const svg = document.querySelector('svg');
+const box = svg.querySelector('#axes_1 path').getBoundingClientRect();
+const mouse = (kind, share, shiftKey = false) => svg.dispatchEvent(new PointerEvent(kind, {
+  clientX: box.x + share * box.width, clientY: box.y + 5, pointerId: 1, bubbles: true, shiftKey}));
+svg.setPointerCapture = () => {};
+const drag = (from, to, shift) => {
+  mouse('pointerdown', from, shift);
+  mouse('pointermove', to, shift);
+  mouse('pointerup', to, shift);
+};
+const texts = () => [...document.querySelectorAll('figure svg > text')].map(text =>
+  [...text.querySelectorAll('tspan')].map(part => part.textContent).join('|') || text.textContent);
+const times = () => [...document.querySelectorAll('#axes_3 [id^=xtick_]')].filter(
+  tick => tick.style.display != 'none').map(tick => tick.textContent.trim());
+const said = [];
+"""
+
+
+@needs_browser
+def test_a_page_zooms_and_reads_values(series, tmp_path):
+    """Zoomed, panned and whole again, the values under the cursor are those of the files."""
+    target = tmp_path / "page.html"
+    page_of("plot", *series, "-o", target)
+    script = """
+    mouse('pointermove', (7 + 0.1995) / 20.349); said.push(texts(), times());
+    drag(0.25, 0.35); mouse('pointermove', 0.5); said.push(texts(), times());
+    drag(0.5, 0.4, true); mouse('pointermove', 0.5); said.push(texts());
+    svg.dispatchEvent(new MouseEvent('dblclick')); said.push(times());
+    mouse('pointermove', 2); said.push(texts());
+    document.title = JSON.stringify(said);
+    """
+    whole, ticks, zoomed, fine, panned, again, left = json.loads(
+        shown(target, tmp_path, MOUSE + script)
+    )
+
+    def yaw(seconds, off):
+        return (np.degrees(20 * seconds / 19.95) + off + 180) % 360 - 180
+
+    # The axis is wider than the series, of 19.95 s, by 1 % on either side.
+    places = [7.0, *(share * 20.349 - 0.1995 for share in (0.3, 0.31))]
+    for texts, seconds in zip((whole, zoomed, panned), places, strict=True):
+        assert float(texts[-1].removesuffix(" s")) == pytest.approx(seconds, abs=0.01)
+        values = [float(text.replace("\N{MINUS SIGN}", "-")) for text in texts[0].split("|")]
+        assert values == pytest.approx([yaw(seconds, 3), yaw(seconds, 0)], abs=0.05)
+        assert values[0] - values[1] == pytest.approx(3, abs=0.01)
+    assert [float(tick) for tick in ticks] == [0, 2.5, 5, 7.5, 10, 12.5, 15, 17.5, 20]
+    assert [float(tick) for tick in fine] == [5, 5.5, 6, 6.5]
+    assert again == ticks
+    assert left == ["", "", "", ""]

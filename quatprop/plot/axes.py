@@ -56,7 +56,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist,
     for number, curve in enumerate(panel.curves):
         # Of lines that coincide, those below show on both sides.
         wider = min(len(panel.curves) - 1 - number, WIDEST)
-        _draw_curve(axes, curve, THIN + THICKER * wider)
+        _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{len(axes.figure.axes)}_{number}")
     axes.grid(visible=True)
     axes.set_axisbelow(True)
     unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
@@ -71,14 +71,15 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist,
     return explained
 
 
-def _draw_curve(axes: Axes, curve: Curve, width: float) -> None:
+def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
     colour, points = colour_of(curve.colour), lone_points(curve.drawn)
     stroke = stroke_of(curve.colour)
-    axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width)
+    axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width, gid=name)
     seconds, values = curve.drawn
     areas = [curve.band] if curve.band else []
     if curve.is_filled:
-        areas.append(Band(seconds, np.zeros(len(values)), values))
+        # A logarithmic axis has no place for zero.
+        areas.append(Band(seconds, np.full(len(values), 1e-300), values))
     for area in areas:
         axes.fill_between(
             area.seconds, area.low, area.high, color=colour, alpha=0.2, linewidth=0, zorder=1
@@ -157,8 +158,8 @@ def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
     level = panel.level[0] if panel.level else high
     top = max(high, level)
     if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
+        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
         axes.set_yscale("log", nonpositive="mask")
         axes.yaxis.set_major_formatter(_short)
-        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
     else:
         axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import re
 import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
+from json import dumps
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +23,7 @@ from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -36,8 +38,8 @@ WIDTH = 7.5
 HEAD, PANEL, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
 """Inches: title and facts; one of several panels; a single panel; the time axis."""
 
-BARE_HEAD = 0.1
-"""Inches: above panels without a title."""
+BARE_HEAD, GAP = 0.2, 0.1
+"""Inches: above panels without a title; between the legend and the panels."""
 
 LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
 """Inches: a line of notes, of facts, and of the legend."""
@@ -155,33 +157,48 @@ def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
     style
         How large it is.
     """
-    return _saved(page, kind, {**SETTINGS, "font.size": style.font}, style)
+    stream = BytesIO()
+    with _drawn(page, {"font.size": style.font}, style) as drawn:
+        drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind])
+    return stream.getvalue()
 
 
-def inline_svg(page: Page) -> str:
-    """Return the picture of a page as an SVG element: text as text, on a clear background."""
+def inline_svg(page: Page) -> tuple[str, str]:
+    """Return the picture of a page as an SVG element, and the limits of its axes as JSON.
+
+    Its text is text, its background is clear, and its lines have all their points.
+    """
+    stream = BytesIO()
+    settings = {"svg.fonttype": "none", "path.simplify": False}
     # Title, facts and notes stand on the page already.
-    style = replace(STYLE, title=False)
-    settings = {**SETTINGS, "svg.fonttype": "none"}
-    text = _saved(page, "svg", settings, style, transparent=True).decode()
+    with _drawn(page, settings, replace(STYLE, title=False)) as drawn:
+        drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
+        limits = {
+            "time": drawn.axes[0].get_xlim(),
+            "panels": [[*axes.transScale.transform([[1.0, y] for y in axes.get_ylim()])[:, 1],
+                        axes.get_yscale() == "log"] for axes in drawn.axes],
+        }  # fmt: skip
+    text = stream.getvalue().decode()
     text = text[text.index("<svg") :]
     # A page needs no namespaces, and they look like addresses.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
     # A rule for all elements would be one for all of the page.
     text = text.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
-    return re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Thousandths of a point are enough for a zoom of hundreds.
+    path = re.compile(r'<path[^>]* d="[^"]*"')
+    return path.sub(lambda found: re.sub(r"(\.\d{3})\d+", r"\1", found[0]), text), dumps(limits)
 
 
-def _saved(page: Page, kind: str, settings: dict[Any, Any], style: Style, **options: Any) -> bytes:
+@contextmanager
+def _drawn(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figure]:
+    """Give the figure of a page, while matplotlib has the settings that it is saved with."""
     import matplotlib as mpl
 
-    stream = BytesIO()
-    with mpl.rc_context(settings), warnings.catch_warnings():
+    with mpl.rc_context({**SETTINGS, **settings}), warnings.catch_warnings():
         # Letters that the font does not have are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        drawn = figure(page, style)
-        drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind], **options)
-    return stream.getvalue()
+        yield figure(page, style)
 
 
 def figure(page: Page, style: Style = STYLE) -> Figure:
@@ -222,7 +239,9 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     if style.title:
         _write_text(result, page, notes, scale, room)
     if explained:
-        _write_legend(result, explained, 1 - head / height, round(LONGEST_FACT * room) // 2)
+        _write_legend(
+            result, explained, 1 - (head - GAP * scale) / height, round(LONGEST_FACT * room) // 2
+        )
     return result
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,6 +15,13 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from quatprop.plot.picture import Picture
     from quatprop.rendering import Row
+
+
+HINT = (
+    "Drag over a time range to zoom in, double-click to see all; drag with Shift or use the arrow "
+    "keys to pan, + and \N{MINUS SIGN} to zoom."
+)
+"""How to use the picture of a page."""
 
 
 class FactTable(NamedTuple):
@@ -60,32 +69,45 @@ class Page(NamedTuple):
 def html(page: Page) -> str:
     """Return a report as the text of an HTML file.
 
-    Everything that comes from files is text in it, never markup.
+    Everything that comes from files is text in it, never markup. Browsers run its own script, and
+    load nothing.
     """
+    svg, numbers = inline_svg(page)
+    limits = f'data-limits="{escape(numbers)}"'
+    style, script = (_resource(f"page.{suffix}") for suffix in ("css", "js"))
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
     parts = [
         "<!DOCTYPE html>",
         '<html lang="en">',
         "<head>",
         '<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{_text(page.title)}</title>",
-        f"<style>\n{files('quatprop.plot').joinpath('page.css').read_text('utf-8')}</style>",
+        f"<style>\n{style}</style>",
         "</head>",
         "<body>",
         "<main>",
         f"<h1>{_text(page.title)}</h1>",
         *(f"<p>{_text(line)}</p>" for line in page.lead),
         *_warnings(page.warnings),
-        f'<figure role="img" tabindex="0" aria-label="{_text(_description(page))}">',
-        inline_svg(page),
+        f'<figure role="img" tabindex="0" aria-label="{_description(page)}" {limits}>',
+        svg,
         "</figure>",
+        f'<p class="hint" hidden>{HINT}</p>',
         *(line for table in page.tables for line in _table(table)),
         "</main>",
         f"<footer>quatprop {__version__}</footer>",
+        f'<script type="module">{script}</script>',
         "</body>",
         "</html>",
     ]
     return "\n".join(parts) + "\n"
+
+
+def _resource(name: str) -> str:
+    return files("quatprop.plot").joinpath(name).read_text("utf-8")
 
 
 def _text(text: str) -> str:
@@ -111,4 +133,4 @@ def _table(table: FactTable) -> list[str]:
 def _description(page: Page) -> str:
     """Return what the picture shows, for screen readers."""
     names = ", ".join(panel.quantity.name for panel in page.picture.panels)
-    return f"{page.title}: {names} against time"
+    return _text(f"{page.title}: {names} against time")

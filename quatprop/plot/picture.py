@@ -214,7 +214,7 @@ def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: i
     group, place = file.traces[quantity]
     drawn = line(group.reduced, place, start_ns, group.gap_limit_ns)
     band = None
-    if len(group.reduced.first) > len(group.quantities):
+    if np.isfinite(group.reduced.high[len(group.quantities) + place :][:1]).any():
         band = _band(group, place, start_ns)
     return Curve(folded(drawn) if quantity.wraps else drawn, colour, file.is_filled, band)
 
