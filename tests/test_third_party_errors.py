@@ -82,7 +82,7 @@ def test_the_tables_name_what_there_is():
     """No entry is of a class that the installed versions do not have."""
     for name in READING.keys() | ANYWHERE.keys() | UNREACHABLE.keys():
         module, _, kind = name.rpartition(".")
-        if name != "pyarrow._flight.FlightError":  # not in every build
+        if name not in {"apsw.aio._Cancelled", "pyarrow._flight.FlightError"}:  # not always there
             assert issubclass(getattr(importlib.import_module(module), kind), BaseException), name
 
 
