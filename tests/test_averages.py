@@ -15,7 +15,7 @@ from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import BLOCK, GyroSeries
 from quatprop.timeline import Timeline
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 
 RATES_HZ = (50, 100, 200, 400)
 KINDS = ("averages", "increments")

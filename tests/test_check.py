@@ -121,7 +121,7 @@ def turn(path, angle, rows=slice(None)):
 
 def accept(suite, name):
     """Pin a stored reference as it is now, as if an update had written it."""
-    from quatprop.check.inputs import sha256_of
+    from quatprop.check.lock import sha256_of
 
     lock = suite.with_suffix(".lock.json")
     told = json.loads(lock.read_text())

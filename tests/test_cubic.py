@@ -14,7 +14,7 @@ from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import BLOCK, GyroSeries
 from quatprop.timeline import Timeline
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 
 SECOND = 1_000_000_000
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])

@@ -15,7 +15,7 @@ from quatprop.pipeline.segments import Segments
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import BLOCK, GyroSeries
 from quatprop.timeline import Timeline
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -11,7 +11,7 @@ from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import BLOCK, GyroSeries, reblock
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
-from quatprop.timeline.policy import OBSERVE, Policy
+from quatprop.timeline.stamps import OBSERVE, Policy
 
 
 def tumbling(count):

@@ -29,7 +29,7 @@ from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 from quatprop.times import NS_PER_S, instant
 from quatprop.writers.rosbag1 import writer as rosbag1_writer
 

@@ -12,8 +12,7 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts, remarks
-from quatprop.timeline.policy import OBSERVE, Policy
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, OBSERVE, Policy, StampChecks
 
 MS = 1_000_000
 

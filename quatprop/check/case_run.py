@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.check.case import Case
-    from quatprop.comparison.criteria import Criterion
+    from quatprop.comparison.result import Criterion
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries
 
@@ -136,11 +136,16 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         for one in result.criteria
         if not one.passed and (one.setting, one.unit) != ("tol", "rad")
     ]
+    sizes = [
+        angle_text(angle, in_degrees=case.in_degrees)
+        for angle in (result.worst.error_rad, case.comparison.limit_rad)
+        if math.isfinite(angle)
+    ]
     where, also = f"at {_since(result.worst.t_ns, first_ns)}", "".join(map(_also, result.criteria))
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=where,
-        summary=_summary(case, result.worst.error_rad, f"{where}{also}"),
+        summary=f"{' of '.join(sizes)} {where}{also}",
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes if one),
         report=result.report(),
@@ -178,16 +183,6 @@ def angle_text(angle: float, *, in_degrees: bool) -> str:
     '28.6479 deg'
     """
     return f"{math.degrees(angle):.6g} deg" if in_degrees else f"{angle:.3g} rad"
-
-
-def _summary(case: Case, error_rad: float, where: str) -> str:
-    """Return the worst error, the tolerance, and where."""
-    error, *limit = (
-        angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (error_rad, case.comparison.limit_rad)
-        if math.isfinite(angle)
-    )
-    return f"{' of '.join([error, *limit])} {where}"
 
 
 def _also(criterion: Criterion) -> str:

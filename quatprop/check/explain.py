@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.check.case import CaseNotRun
 from quatprop.check.case_run import angle_text
-from quatprop.check.inputs import DIGITS, digests_of
 from quatprop.check.judge import differences
+from quatprop.check.lock import DIGITS, digests_of
 from quatprop.check.spelling import sentence
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import QuatpropError

@@ -17,7 +17,7 @@ from quatprop.check.case_run import (
     try_compare,
 )
 from quatprop.check.cases import same_option
-from quatprop.check.inputs import DIGITS, describe_change, digests_of, sha256_of
+from quatprop.check.lock import DIGITS, describe_change, digests_of, sha256_of
 from quatprop.check.reference import describe_provenance, read_reference
 from quatprop.check.spelling import sentence
 from quatprop.errors import LogError

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.check.case import Case
-from quatprop.check.inputs import DIGITS
+from quatprop.check.lock import DIGITS
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
 from quatprop.provenance import digest_of

@@ -15,7 +15,6 @@ from quatprop.check.case_run import (
     propagate_case,
     try_compare,
 )
-from quatprop.check.inputs import DIGITS, refuse_lfs_pointer, sha256_of
 from quatprop.check.judge import (
     OTHER_VERSION,
     differences,
@@ -25,7 +24,7 @@ from quatprop.check.judge import (
     option_differences,
     option_text,
 )
-from quatprop.check.lock import Pin
+from quatprop.check.lock import DIGITS, Pin, refuse_lfs_pointer, sha256_of
 from quatprop.check.reference import (
     MAX_ROWS,
     decimation,

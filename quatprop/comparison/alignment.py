@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.statistics import rms
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
@@ -181,26 +182,18 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
     Kabsch's solution by singular values.
     """
-    best: tuple[Float64, MountingFit] | None = None
-    for stride in _strides(len(a)):
-        mount, fit = _fitted(_relative(a, stride), _relative(b, stride), len(a) / stride)
-        if best is None or fit.std_rad < best[1].std_rad:
-            best = mount, fit
-    if best is None:
+    # Rotations over few samples suffer from noise, and over many from drift; the residual shows
+    # which are best.
+    strides = [1 << power for power in range(32) if 2 << power <= len(a) - MIN_MOTIONS]
+    fits = [_fitted(_relative(a, step), _relative(b, step), len(a) / step) for step in strides]
+    if not fits:
         raise ComparisonError(
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
-            f"attitudes; {WAY_OUT}",
+            f"attitudes; {WAY_OUT}"
         )
-    _refuse_unexcited(best[1])
-    return best
-
-
-def _strides(samples: int) -> list[int]:
-    """Return over how many samples to try rotations: powers of two.
-
-    Short ones suffer from noise and long ones from drift; the residual shows which is best.
-    """
-    return [1 << power for power in range(32) if 2 << power <= samples - MIN_MOTIONS]
+    mount, fit = min(fits, key=lambda found: found[1].std_rad)
+    _refuse_unexcited(fit)
+    return mount, fit
 
 
 def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
@@ -214,8 +207,8 @@ def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, 
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
-    singular_values = np.sqrt(excited).tolist()
-    return mount, MountingFit(len(x), _rms_angle(in_a[usable]), singular_values, float(std))
+    angle = rms(geodesic_angle(IDENTITY, in_a[usable]))
+    return mount, MountingFit(len(x), angle, np.sqrt(excited).tolist(), float(std))
 
 
 def _relative(q: Float64, stride: int) -> Float64:
@@ -223,11 +216,6 @@ def _relative(q: Float64, stride: int) -> Float64:
     start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
     step = multiply(conjugate(q[start]), q[start + stride])
     return np.asarray(step * np.where(step[:, :1] < 0, -1.0, 1.0))
-
-
-def _rms_angle(q: Float64) -> float:
-    angle = geodesic_angle(IDENTITY, q)
-    return float(np.sqrt((angle**2).mean())) if len(angle) else 0.0
 
 
 def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:

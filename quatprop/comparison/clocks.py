@@ -97,7 +97,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.trials.clock_error`.
     """
     step = _step_ns(a, b)
-    speed_a, speed_b = _speeds(a, step), _speeds(b, step)
+    speed_a, speed_b = (_angles(one, int(one.t_ns[0]), int(one.t_ns[-1]), step) for one in (a, b))
     for name, speed in (("A", speed_a), ("B", speed_b)):
         if speed.std() <= MIN_VARIATION * speed.mean():
             raise ComparisonError(
@@ -137,12 +137,8 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
     return step
 
 
-def _speeds(series: AttitudeSeries, step: int) -> Float64:
-    """Return the angle of each step of a series, rad."""
-    return _angles(series, int(series.t_ns[0]), int(series.t_ns[-1]), step)
-
-
 def _angles(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
+    """Return the angle of each step from start to stop, rad."""
     regular = interpolate(series, np.arange(start, stop + 1, step, dtype=np.int64))
     return geodesic_angle(regular[:-1], regular[1:])
 
@@ -165,13 +161,15 @@ def _correlations(x: Float64, y: Float64) -> Float64:
     power_x = _sums(x**2, x_slice) - sum_x**2 / count
     power_y = _sums(y**2, y_slice) - sum_y**2 / count
     enough = count >= max(MIN_POINTS, min(len(x), len(y)) // 2)
-    varies = (power_x > _least_power(x)) & (power_y > _least_power(y))
+    # Below that nothing but rounding is left.
+    varies_x = power_x > MIN_VARIATION * float((x**2).sum())
+    varies_y = power_y > MIN_VARIATION * float((y**2).sum())
     correlation = np.zeros(len(lags))
     np.divide(
         products - sum_x * sum_y / count,
         np.sqrt(np.maximum(power_x, 0) * np.maximum(power_y, 0)),
         out=correlation,
-        where=enough & varies,
+        where=enough & varies_x & varies_y,
     )
     return correlation
 
@@ -179,11 +177,6 @@ def _correlations(x: Float64, y: Float64) -> Float64:
 def _sums(values: Float64, span: tuple[Int64, Int64]) -> Float64:
     total = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray(total[span[1]] - total[span[0]])
-
-
-def _least_power(values: Float64) -> float:
-    """Return the power below which a window does not vary: nothing but rounding is left."""
-    return MIN_VARIATION * float((values**2).sum())
 
 
 def _runner_up(correlation: Float64, peak: int) -> float:

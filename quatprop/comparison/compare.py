@@ -11,10 +11,9 @@ import numpy as np
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, associate, shifted
 from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.criteria import Coverage, judge
 from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
-from quatprop.comparison.result import AppliedOffset, Comparison
+from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError

@@ -16,10 +16,9 @@ import pyarrow as pa
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
 from quatprop.comparison.compare import compare, conclude, unit
-from quatprop.comparison.criteria import Coverage
 from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
-from quatprop.comparison.result import AppliedOffset
+from quatprop.comparison.result import AppliedOffset, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
 from quatprop.concurrency.threads import in_background
 from quatprop.kinematics.quaternion import IDENTITY

@@ -16,10 +16,9 @@ if TYPE_CHECKING:
 
     from quatprop.comparison.alignment import Alignment, MountingFit
     from quatprop.comparison.association import Matching
-    from quatprop.comparison.criteria import Criterion
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
-    from quatprop.comparison.result import AppliedOffset, Comparison
+    from quatprop.comparison.result import AppliedOffset, Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.rendering import Row, Spell
     from quatprop.signals.attitude_input import ReadAttitudes

@@ -175,21 +175,17 @@ def curvature_of_averages(
         # A repeated message is no interval of its own; where one was lost, a rotation is missing.
         moves = steps > 0
         follows = (moves & (steps <= MAX_SPAN_RATIO * span_ns[1:]))[1:] & moves[:-1]
-        valid = follows if valid is None else valid & follows
+        valid &= follows
     return _of_slopes(np.ascontiguousarray(rate[:, 1:]), h, valid, causal=causal)
 
 
-def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool | None:
-    """Tell of each sample between two intervals whether neither is a gap; None: all are so."""
-    if gap_ns is None:
-        return None
-    within = steps <= gap_ns
-    return within[:-1] & within[1:]
+def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
+    """Tell of each sample between two intervals whether neither is a gap."""
+    within = steps <= (np.iinfo(np.int64).max if gap_ns is None else gap_ns)
+    return np.asarray(within[:-1] & within[1:])
 
 
-def _of_slopes(
-    slope: Float64, h: Float64, valid: Bool | None, *, causal: bool = False
-) -> Curvature:
+def _of_slopes(slope: Float64, h: Float64, valid: Bool, *, causal: bool = False) -> Curvature:
     """Return the curvature of values whose slopes over the intervals are known.
 
     Parameters
@@ -206,8 +202,7 @@ def _of_slopes(
     before, after = h[:-1], h[1:]
     shorter, longer = np.minimum(before, after), np.maximum(before, after)
     wide = (shorter > 0) & (longer <= MAX_RATIO * shorter)
-    if valid is not None:
-        wide &= valid
+    wide &= valid
     second = np.zeros((3, len(h) + 1))
     np.divide(slope[:, 1:] - slope[:, :-1], before + after, out=second[:, 1:-1], where=wide)
     if causal:

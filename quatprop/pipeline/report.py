@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.text import Text
     from quatprop.timeline.counts import Counts
-    from quatprop.timeline.policy import Policy
+    from quatprop.timeline.stamps import Policy
 
 CONVENTION = {
     "product": "Hamilton, ij = k",

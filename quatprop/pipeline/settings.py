@@ -21,7 +21,7 @@ from quatprop.selection import RateSelection
 from quatprop.settings import SELECT_RATES, as_text, parse_all
 from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias, file_beside
 from quatprop.text import Setting
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

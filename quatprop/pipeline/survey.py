@@ -36,8 +36,7 @@ from quatprop.tables.base import is_table
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks as timeline_remarks
-from quatprop.timeline.policy import OBSERVE
-from quatprop.timeline.stamps import StampChecks
+from quatprop.timeline.stamps import OBSERVE, StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

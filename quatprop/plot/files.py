@@ -33,8 +33,7 @@ from quatprop.signals.signal import RateSignal
 from quatprop.text import Setting, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts
-from quatprop.timeline.policy import OBSERVE
-from quatprop.timeline.stamps import StampChecks
+from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64, Intp
-    from quatprop.timeline.policy import Policy
+    from quatprop.timeline.stamps import Policy
 
     Places: TypeAlias = Intp
     Kept: TypeAlias = tuple[GyroSeries, Places | None]
     """A batch, and which samples of what was read it holds; None: all."""
 
 
-class Timeline:
+class Timeline(StampChecks):
     """Applies a policy to a stream of samples and counts what it finds.
 
     Parameters
@@ -42,11 +42,10 @@ class Timeline:
         The log, for errors.
     """
 
+    counts: Counts
+
     def __init__(self, policy: Policy, path: Path | str) -> None:
-        self.policy = policy
-        self.path = path
-        self.counts = Counts()
-        self._stamps = StampChecks(path, policy, self.counts)
+        super().__init__(path, policy, Counts())
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -68,15 +67,15 @@ class Timeline:
         TimelineError
             An event that the policy calls an error.
         """
-        finite = (self._finite(batch) for batch in self._located(batches))
+        finite = self.each(batches, self._finite)
         if self.policy.on_backwards == "sort":
             ordered: Iterable[GyroSeries] = self._sorted(finite)
         else:
             ordered = (self._in_order(batch, kept) for batch, kept in finite)
-        ordered = self._stamps.with_gap_limit(ordered, attrgetter("t_ns"))
+        ordered = self.with_gap_limit(ordered, attrgetter("t_ns"))
         # Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
         for batch in reblock(ordered):
-            self._measure(batch, self._stamps.intervals(batch.t_ns))
+            self._measure(batch, self.intervals(batch.t_ns))
             yield batch
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
@@ -115,12 +114,6 @@ class Timeline:
                 number += start in starts
                 if stop > start:
                     yield number, block[start:stop]
-
-    def _located(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        for batch in batches:
-            if len(batch):
-                yield batch
-                self.counts.read += len(batch)
 
     def _finite(self, batch: GyroSeries) -> Kept:
         """Find rates that are not finite, and drop or replace them."""
@@ -163,7 +156,7 @@ class Timeline:
 
     def _in_order(self, batch: GyroSeries, kept: Places | None) -> GyroSeries:
         """Find stamps that are earlier than one before, and drop them."""
-        back = self._stamps.backward(batch.t_ns, kept) if len(batch) else None
+        back = self.backward(batch.t_ns, kept) if len(batch) else None
         return batch if back is None or self.policy.on_backwards == "keep" else batch[~back]
 
     def _sorted(self, batches: Iterable[Kept]) -> Iterator[GyroSeries]:

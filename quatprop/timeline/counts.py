@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Int64, Intp
-    from quatprop.timeline.policy import Policy
+    from quatprop.timeline.stamps import Policy
 
 LISTED_GAPS = 1000
 """The first gaps are listed one by one; all are counted."""

@@ -1,25 +1,26 @@
-"""Time stamps by themselves: order, duplicates, gaps, intervals."""
+"""Time stamps by themselves: order, duplicates, gaps, intervals; and the choices for each."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
 from quatprop.errors import TimelineError
 from quatprop.text import Setting
 from quatprop.timeline.counts import LISTED_GAPS, StampCounts
-from quatprop.timeline.policy import OBSERVE, Policy
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sized
     from pathlib import Path
 
     from quatprop.arrays import Bool, Int64, Intp
 
 
-Batch = TypeVar("Batch")
+Batch = TypeVar("Batch", bound="Sized")
+Result = TypeVar("Result")
 
 GAP_FACTOR = 10
 """Intervals longer than this many median intervals count as gaps, unless the policy says so."""
@@ -29,6 +30,41 @@ LONGEST_NS = int(np.iinfo(np.int64).max)
 
 MEDIAN_WINDOW = 65_536
 """The median interval is that of the first so many intervals: exact, in constant memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """How each kind of irregularity is handled.
+
+    Parameters
+    ----------
+    on_backwards
+        Time stamps earlier than one before: ``"error"``; ``"drop"`` the samples; ``"sort"`` all
+        samples by stamp (keeps the whole log in memory); ``"keep"`` them, for inspection only.
+    on_nonfinite
+        Rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"`` the last
+        finite rate; ``"keep"`` them, for inspection only.
+    on_gap
+        Intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
+        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0.
+    max_gap_ns
+        Intervals longer than this count as gaps, ns; None means
+        :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals.
+    """
+
+    on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
+    on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
+    on_gap: Literal["hold", "zero", "split", "error"] = "hold"
+    max_gap_ns: int | None = None
+
+    @property
+    def cuts_at_gaps(self) -> bool:
+        """Whether a gap is not propagated across."""
+        return self.on_gap in {"zero", "split"}
+
+
+OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
+"""Change nothing, count everything."""
 
 
 class StampChecks:
@@ -61,16 +97,23 @@ class StampChecks:
         batches
             Stamps in the order of the log, each shape ``(N,)``, int64 ns.
         """
-        for t_ns in self.with_gap_limit(self._located(batches), lambda t_ns: t_ns):
+
+        def in_order(t_ns: Int64) -> Int64:
+            self.backward(t_ns)
+            return t_ns
+
+        for t_ns in self.with_gap_limit(self.each(batches, in_order), lambda t_ns: t_ns):
             self.intervals(t_ns)
             yield t_ns
 
-    def _located(self, batches: Iterable[Int64]) -> Iterator[Int64]:
-        for t_ns in batches:
-            if len(t_ns):
-                self.backward(t_ns)
-                yield t_ns
-                self.counts.read += len(t_ns)
+    def each(
+        self, batches: Iterable[Batch], examine: Callable[[Batch], Result]
+    ) -> Iterator[Result]:
+        """Yield what a function returns for each batch; meanwhile `read` counts those before it."""
+        for batch in batches:
+            if len(batch):
+                yield examine(batch)
+                self.counts.read += len(batch)
 
     def backward(self, t_ns: Int64, kept: Intp | None = None) -> Bool | None:
         """Return which stamps are earlier than one before, or None where none is.
@@ -113,10 +156,10 @@ class StampChecks:
         return back
 
     def with_gap_limit(
-        self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
-    ) -> Iterator[Batch]:
+        self, batches: Iterable[Result], stamps_of: Callable[[Result], Int64]
+    ) -> Iterator[Result]:
         """Yield batches; the first ones only when the median interval is known."""
-        window: list[Batch] = []
+        window: list[Result] = []
         first: list[Int64] = []
         stream = iter(batches)
         for batch in stream:
@@ -161,11 +204,9 @@ class StampChecks:
                 f"its timestamps span more than 292 years, up to {t_ns[-1]} ns; check "
                 f"{Setting('time_unit')}, the time column or {Setting('clock')}",
             )
-        if counts.last_ns is None:
-            counts.first_ns = first_ns
-            intervals = np.diff(t_ns)
-        else:
-            intervals = np.diff(t_ns, prepend=np.int64(counts.last_ns))
+        counts.first_ns = first_ns
+        before = t_ns[:0] if counts.last_ns is None else np.int64(counts.last_ns)
+        intervals = np.diff(t_ns, prepend=before)
         if len(intervals):
             self._count_intervals(intervals, t_ns[len(t_ns) - len(intervals) :])
         counts.last_ns = int(t_ns[-1])

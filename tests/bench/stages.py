@@ -16,7 +16,7 @@ from quatprop.selection import RateSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
 from quatprop.timeline import Timeline
-from quatprop.timeline.policy import Policy
+from quatprop.timeline.stamps import Policy
 from quatprop.writers import open_writer
 
 
