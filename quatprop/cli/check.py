@@ -99,12 +99,17 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
     from quatprop.check.cases import load_cases
     from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
+    from quatprop.check.runner import select_cases
 
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     with _new_suite(suite, logs) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
-        cases = _select(suite, all_cases, options["patterns"])
+        cases = select_cases(all_cases, options["patterns"])
+        if not cases:
+            raise click.UsageError(
+                f"no case of {suite} matches -k {' -k '.join(options['patterns'])}"
+            )
         locked = read_lock(loaded.lock)
         pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
         deleted = {name: pin for name, pin in locked.items() if name not in pins}
@@ -153,29 +158,34 @@ def _report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
     click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
 
 
-def _select(
-    suite: str, cases: list[Case | CaseNotRun], patterns: Sequence[str]
-) -> list[Case | CaseNotRun]:
-    from quatprop.check.runner import select_cases
-
-    selected = select_cases(cases, patterns)
-    if not selected:
-        raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
-    return selected
-
-
 def _run(
-    cases: list[Case | CaseNotRun], pins: Mapping[str, Pin], lock: Path | None, options: Any
+    cases: Sequence[Case | CaseNotRun], pins: Mapping[str, Pin], lock: Path | None, options: Any
 ) -> list[CaseResult]:
-    """Run cases, show their results, and return them."""
+    """Run cases, show their results, failures last, and return them."""
+    from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
     from quatprop.check.runner import run_cases
+    from quatprop.text import plain
 
-    artifacts = options["artifacts"] and Path(options["artifacts"])
     listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
-    as_json, processes = options["as_json"], options["processes"]
-    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=processes)
+    artifacts = options["artifacts"] and Path(options["artifacts"])
+    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=options["processes"])
+    width = max(len(plain(case.name)) for case in cases)
+    results, last = [], []
     with closing(running):
-        return _show(running, cases, listed=listed and not as_json, quiet=as_json)
+        try:
+            for result in running:
+                results.append(result)
+                if result.verdict in NEEDS_ATTENTION:
+                    last.append(result)
+                elif listed and not options["as_json"]:
+                    click.echo(result_text(result, width))
+        finally:
+            # After an interruption, too.
+            if not options["as_json"]:
+                click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
+    if not options["as_json"]:
+        click.echo("\n".join([*note_lines(results), totals(results)]))
+    return results
 
 
 def _report_deleted(
@@ -205,33 +215,6 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
     if junit is not None:
         checked_place(junit)
-
-
-def _show(
-    running: Iterable[CaseResult], cases: Sequence[Case | CaseNotRun], *, listed: bool, quiet: bool
-) -> list[CaseResult]:
-    """Show the results, failures last, and return all of them."""
-    from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
-    from quatprop.text import plain
-
-    width = max(len(plain(case.name)) for case in cases)
-    results, last = [], []
-    try:
-        for result in running:
-            results.append(result)
-            if result.verdict in NEEDS_ATTENTION:
-                last.append(result)
-            elif listed:
-                click.echo(result_text(result, width))
-    finally:
-        # After an interruption, too.
-        if not quiet:
-            click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
-    if not quiet:
-        for line in note_lines(results):
-            click.echo(line)
-        click.echo(totals(results))
-    return results
 
 
 def _report(suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin]) -> Any:

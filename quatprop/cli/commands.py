@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop import __version__
 from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
 from quatprop.text import did_you_mean
@@ -100,28 +101,12 @@ class Commands(click.Group):
         write_section(formatter, "Commands", COMMANDS.items(), max(map(len, COMMANDS)))
 
 
-def _print_version(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
-    if not wanted or ctx.resilient_parsing:
-        return
-    from quatprop import __version__
-
-    click.echo(f"quatprop {__version__}")
-    ctx.exit()
-
-
 @click.group(
     cls=Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
     epilog="quatprop COMMAND --help shows examples and options of a command.",
 )
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_print_version,
-    help="Show the version and exit.",
-)
+@click.version_option(__version__, message="quatprop %(version)s")
 def cli() -> None:
     """Turn recorded gyroscope logs into attitude.
 

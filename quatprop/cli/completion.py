@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem, get_completion_class
@@ -12,9 +12,10 @@ from quatprop.cli.help import SIDES, Command
 from quatprop.settings.parsers import FILE_SETTINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from quatprop.containers.base import MessageLog
+    from quatprop.signals.choice import Candidate
     from quatprop.tables.base import TableLog
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
@@ -116,17 +117,14 @@ def _in_messages(log: MessageLog | TableLog, setting: str, ctx: click.Context) -
     from quatprop.signals.rates import rate_candidates
 
     options = {str(option.name) for option in ctx.command.params}
-    fields = {"rate_field", "quat_field"}
-    topic = ctx.params.get("topic") if setting in fields else None
-    for field in {setting} & fields or fields:
-        if not any(name.startswith(field) for name in options):
+    kinds: Mapping[str, tuple[Callable[..., Iterable[Candidate[Any]]], Any]] = {
+        "rate_field": (rate_candidates, RateSelection),
+        "quat_field": (attitude_candidates, AttitudeSelection),
+    }
+    topic = ctx.params.get("topic") if setting in kinds else None
+    for field, (candidates, selection) in kinds.items():
+        if setting in kinds.keys() - {field} or not any(name.startswith(field) for name in options):
             continue
         with suppress(LogError):
-            if field == "rate_field":
-                found = [
-                    (c.topic, c.field) for c in rate_candidates(log, RateSelection(topic=topic))
-                ]
-            else:
-                wanted = AttitudeSelection(topic=topic)
-                found = [(c.topic, c.field) for c in attitude_candidates(log, wanted)]
-            yield from (pair[setting in fields] for pair in found)
+            for candidate in candidates(log, selection(topic=topic)):
+                yield candidate.field if setting in kinds else candidate.topic

@@ -8,7 +8,7 @@ table of its own, for :func:`own_options`.
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -17,20 +17,15 @@ from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
 from quatprop.settings.parsers import Choice, flag
 from quatprop.text import Setting
 
-Command = TypeVar("Command", bound="Callable[..., Any]")
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from quatprop.settings.parsers import Parser
     from quatprop.signals.attitude_input import AttitudeInput
 
-    class Option(Protocol):
-        """Gives a command an option."""
-
-        def __call__(self, command: Command, /) -> Command:
-            """Return the command with the option."""
-
+    Command = TypeVar("Command", bound=Callable[..., Any])
+    Option = Callable[[Any], Any]
+    """Gives a command an option."""
 
 HELP = {
     "kind": "Kind of {log}.  [default: told by its content, then by its suffix]",
