@@ -239,7 +239,7 @@ def test_policies_hold_for_rates_in_memory():
     ("keywords", "sentence"),
     [
         ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
-        ({"q0": (1, 0, 0)}, "q0: '1,0,0' is not W,X,Y,Z, 4 numbers"),
+        ({"q0": (1, 0, 0)}, "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
         ({"q0": (0, 0, 0, 0)}, "direction"),
         ({"method": "euler"}, "method: 'euler' is not one of"),
         ({"metod": "end"}, "there is no setting 'metod'"),
@@ -525,3 +525,29 @@ def test_names_of_options_that_are_no_keywords_are_refused(tmp_path, function, k
         getattr(quatprop, function)(first, tmp_path / "out.csv", **keywords)
     assert str(error.value) == sentence
     assert not (tmp_path / "out.csv").exists()
+
+
+def test_rates_that_are_not_finite_or_huge_give_no_warnings_of_numpy():
+    """They are dropped and counted, assumed away, or refused in a sentence."""
+    t_ns = np.arange(4) * 10_000_000
+    rate = np.full((4, 3), 0.1)
+    rate[1] = np.inf
+    with (
+        pytest.warns(quatprop.RemarkWarning, match="1 non-finite rate"),
+        pytest.warns(quatprop.DataLossWarning, match="1 rows were dropped"),
+    ):
+        series = quatprop.propagate(GyroSeries(t_ns, rate), mount="y,-x,z", on_nonfinite="drop")
+    assert series.t_ns.tolist() == [0, 20_000_000, 30_000_000]
+    huge = GyroSeries(t_ns, np.full((4, 3), 1e200))
+    with pytest.warns(quatprop.RemarkWarning):
+        series = quatprop.propagate(huge, max_gap=1, on_gap="zero", rate=250)
+    np.testing.assert_array_equal(series.wxyz, [[1, 0, 0, 0]] * 8)
+    with pytest.raises(SeriesError, match=r"attitude of sample 1 is not finite; rates must be"):
+        quatprop.propagate(huge, end="-0s")
+
+
+@pytest.mark.parametrize(("name", "value"), [("bias", [np.nan, 0, 0]), ("q0", "inf,0,0,0")])
+def test_numbers_of_settings_are_finite(name, value):
+    """A bias that is not a number would be blamed on the rates."""
+    with pytest.raises(UsageError, match=rf"^{name}: .* is not .,.,.*, . finite numbers"):
+        quatprop.propagate(GyroSeries([0, 10**7], [[0, 0, 1]] * 2), **{name: value})

@@ -121,7 +121,7 @@ def test_the_plugin_and_the_suites_need_no_command_line():
         ("every = true", ", 'every'", "'True' is not a whole number above 0"),
         ('pin-log = "no"', ", 'pin-log'", "this is true or false"),
         ("normalize = 1", ", 'normalize'", "'1' is not true or false"),
-        ("bias = [0.1, 0.2]", ", 'bias'", "'0.1,0.2' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
+        ("bias = [0.1, 0.2]", ", 'bias'", "'0.1,0.2' is not X,Y,Z, 3 finite numbers, nor"),
         ("bias = {x = 1}", ", 'bias'", "this takes text, a number or a list of them"),
         ('start = "soon"', ", 'start'", "'soon' is not a time; write RFC 3339"),
         ('tol = "0.1"', ", 'tol'", "'0.1' is not an angle; write a number with its unit"),

@@ -375,10 +375,10 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
     [
         (
             ["--q0", "1,0,0"],
-            "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z, 4 numbers",
+            "Invalid value for '--q0': '1,0,0' is not W,X,Y,Z, 4 finite numbers",
         ),
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
-        (["--bias", "1,2"], "'1,2' is not X,Y,Z, 3 numbers, nor static[:DUR]"),
+        (["--bias", "1,2"], "'1,2' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
         (["--rate", "0"], "'0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
@@ -494,6 +494,7 @@ def test_attitudes_at_the_stamps_of_another_series(log, tmp_path):
         other.write_text("\n".join([header, *rows]) + "\n")
         result = run("propagate", log, "-o", out, "--at", other)
         assert result.exit_code == 0, result.output
+        assert "2 of the 5 times asked for with --at are outside the log, so they" in result.stderr
         rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
         assert [row[0] for row in rows] == ["0", "123456789", "1000000000"]
         half = 0.123456789 / 2

@@ -6,7 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from quatprop.errors import TimelineError, UsageError
+from quatprop import propagate
+from quatprop.errors import RemarkWarning, TimelineError, UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import Propagation, attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -220,6 +221,21 @@ def test_a_split_log_has_no_attitudes_inside_gaps(tmp_path):
     stamps, angle = angles(tmp_path, policy, rate=Fraction(2))
     assert stamps.tolist() == [0, 0.5, 1, 11, 11.5, 12, 12.5, 13]
     np.testing.assert_allclose(angle, [0, 0.05, 0.1, 0, 0.15, 0.3, 0.35, 0.4], atol=1e-14)
+
+
+def test_times_inside_the_gaps_of_a_split_log_are_counted(tmp_path):
+    """They have no attitude, which nobody sees in the output."""
+    times = tmp_path / "times.csv"
+    times.write_text("t_ns,qw,qx,qy,qz\n0,1,0,0,0\n3000000000,1,0,0,0\n99000000000,1,0,0,0\n")
+    policy = Policy(on_gap="split", max_gap_ns=5_000_000_000)
+    assert angles(tmp_path, policy, at=str(times))[0].tolist() == [0]
+    with pytest.warns(RemarkWarning) as caught:
+        propagate(tmp_path / "log.csv", at=times, on_gap="split", max_gap="5s")
+    assert any(
+        "2 of the 3 times asked for with at are outside the log or in a gap, so they have no "
+        "attitude" in str(one.message)
+        for one in caught
+    )
 
 
 def test_times_outside_the_log_are_refused(tmp_path):

@@ -289,4 +289,6 @@ def _transformed(rate: Float64, matrix: Float64) -> Float64:
     How a matrix product rounds depends on the blocks and threads it is computed with.
     """
     x, y, z = rate.T
-    return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)
+    # What is not finite is found where the policy for it is known.
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)

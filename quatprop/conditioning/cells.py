@@ -47,7 +47,8 @@ def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int 
         cells["first_ns"] = cells["last_ns"] = t_ns
         cells["count"] = finite
         cells["total"] = known
-        cells["squares"] = (known**2).sum(axis=1)
+        with np.errstate(over="ignore"):
+            cells["squares"] = (known**2).sum(axis=1)
         parts.append(_by_index(cells))
     cells = np.concatenate(parts)
     return _by_index(cells[np.argsort(cells["index"], kind="stable")])

@@ -123,8 +123,9 @@ def exp(rotvec: ArrayLike) -> Float64:
     """
     rotvec = _array(rotvec)
     q = np.empty((*rotvec.shape[:-1], 4))
-    q[..., 0], ratio = half_angle((rotvec**2).sum(axis=-1))
-    q[..., 1:] = rotvec * ratio[..., None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        q[..., 0], ratio = half_angle((rotvec**2).sum(axis=-1))
+        q[..., 1:] = rotvec * ratio[..., None]
     return q
 
 

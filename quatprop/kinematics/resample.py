@@ -140,6 +140,9 @@ class Listed:
         self._t_ns = t_ns
         self._next = 0
 
+    def __len__(self) -> int:
+        return len(self._t_ns)
+
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
         """Yield the next times; see :class:`Times`."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))

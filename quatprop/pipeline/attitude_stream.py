@@ -25,7 +25,7 @@ from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import no_parts
-from quatprop.text import Setting
+from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 from quatprop.writers.targets import is_stream
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
-    from quatprop.text import Text
 
     class Observer(Protocol):
         """Looks at the series that pass, such as a picture in the making."""
@@ -219,6 +218,7 @@ class AttitudeStream:
             *clipping_remarks(settings.conditioning, self._conditioned),
             *self._conditioned.all_remarks,
             *self._checks.remarks(counts),
+            *self._times_left_out(),
         ]
         if log is not None and self._path != "-":
             findings += log_remarks(log, source)
@@ -265,6 +265,18 @@ class AttitudeStream:
                 path_angle_rad=counts.path_angle_rad,
             ),
         )
+
+    def _times_left_out(self) -> Iterator[Text]:
+        times = self._times
+        if isinstance(times, Listed) and len(times) > self._rows:
+            outside = "outside the log"
+            if self._settings.policy.on_gap == "split" and self._timeline.counts.gaps.count:
+                outside += " or in a gap"
+            yield Text(
+                f"{len(times) - self._rows} of the {len(times)} times asked for with ",
+                Setting("at"),
+                f" are {outside}, so they have no attitude",
+            )
 
     def _uncertainty(self) -> UncertaintyReport | None:
         growth = self._segments.growth

@@ -148,8 +148,8 @@ def numbers(names: str) -> Callable[[object], tuple[float, ...]]:
             parts = tuple(float(str(part)) for part in _parts(value))
         except ValueError:
             parts = ()
-        if len(parts) != count:
-            raise UsageError(f"{shown(value)} is not {names}, {count} numbers")
+        if len(parts) != count or not all(map(math.isfinite, parts)):
+            raise UsageError(f"{shown(value)} is not {names}, {count} finite numbers")
         return parts
 
     return parse_numbers
