@@ -13,6 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
 _CODES = ("f8", "f4", "f2", "i8", "u8", "i4", "u4", "i2", "u2", "i1", "u1")
@@ -47,6 +49,14 @@ def to_arrow(values: NDArray[Any]) -> pa.Array:
     return pa.Array.from_buffers(
         _TYPES[native.dtype], len(native), [None, pa.py_buffer(native)], null_count=0
     )
+
+
+def struct_fields(tree: Mapping[str, Any]) -> list[pa.Field]:
+    """Return the fields of a tree of types by name, which are mappings where they are structs."""
+    return [
+        pa.field(name, pa.struct(struct_fields(kind)) if isinstance(kind, dict) else kind)
+        for name, kind in tree.items()
+    ]
 
 
 def text_scalar(text: str) -> pa.StringScalar:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import apsw
 import numpy as np
@@ -22,7 +22,7 @@ from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -33,27 +33,6 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
 
 _LATEST = int(np.iinfo(np.int64).max)
-
-
-class _Part(Protocol):
-    """A copy of one file of a bag.
-
-    Attributes
-    ----------
-    added
-        The messages added so far.
-    """
-
-    added: Added
-
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
-        """Append messages, and when each was logged."""
-
-    def finish(self, extend: Callable[[str], str]) -> None:
-        """Finish the file; `extend` adds the topic to the metadata inside it, if it has them."""
-
-    def close(self) -> None:
-        """Close it; may be called twice."""
 
 
 class Rosbag2CopyWriter(MessageWriter):
@@ -83,7 +62,7 @@ class Rosbag2CopyWriter(MessageWriter):
         self.encoder = attitude_encoder(message, ("cdr",))
         self._source = log.path
         self._files = _files(log.path)
-        self._parts: list[_Part] = []
+        self._parts: list[McapPart | sqlite.SqlitePart] = []
         self._part_log = ExitStack()
         is_folder = log.path.is_dir()
         super().__init__(OutputPath(target, folder=is_folder))

@@ -9,7 +9,7 @@ import numpy as np
 from quatprop.errors import UnsupportedLogError
 from quatprop.messages.binary import ENCAPSULATIONS
 from quatprop.messages.placement import ROS1, XCDR1
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct
+from quatprop.messages.schema import Primitive, String, Struct
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class ShortMessageError(Exception):
 
 
 class SkipError(Exception):
-    """A value cannot be passed over: its type has no definition."""
+    """A value cannot be passed over: it is a list, or its type has no definition."""
 
 
 class Names(NamedTuple):
@@ -106,7 +106,7 @@ class Cursor:
         return Names(begin, length)
 
     def skip(self, kind: Type) -> None:
-        """Pass over a value; there is one message only where its length varies."""
+        """Pass over a number, a string or a struct of them; there is one message only."""
         match kind:
             case Primitive():
                 self.numbers(kind.code)
@@ -115,20 +115,8 @@ class Cursor:
             case Struct():
                 for _, part in kind.fields:
                     self.skip(part)
-            case Array():
-                self._skip_elements(kind.element, kind.length)
-            case Sequence():
-                self._skip_elements(kind.element, int(self.numbers("u4")[0]))
             case _:
                 raise SkipError
-
-    def _skip_elements(self, element: Type, count: int) -> None:
-        if isinstance(element, Primitive):
-            if count:
-                self.numbers(element.code, count)
-            return
-        for _ in range(count):
-            self.skip(element)
 
     def _advance(self, size: int | Int64) -> Int64:
         begin = self._at

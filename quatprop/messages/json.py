@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
-from quatprop.arrow_arrays import to_numpy
+from quatprop.arrow_arrays import struct_fields, to_numpy
 from quatprop.errors import SchemaError, UsageError
 from quatprop.messages.schema import (
     TIME,
@@ -247,7 +247,7 @@ def _schema(columns: Sequence[WantedColumn], *, exact: bool = True) -> pa.Schema
             leaf = _leaf(wanted, is_list=is_list, exact=exact)
             if here.setdefault(last, leaf) != leaf:
                 return None
-    return pa.schema(_arrow_fields(tree))
+    return pa.schema(struct_fields(tree))
 
 
 def _leaf(wanted: WantedColumn, *, is_list: bool, exact: bool) -> pa.DataType:
@@ -258,13 +258,6 @@ def _leaf(wanted: WantedColumn, *, is_list: bool, exact: bool) -> pa.DataType:
     if exact and _is_exact(wanted):
         return pa.decimal256(76, 38)
     return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
-
-
-def _arrow_fields(tree: Tree) -> list[tuple[str, pa.DataType]]:
-    return [
-        (name, pa.struct(_arrow_fields(kind)) if isinstance(kind, dict) else kind)
-        for name, kind in tree.items()
-    ]
 
 
 def _stacked(table: pa.Table, wanted: WantedColumn) -> NDArray[Any]:

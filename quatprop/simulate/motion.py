@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,25 +29,10 @@ if TYPE_CHECKING:
     Float64 = NDArray[np.float64]
     Int64 = NDArray[np.int64]
 
+    # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at ever later times since the first sample.
+    Motion = Callable[[Int64], tuple[Float64, Float64]]
+
 NS_PER_S = 1e9
-
-
-class Motion(Protocol):
-    """Body rate and attitude as functions of time, called with ever later times."""
-
-    def __call__(self, elapsed_ns: Int64) -> tuple[Float64, Float64]:
-        """Return rate and attitude at times since the first sample.
-
-        Parameters
-        ----------
-        elapsed_ns
-            Shape ``(N,)``, int64, ns.
-
-        Returns
-        -------
-        rate, wxyz
-            Shapes ``(N, 3)``, rad/s, and ``(N, 4)``.
-        """
 
 
 @dataclass(frozen=True, slots=True)

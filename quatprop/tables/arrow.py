@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.provenance import JsonObject, provenance_in
-from quatprop.tables.base import TimedColumns
+from quatprop.tables.base import TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import (
     BATCH_ROWS,
@@ -64,9 +64,7 @@ class _ArrowLog(TypedTable):
             second = self._second_file()
         if second is not None:
             self.close()
-            raise UnsupportedLogError(
-                path, f"another file begins in it at byte {second}; split it there into two"
-            )
+            refuse_second_file(path, second)
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as the metadata of the file say it."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeGuard
 
 from quatprop.containers.base import Log
+from quatprop.errors import UnsupportedLogError
 from quatprop.progress import metered
 
 if TYPE_CHECKING:
@@ -156,6 +157,12 @@ class TableLog(Log):
             A column does not hold numbers, a stamp does not fit in int64 ns, or most rows do not
             fit.
         """
+
+
+def refuse_second_file(path: Path, begin: int) -> NoReturn:
+    """Refuse a file to which another one was joined, at a byte."""
+    reason = f"another file begins in it at byte {begin}; split it there into two"
+    raise UnsupportedLogError(path, reason)
 
 
 def is_table(log: MessageLog | TableLog) -> TypeGuard[TableLog]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.tables.base import TableNotes
+from quatprop.tables.base import TableNotes, refuse_second_file
 from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
 from quatprop.tables.numpy_table import NumpyTable
 from quatprop.text import plain, quoted
@@ -69,22 +70,18 @@ class Hdf5Log(NumpyTable):
             self._file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
         except _ERRORS as error:
             raise DamagedLogError(path, _damage(error)) from error
-        try:
-            self._sample_rate = _sample_rate(self._file)
-            self._file.visititems(self._describe)
-        except BaseException as error:
-            self._file.close()
-            if isinstance(error, _ERRORS):
+        with ExitStack() as resources:
+            resources.callback(self._file.close)
+            try:
+                self._sample_rate = _sample_rate(self._file)
+                self._file.visititems(self._describe)
+            except _ERRORS as error:
                 raise DamagedLogError(path, _damage(error)) from error
-            raise
-        if (end := _second_file(path)) is not None:
-            self._file.close()
-            raise UnsupportedLogError(
-                path, f"another file begins in it at byte {end}; split it there into two"
-            )
-        if not self._leaves:
-            self._file.close()
-            raise UnsupportedLogError(path, self._refused or "it has no datasets; name a log")
+            if (end := _second_file(path)) is not None:
+                refuse_second_file(path, end)
+            if not self._leaves:
+                raise UnsupportedLogError(path, self._refused or "it has no datasets; name a log")
+            resources.pop_all()
 
     @property
     def notes(self) -> TableNotes:

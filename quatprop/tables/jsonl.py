@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from quatprop.errors import UnreadableLogError, UnsupportedLogError
+from quatprop.errors import UnsupportedLogError
 from quatprop.tables.jsonl_parser import LineParser
-from quatprop.tables.text_stream import TextStream, note_lines, record_blocks
+from quatprop.tables.text_stream import note_lines, open_text, record_blocks
 from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leaves
 from quatprop.text import quoted
 
@@ -53,11 +54,8 @@ class JsonLinesLog(TypedTable):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        text = self._open()
-        try:
+        with closing(open_text(path)) as text:
             head = text.read(HEAD_BYTES)
-        finally:
-            text.close()
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
@@ -66,12 +64,6 @@ class JsonLinesLog(TypedTable):
             raise UnsupportedLogError(
                 path, "its first lines are no JSON objects; write each row as one, on one line"
             )
-
-    def _open(self) -> TextStream:
-        try:
-            return TextStream(self.path.open("rb"))
-        except OSError as error:
-            raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
@@ -89,13 +81,12 @@ class JsonLinesLog(TypedTable):
         yield RowGroup("the rest of the file", 0, self._batches(columns))
 
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
-        text = self._open()
         parser = LineParser(
             self.path,
             [self._leaves[k] for k in columns.numbers],
             [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
         )
-        try:
+        with closing(open_text(self.path)) as text:
             for block in record_blocks(text, 1):
                 yield from parser.parse(block.data)
                 if parser.rejected:
@@ -104,8 +95,6 @@ class JsonLinesLog(TypedTable):
                     parser.rejected.clear()
             if text.damage:
                 self.losses.note("end of the file", text.damage)
-        finally:
-            text.close()
 
 
 def _leaves(lines: list[bytes]) -> list[Leaf]:

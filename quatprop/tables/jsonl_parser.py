@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 from pyarrow import json as arrow_json
 
-from quatprop.arrow_arrays import readable
+from quatprop.arrow_arrays import readable, struct_fields
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.text import plain
@@ -186,14 +186,7 @@ def _nested(fields: Fields) -> pa.Schema:
         for name in path[:-1]:
             place = place.setdefault(name, {})
         place[path[-1]] = kind
-    return pa.schema(_fields(tree))
-
-
-def _fields(tree: dict[str, Any]) -> list[pa.Field]:
-    return [
-        pa.field(name, pa.struct(_fields(kind)) if isinstance(kind, dict) else kind)
-        for name, kind in tree.items()
-    ]
+    return pa.schema(struct_fields(tree))
 
 
 def _is_object(line: bytes) -> bool:

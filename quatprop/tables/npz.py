@@ -9,6 +9,7 @@ import numpy as np
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
+from quatprop.tables.base import refuse_second_file
 from quatprop.tables.cut_archive import CutArchive
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.numpy_table import NumpyTable, archive_damage
@@ -99,8 +100,7 @@ class NpzLog(NumpyTable):
             return
         begin = min((info.header_offset for info in self._archive.infolist()), default=0)
         if begin:
-            reason = f"another file begins in it at byte {begin}; split it there into two"
-            raise UnsupportedLogError(self.path, reason)
+            refuse_second_file(self.path, begin)
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             first = file.seek(max(0, size - _LONGEST_END))

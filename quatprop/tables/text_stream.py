@@ -10,10 +10,12 @@ import numpy as np
 
 from quatprop.containers.compressed_files import file_compression
 from quatprop.containers.compression import CompressionError, decompressed_pieces
+from quatprop.errors import UnreadableLogError
 from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from quatprop.containers.base import Losses
 
@@ -102,6 +104,20 @@ class TextStream:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+def open_text(path: Path) -> TextStream:
+    """Open a file as a text.
+
+    Raises
+    ------
+    UnreadableLogError
+        It cannot be read.
+    """
+    try:
+        return TextStream(path.open("rb"))
+    except OSError as error:
+        raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
 
 
 def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:

@@ -16,7 +16,7 @@ from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import TextStream, record_blocks, record_end
+from quatprop.tables.text_stream import TextStream, open_text, record_blocks, record_end
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ class CsvLog(TableLog):
         super().__init__(source if isinstance(source, Path) else _STDIN)
         self.remarks: list[str] = []
         self._stream = None if isinstance(source, Path) else source
-        self._text: TextStream | None = self._open()
-        self._is_compressed = self._text.is_compressed
+        self._text = open_text(source) if isinstance(source, Path) else TextStream(source)
+        self._was_read = False
         self._head = self._text.read(HEAD_BYTES)
         if self._stream is None:
             self._text.close()
@@ -90,7 +90,7 @@ class CsvLog(TableLog):
         """Return the size of the file divided by that of its first rows; None if compressed."""
         head = self._head[self._layout.body :]
         rows = head.count(b"\n")
-        if self._stream is not None or not rows or self._is_compressed:
+        if self._stream is not None or not rows or self._text.is_compressed:
             return None
         return max(rows, round(self.path.stat().st_size / len(head) * rows))
 
@@ -114,10 +114,6 @@ class CsvLog(TableLog):
         finally:
             if self._stream is None:
                 text.close()
-
-    def close(self) -> None:
-        """Release what was read; a stream is left to its owner."""
-        self._text = None
 
     def _without_truncated_line(
         self, block: TextBlock, tail: bytes, text: TextStream, columns: TimedColumns
@@ -165,25 +161,19 @@ class CsvLog(TableLog):
         self.losses.note(f"line {line}", "it has no line end, and its last cell was cut off", 1)
         return block._replace(data=block.data[:begin])
 
-    def _open(self) -> TextStream:
-        try:
-            return TextStream(self._stream or self.path.open("rb"))
-        except OSError as error:
-            raise UnreadableLogError(self.path, f"it cannot be read: {error.strerror}") from error
-
     def _restart(self) -> TextStream:
         """Return the text from its first row on, and forget what an earlier reading noted."""
         self._forget_earlier_reading()
         self.remarks.clear()
         if self._stream is None:
-            rows = self._open()
+            rows = open_text(self.path)
             rows.read(self._layout.body)
             return rows
-        text, self._text = self._text, None
-        if text is None:
+        if self._was_read:
             raise UsageError("stdin can be read only once; save it to a file first")
-        text.unread(self._head[self._layout.body :])
-        return text
+        self._was_read = True
+        self._text.unread(self._head[self._layout.body :])
+        return self._text
 
 
 class TumLog(CsvLog):

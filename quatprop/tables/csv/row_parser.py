@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +16,14 @@ import pyarrow as pa
 
 from quatprop.tables import timestamps
 from quatprop.tables.csv.headers import COMMENTS
-from quatprop.tables.csv.rows import ColumnParser, OpenQuoteError, ParsedRows, squeeze_blanks
+from quatprop.tables.csv.rows import OpenQuoteError, ParsedRows, date_type, squeeze_blanks
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.csv.headers import CsvLayout
 
 _LARGEST = np.iinfo(np.int64).max
 _NOT_A_NUMBER = {
@@ -37,7 +41,8 @@ _NOT_A_NUMBER = {
 }
 
 
-class RowParser(ColumnParser):
+@dataclass(frozen=True, slots=True)
+class RowParser:
     """Reads rows one by one, and says which do not fit.
 
     Parameters
@@ -47,6 +52,9 @@ class RowParser(ColumnParser):
     columns
         Which columns to read.
     """
+
+    layout: CsvLayout
+    columns: TimedColumns
 
     def parse(self, data: bytes, line: int) -> ParsedRows:
         """Return the rows that fit.
@@ -192,10 +200,10 @@ class RowParser(ColumnParser):
 
     def _stamp(self, cell: str, unit: str, k: int) -> int:
         name = self.layout.names[k]
-        date_type = self.date_type(k)
+        kind = date_type(self.layout, k)
         try:
-            if date_type is not None:
-                return int(pa.scalar(cell.strip()).cast(date_type).value)
+            if kind is not None:
+                return int(pa.scalar(cell.strip()).cast(kind).value)
             return timestamps.from_text(self._pointed(cell), unit)
         except timestamps.TimestampRangeError:
             other = timestamps.likely_unit(self._pointed(cell))

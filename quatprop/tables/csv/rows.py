@@ -56,21 +56,12 @@ class ParsedRows(NamedTuple):
     rejected: tuple[tuple[int, str], ...] = ()
 
 
-class ColumnParser:
-    """What both parsers know: the layout and the columns to read."""
-
-    def __init__(self, layout: CsvLayout, columns: TimedColumns) -> None:
-        self.layout = layout
-        self.columns = columns
-
-    def date_type(self, k: int) -> pa.DataType | None:
-        """Return the type of a column of dates; None for one of numbers."""
-        if k not in self.layout.dates:
-            return None
-        return pa.timestamp("ns", self.layout.dates[k])
+def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
+    """Return the type of a column of dates; None for one of numbers."""
+    return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
 
 
-class BlockParser(ColumnParser):
+class BlockParser:
     """Reads whole blocks, all rows at once.
 
     Parameters
@@ -82,7 +73,8 @@ class BlockParser(ColumnParser):
     """
 
     def __init__(self, layout: CsvLayout, columns: TimedColumns) -> None:
-        super().__init__(layout, columns)
+        self.layout = layout
+        self.columns = columns
         self._names = [str(k) for k in range(len(layout.names))]
         self._spare = 0
 
@@ -125,7 +117,7 @@ class BlockParser(ColumnParser):
             timestamps.refuse_tiny_numbers(data)
         types = {str(k): pa.float64() for k in self.columns.numbers}
         for k, unit in zip(self.columns.time, self.columns.units, strict=True):
-            types[str(k)] = self.date_type(k) or timestamps.decimal_type(unit, spare)
+            types[str(k)] = date_type(self.layout, k) or timestamps.decimal_type(unit, spare)
         read = partial(
             arrow_csv.read_csv,
             readable(data),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import reference_covariance
@@ -21,35 +21,10 @@ if TYPE_CHECKING:
 
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
-    from quatprop.writers.messages.topics import Topic
 
 
 ABSENT = (-1.0, *[0.0] * 8)
 """The covariance of a part of an Imu message that is not known."""
-
-
-class AttitudeEncoder(Protocol):
-    """Encodes attitudes as one type of message.
-
-    Attributes
-    ----------
-    topic
-        The topic and its definition.
-    holds_positions
-        Whether positions are written too.
-    """
-
-    topic: Topic
-    holds_positions: bool
-
-    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
-        """Return the messages of a batch, shape ``(N,)``.
-
-        Raises
-        ------
-        OutputError
-            A stamp is out of range; the error names the target.
-        """
 
 
 def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
@@ -79,7 +54,7 @@ def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEn
 
 
 class RosEncoder:
-    """Encodes attitudes as a ROS message; see :class:`AttitudeEncoder`.
+    """Encodes attitudes as a ROS message.
 
     Parameters
     ----------
@@ -137,3 +112,8 @@ class RosEncoder:
             else:
                 rows["rate"] = series.rate
         return rows
+
+
+AttitudeEncoder: TypeAlias = RosEncoder | FoxgloveEncoder
+"""Encodes attitudes as one type of message: a topic, whether positions are written, and `encode`,
+which returns the messages of a batch."""

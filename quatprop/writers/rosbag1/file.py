@@ -94,8 +94,7 @@ class BagFile:
             "message_definition": topic.schema,
         }
         self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
-        self._own: list[ChunkInfo] = []
-        self._copied: list[ChunkInfo] = []
+        self._chunks: list[ChunkInfo] = []
         self._rows: NDArray[np.void] | None = None
         self._filled = 0
         # The first chunk begins with the connection, as other readers than ours may expect.
@@ -153,7 +152,7 @@ class BagFile:
         connections = {**(others or {}), self._id: self._fields}
         for id_, fields in connections.items():
             self._append(records.connection(id_, fields))
-        infos = _in_order(self._copied, self._own)
+        infos = _in_order(self._chunks)
         for info in infos:
             self._append(info.encoded())
         self._stream.seek(len(MAGIC))
@@ -164,7 +163,7 @@ class BagFile:
         self._pool.shutdown()
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, NDArray[np.void]]) -> None:
-        """Write a chunk of another bag and its index data.
+        """Write a chunk and its index data.
 
         Parameters
         ----------
@@ -174,17 +173,11 @@ class BagFile:
             The messages of each connection in it, of type :data:`ENTRY
             <quatprop.writers.rosbag1.records.ENTRY>`.
         """
-        self._copied.append(self._append_indexed(chunk, indexes))
-
-    def _append_indexed(
-        self, chunk: Iterable[bytes], indexes: Mapping[int, NDArray[np.void]]
-    ) -> ChunkInfo:
-        info = ChunkInfo.of(self._size, indexes)
+        self._chunks.append(ChunkInfo.of(self._size, indexes))
         for piece in chunk:
             self._append(piece)
         for id_, entries in indexes.items():
             self._append(records.index_data(id_, entries))
-        return info
 
     def _submit(self) -> None:
         if self._filled and self._rows is not None:
@@ -194,26 +187,25 @@ class BagFile:
     def _append_own(self, chunk: _BagChunk) -> None:
         self._before(chunk.first)
         record = records.chunk(self._compression, chunk.size, chunk.data)
-        self._own.append(self._append_indexed([record], {self._id: chunk.index}))
+        self.append_chunk([record], {self._id: chunk.index})
 
     def _append(self, data: bytes) -> None:
         self._stream.write(data)
         self._size += len(data)
 
 
-def _in_order(copied: list[ChunkInfo], own: list[ChunkInfo]) -> list[ChunkInfo]:
+def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
     """Return the index of all chunks, so that the bag starts with the first and ends with the last.
 
     Readers take the start and the end of a bag from them, and index the chunks in any order.
     """
-    if not (copied and own):
-        return copied + own
-    chunks = sorted((*copied, *own), key=lambda info: info.place)
+    if len(chunks) < 2:  # noqa: PLR2004  # a first and a last
+        return chunks
     first = min(chunks, key=lambda info: info.start_ns)
-    chunks.remove(first)
-    last = max(reversed(chunks), key=lambda info: info.end_ns)
-    chunks.remove(last)
-    return [first, *chunks, last]
+    last = max(
+        (info for info in reversed(chunks) if info is not first), key=lambda info: info.end_ns
+    )
+    return [first, *(info for info in chunks if info not in (first, last)), last]
 
 
 def _compressed(compression: str, prefix: bytes, rows: NDArray[np.void]) -> _BagChunk:

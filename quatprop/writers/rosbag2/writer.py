@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, cast
 
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
@@ -35,13 +35,6 @@ if TYPE_CHECKING:
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
 _VERSION_OFFSET = 96
 _VERSION = (3_040_000).to_bytes(4, "big")
-
-
-class _Storage(Protocol):
-    """What both storages have beyond the library's protocol."""
-
-    def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
-        """Append messages."""
 
 
 class ReproducibleSqlite(Sqlite3Writer):
@@ -136,7 +129,8 @@ class BulkWriter(Writer):
     def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
         """Append messages that all have one size."""
         if len(log_ns):
-            cast("_Storage", self.storage).write_block(connection, log_ns, messages)
+            storage = cast("ReproducibleSqlite | BulkMcap", self.storage)
+            storage.write_block(connection, log_ns, messages)
             self.counts[connection.id] += len(log_ns)
             self.min_timestamp = min(self.min_timestamp, int(log_ns.min()))
             self.max_timestamp = max(self.max_timestamp, int(log_ns.max()))
