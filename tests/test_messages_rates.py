@@ -1,7 +1,5 @@
 """Which field of a message is a rate, and what its stamp is in ns."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -48,10 +46,10 @@ def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
         (fields,) = signal_fields(channel, "log", kind)
         paths = []
         if row.rate:
-            assert replace(fields.rate, stamps=()) == row.rate
+            assert fields.rate._replace(stamps=()) == row.rate
             paths += [*fields.rate.fields, fields.rate.absent, *fields.rate.stamps[0].fields]
         if row.orientation:
-            assert replace(fields.orientation, stamps=(), fields=()) == row.orientation
+            assert fields.orientation._replace(stamps=(), fields=()) == row.orientation
             paths += [*fields.orientation.fields, fields.orientation.absent]
             paths += fields.orientation.stamps[0].fields
         assert fields.acceleration == row.acceleration

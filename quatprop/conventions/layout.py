@@ -7,14 +7,13 @@ JPL convention are not layouts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from quatprop.errors import UsageError
 from quatprop.text import listed, quoted
 
 
-@dataclass(frozen=True, slots=True)
-class Layout:
+class Layout(NamedTuple):
     """An order of the four components.
 
     Parameters

@@ -6,8 +6,7 @@ say what is in them, and in which unit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -153,8 +152,7 @@ def from_matrices(rows: Float64) -> Float64:
     return np.where(valid[:, None], attitudes, np.nan)
 
 
-@dataclass(frozen=True, slots=True)
-class Representation:
+class Representation(NamedTuple):
     """A way to write a rotation other than a quaternion.
 
     Parameters

@@ -7,7 +7,6 @@ definition.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
@@ -49,8 +48,7 @@ class Burst(NamedTuple):
         return Burst(prefix + self.samples, self.spacing.under(prefix), prefix + self.scale)
 
 
-@dataclass(frozen=True, slots=True)
-class RateField:
+class RateField(NamedTuple):
     """A body rate in a message; paths are dotted.
 
     Parameters
@@ -91,8 +89,7 @@ class RateField:
         return ",".join(self.fields)
 
 
-@dataclass(frozen=True, slots=True)
-class OrientationField:
+class OrientationField(NamedTuple):
     """A quaternion in a message; paths are dotted.
 
     Parameters
@@ -142,8 +139,7 @@ class AccelerationField(NamedTuple):
     absent: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SignalFields:
+class SignalFields(NamedTuple):
     """What a message type carries; None where it has no such field.
 
     Parameters
@@ -177,6 +173,9 @@ _FOXGLOVE_ODOMETRY = SignalFields(
     stamps=_FOXGLOVE_STAMP,
 )
 _FOXGLOVE_POSE_IN_FRAME = SignalFields(orientation=_FOXGLOVE_POSE, stamps=_FOXGLOVE_STAMP)
+
+TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types that consist of one list of ``geometry_msgs/TransformStamped``."""
 
 MESSAGE_TYPES: Mapping[str, SignalFields] = {
     "sensor_msgs/msg/Imu": SignalFields(
@@ -233,7 +232,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
     ),
     "px4_msgs/msg/VehicleOdometry": SignalFields(
         rate=RateField(("angular_velocity",), measured=False),
-        orientation=replace(_FRD_TO_NED, position="position"),
+        orientation=_FRD_TO_NED._replace(position="position"),
         stamps=(*_SAMPLED, _SENT),
     ),
 }

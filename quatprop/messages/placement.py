@@ -12,7 +12,7 @@ OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.messages.schema import Array, Primitive, Struct
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from quatprop.messages.schema import Type
 
 
-@dataclass(frozen=True, slots=True)
-class Placement:
+class Placement(NamedTuple):
     """How an encoding places its values.
 
     Parameters

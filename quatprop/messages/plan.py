@@ -9,7 +9,7 @@ beginning, and how to move from there to the next. :mod:`quatprop.messages.compi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from quatprop.messages.schema import Primitive
@@ -48,8 +48,7 @@ class Piece:
         return self.offset + self.number.size * (1 if self.count is None else self.count)
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
+class Window(NamedTuple):
     """Bytes fetched at once.
 
     Parameters
@@ -67,8 +66,7 @@ class Window:
     pieces: tuple[Piece, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Skip:
+class Skip(NamedTuple):
     """Move over the counted elements, of fixed size.
 
     Parameters
@@ -100,8 +98,7 @@ class Repeat:
     count: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
+class Segment(NamedTuple):
     """A run of fixed size, and how to reach the next segment.
 
     Parameters

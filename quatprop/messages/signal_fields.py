@@ -6,7 +6,6 @@ inside it; any other field can be named.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -23,7 +22,6 @@ from quatprop.messages.message_types import (
 )
 from quatprop.messages.schema import Struct, find, numbers, structs
 from quatprop.messages.stamps import stamps_around
-from quatprop.tables.matching.column_names import rate_unit_of
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -148,6 +146,8 @@ def rate_field_at(channel: Channel, rate_field: str, path: Path | str) -> RateFi
             f"field {quoted(rate_field)} of {quoted(channel.type_name)} is not three numbers; "
             "name a field of x, y, z or three numbers as a,b,c",
         )
+    from quatprop.tables.matching.column_names import rate_unit_of
+
     return RateField(names, unit=rate_unit_of(names), stamps=stamps_around(root, names[0]))
 
 
@@ -233,8 +233,7 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
     rate, orientation, acceleration = row.rate, row.orientation, row.acceleration
     if rate is not None:
         names = tuple(prefix + name for name in rate.fields)
-        rate = replace(
-            rate,
+        rate = rate._replace(
             fields=names,
             stamps=stamps_for(names[0]),
             absent=existing(rate.absent),
@@ -249,8 +248,7 @@ def _placed(row: SignalFields, root: Struct, prefix: str) -> SignalFields:
             name = existing(name)
             return name if name and _count(find(root, name)) in counts else None
 
-        orientation = replace(
-            orientation,
+        orientation = orientation._replace(
             name=prefix + orientation.name,
             layout=layout or orientation.layout,
             absent=existing(orientation.absent),

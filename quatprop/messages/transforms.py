@@ -7,7 +7,6 @@ the definition that a log carries is checked against it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
-TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-"""Types that consist of one list of ``geometry_msgs/TransformStamped``."""
-
 SECOND_NS = 1_000_000_000
 
 _TRANSLATION_AND_ROTATION = 3 + 4
@@ -45,8 +41,7 @@ class Frames(NamedTuple):
     child: str
 
 
-@dataclass(frozen=True, slots=True)
-class Transforms:
+class Transforms(NamedTuple):
     """The transforms of a block, in the order of its messages and of the list in each.
 
     Parameters

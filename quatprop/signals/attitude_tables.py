@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -186,7 +185,7 @@ def _read(  # noqa: PLR0913  # what to read, and how
     if covariances:
         names = [parse_name(name).key for name in log.columns()]
         beside += [names.index(name) for name in SIGMA_COLUMNS]
-    timed = replace(columns.timed, numbers=(*columns.timed.numbers, *beside))
+    timed = columns.timed._replace(numbers=(*columns.timed.numbers, *beside))
     read = 0
     for t_ns, numbers in log.metered_rows(timed):
         split = numbers.shape[1] - len(beside)

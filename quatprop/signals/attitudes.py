@@ -18,15 +18,14 @@ from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.messages.message_types import TRANSFORM_LISTS
 from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
-from quatprop.messages.transforms import TRANSFORM_LISTS
 from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
 from quatprop.signals.message_values import FieldReader, logged_values, stamps_of, timed_values
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.signals.transforms import TransformReader, chosen_frames
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, plain, quoted
 
@@ -178,6 +177,8 @@ def _is_beside_rate(channel: Channel, field: OrientationField, path: Path | str)
 def _of_transforms(
     log: MessageLog, channel: Channel, selection: AttitudeSelection
 ) -> AttitudeSignal:
+    from quatprop.signals.transforms import TransformReader, chosen_frames
+
     layout = selection.from_layout
     if layout is not None and layout_named(layout) is not SCALAR_LAST:
         raise UsageError(

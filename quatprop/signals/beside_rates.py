@@ -131,7 +131,7 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
     if len(axes) != 3:  # noqa: PLR2004  # axes
         return None
     timed = match_rates(log, selection).timed
-    return log.metered_rows(replace(timed, numbers=tuple(axes[axis] for axis in range(3))))
+    return log.metered_rows(timed._replace(numbers=tuple(axes[axis] for axis in range(3))))
 
 
 def own_orientation(

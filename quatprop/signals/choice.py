@@ -8,7 +8,7 @@ the remarks of the signal, what is ambiguous is refused with the setting that se
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import (
@@ -66,8 +66,7 @@ class Candidate(Generic[SignalT]):
     preferred: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class SignalKind:
+class SignalKind(NamedTuple):
     """What error messages say about rates or about attitudes.
 
     Parameters

@@ -114,7 +114,7 @@ def _table_rates(
 ) -> Iterator[GyroSeries]:
     """Yield the rates of a table, or of some parts of it, in rad/s."""
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
-    for t_ns, rate in log.metered_rows(replace(columns.timed, parts=parts)):
+    for t_ns, rate in log.metered_rows(columns.timed._replace(parts=parts)):
         for factor in factors:
             np.multiply(rate, factor, out=rate)
         yield GyroSeries(t_ns, rate, averages=columns.method == "end")

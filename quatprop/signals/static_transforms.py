@@ -18,8 +18,9 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.messages.cursor import first_name
 from quatprop.messages.definitions import message_type
+from quatprop.messages.message_types import TRANSFORM_LISTS
 from quatprop.messages.schema import String, find
-from quatprop.messages.transforms import TRANSFORM_LISTS, TransformDecoder
+from quatprop.messages.transforms import TransformDecoder
 from quatprop.signals.message_values import channels_of
 from quatprop.tables.base import is_table
 from quatprop.text import Setting, listed, plain, quoted

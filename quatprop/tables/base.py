@@ -28,8 +28,7 @@ OTHER_DATES = "dates that are not of ISO 8601"
 """The unit of a column of dates and times of day that nobody can read without being told how."""
 
 
-@dataclass(frozen=True, slots=True)
-class TimedColumns:
+class TimedColumns(NamedTuple):
     """Which columns of a table to read as numbers, and which as the time.
 
     Parameters

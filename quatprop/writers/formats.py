@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, quoted
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
     from quatprop.conventions.layout import Layout
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
+class Format(NamedTuple):
     """One row of :data:`WRITERS`.
 
     Parameters

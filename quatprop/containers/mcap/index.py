@@ -9,7 +9,6 @@ that is certain to be a record.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.checksum import crc32
@@ -75,7 +74,7 @@ def build_index(source: FileSource) -> McapIndex:
     scan.run(is_closed=footer is not None)
     if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
         # Bytes are missing, or too many, before the summary: it is not where the footer says.
-        summary = read_summary(source, replace(footer, summary_start=scan.summary_start))
+        summary = read_summary(source, footer._replace(summary_start=scan.summary_start))
     if scan.indexed:  # chunks that the scan did not come by: the summary does not fit the file
         summary = Summary()
         scan = _Scan(source, end, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
@@ -87,8 +87,7 @@ class McapIndex:
         return schema == 0 or schema in self.schemas
 
 
-@dataclass(frozen=True, slots=True)
-class Footer:
+class Footer(NamedTuple):
     """Where the data section ends and the summary begins (0 if there is none), and its CRC."""
 
     data_end: int

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.tables.matching.dialects import (
     AXIS_FIRST,
@@ -85,8 +84,7 @@ _MAY_HAVE_SUFFIX = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class ColumnName:
+class ColumnName(NamedTuple):
     """A column name taken apart.
 
     Parameters

@@ -8,14 +8,13 @@ convention that is certain about it is trusted with those.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 from quatprop.settings import EULER_SEQUENCES
 
 
-@dataclass(frozen=True, slots=True)
-class Dialect:
+class Dialect(NamedTuple):
     """How one source of tables names its columns.
 
     Patterns are regular expressions for whole

@@ -10,7 +10,7 @@ define the quaternion as x, y, z, w: there is no other layout.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UsageError
 from quatprop.text import listed, quoted
@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-@dataclass(frozen=True, slots=True)
-class MessageType:
+class MessageType(NamedTuple):
     """One row of :data:`MESSAGES`.
 
     Parameters
