@@ -324,3 +324,18 @@ def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
     lost = numbers_of_chunks(written(**BARE))[0]
     assert numbers == without(lost)
     assert losses[-1].place == f"chunk at byte {begin}"
+
+
+@pytest.mark.parametrize("size", [0, 1, 1 << 27, (1 << 64) - 1])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compression, size):
+    """The head of the chunk counts, whatever the summary says that it decompresses to."""
+    content = bytearray(written(compression=compression))
+    ends = [end for opcode, _, end in records(content) if opcode == 8]
+    for end in ends[3:5]:
+        content[end - 8 : end] = size.to_bytes(8, "little")
+    summary = next(begin for opcode, begin, _ in records(content) if opcode == 15) + 13
+    crc = zlib.crc32(content[summary:-12])
+    content[-12:-8] = crc.to_bytes(4, "little")
+    assert len(ends) > 6
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
