@@ -57,9 +57,8 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
         yield "reference", f"{plain(case.external.path)}, an independent series"
     comparison = case.comparison
     if (tolerance := comparison.tol) is not None:
-        if isinstance(tolerance, Sigmas):
-            limit = str(tolerance)
-        else:
+        limit = str(tolerance)
+        if not isinstance(tolerance, Sigmas):
             limit = angle_text(tolerance, in_degrees=case.in_degrees)
         yield "judged by", f"worst error of at most {limit}, alignment {comparison.align}"
     if case.external is None:

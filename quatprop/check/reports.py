@@ -155,16 +155,12 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             element.text = "\n".join(filter(None, [result.summary, reason]))
-        elif text := "\n".join(map(plain, filter(None, _output(result)))):
-            ET.SubElement(case, "system-out").text = text
+        elif texts := [*filter(None, [result.summary, *_below(result), *result.notes])]:
+            ET.SubElement(case, "system-out").text = "\n".join(map(plain, texts))
     ET.indent(root)
     with open_atomic(target) as stream:
         ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
         stream.write(b"\n")
-
-
-def _output(result: CaseResult) -> list[str]:
-    return [result.summary, *_below(result), *result.notes]
 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:

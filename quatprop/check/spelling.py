@@ -20,14 +20,11 @@ ONCE = {"normalize", "on_invalid"}
 FLAGS = {"normalize", "sigma"}
 """Settings that are on or off."""
 
-COMMAND_OPTIONS = {"update"}
-"""Settings that are options of the command, not keys of a case."""
-
 
 def suite_key(setting: Setting, side: str = "") -> str:
     """Return a setting as a key of a case, such as ``clock = "log"``; B is the reference."""
     name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
-    if name in COMMAND_OPTIONS:
+    if name == "update":  # an option of the command, not a key of a case
         return f"--{name}"
     if side == "b" and setting.name not in ONCE:
         name = f"reference-{name}"

@@ -71,7 +71,8 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
             if result.verdict == "pass":
                 # It was found to be what this version gives, too.
                 kept = replace(pin, quatprop=__version__)
-                return replace(result, updated="kept", pin=kept, notes=_without_version(result))
+                notes = [note for note in result.notes if not note.startswith(OTHER_VERSION)]
+                return replace(result, updated="kept", pin=kept, notes=tuple(notes))
     run, every = _run(case, pin)
     changes = [] if pin is None else _changes(case, pin, run, hashes)
     digest = None
@@ -104,10 +105,6 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         updated="new" if pin is None else "updated",
         pin=pinned,
     )
-
-
-def _without_version(result: CaseResult) -> tuple[str, ...]:
-    return tuple(note for note in result.notes if not note.startswith(OTHER_VERSION))
 
 
 def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:

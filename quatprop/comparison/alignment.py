@@ -16,7 +16,14 @@ import numpy as np
 from quatprop.comparison.statistics import rms
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
+    conjugate,
+    geodesic_angle,
+    multiply,
+    rotate,
+    shorter,
+)
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
@@ -149,8 +156,7 @@ def mean_rotation(q: Float64) -> Float64:
     eigenvector of the largest eigenvalue of sum q q^T.
     """
     _, vectors = np.linalg.eigh(q.T @ q)
-    mean = vectors[:, -1]
-    return np.asarray(mean * np.copysign(1.0, mean[0]))
+    return shorter(vectors[:, -1])
 
 
 def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
@@ -214,8 +220,7 @@ def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, 
 def _relative(q: Float64, stride: int) -> Float64:
     """Return q[i]* q[i + stride] with w >= 0, for at most about MAX_MOTIONS i."""
     start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
-    step = multiply(conjugate(q[start]), q[start + stride])
-    return np.asarray(step * np.where(step[:, :1] < 0, -1.0, 1.0))
+    return shorter(multiply(conjugate(q[start]), q[start + stride]))
 
 
 def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:

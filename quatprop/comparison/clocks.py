@@ -181,12 +181,9 @@ def _sums(values: Float64, span: tuple[Int64, Int64]) -> Float64:
 
 def _runner_up(correlation: Float64, peak: int) -> float:
     """Return the highest correlation outside the peak, whose feet are the nearest minima."""
-    left = peak
-    while left > 0 and correlation[left - 1] < correlation[left]:
-        left -= 1
-    right = peak
-    while right < len(correlation) - 1 and correlation[right + 1] < correlation[right]:
-        right += 1
+    slopes = np.diff(correlation)
+    left = np.append(0, np.flatnonzero(slopes[:peak] <= 0) + 1)[-1]
+    right = peak + np.append(np.flatnonzero(slopes[peak:] >= 0), len(slopes) - peak)[0]
     outside = np.concatenate([correlation[:left], correlation[right + 1 :]])
     return float(outside.max(initial=0.0))
 

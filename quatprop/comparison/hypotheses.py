@@ -12,7 +12,14 @@ from quatprop.comparison.alignment import align, mean_rotation
 from quatprop.comparison.statistics import S_PER_H, rms
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, log, multiply
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
+    conjugate,
+    geodesic_angle,
+    log,
+    multiply,
+    shorter,
+)
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, Text
@@ -178,7 +185,7 @@ def _steady_drifts(pairs: Pairs, b: Float64, before: float) -> Iterator[Cause]:
         ("body", multiply(conjugate(pairs.a), b)),
         ("reference", multiply(b, conjugate(pairs.a))),
     ):
-        vectors = log(between * np.where(between[:, :1] < 0, -1.0, 1.0))
+        vectors = log(shorter(between))
         if np.abs(vectors).max() > MAX_RAMP:
             continue
         fit, *_ = np.linalg.lstsq(design, vectors, rcond=None)

@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
 from quatprop.text import Setting
 
@@ -234,7 +234,7 @@ class Comparison:
         if self.pairs is None:
             return np.empty((0, 3))
         step = multiply(conjugate(self.alignment.apply(self.pairs.b)), self.pairs.a)
-        return log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
+        return log(shorter(step))
 
     def report(self) -> Mapping[str, Any]:
         """Return everything but the arrays, JSON-ready."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Annotated, Literal, TypedDict, Unpack, get_type_hints
 
 from quatprop.errors import UsageError
 from quatprop.settings import parse_all
@@ -39,7 +39,7 @@ class Sigmas:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonSettings:
-    """How to compare two attitude series A and B.
+    """How to compare two attitude series A and B; with each field, the parser of its value.
 
     Parameters
     ----------
@@ -74,21 +74,21 @@ class ComparisonSettings:
         A limit on errors over windows is given, and no window.
     """
 
-    tol: float | Sigmas | None = None
-    rms_tol: float | Sigmas | None = None
-    final_tol: float | Sigmas | None = None
-    p95_tol: float | Sigmas | None = None
-    window_tol: float | None = None
-    window_rms_tol: float | None = None
-    drift_tol: float | None = None
-    min_coverage: float | None = None
-    max_sigma: Sigmas | None = None
-    align: str = "none"
-    time_offset: int | Literal["auto"] = 0
-    match: str | None = None
-    max_dt: int | None = None
-    min_matched: float = 50.0
-    window: int | None = None
+    tol: Annotated[float | Sigmas | None, error_limit] = None
+    rms_tol: Annotated[float | Sigmas | None, error_limit] = None
+    final_tol: Annotated[float | Sigmas | None, error_limit] = None
+    p95_tol: Annotated[float | Sigmas | None, error_limit] = None
+    window_tol: Annotated[float | None, angle_rad] = None
+    window_rms_tol: Annotated[float | None, angle_rad] = None
+    drift_tol: Annotated[float | None, drift_deg_h] = None
+    min_coverage: Annotated[float | None, _percentage] = None
+    max_sigma: Annotated[Sigmas | None, _sigmas] = None
+    align: Annotated[str, Choice(*ALIGNMENTS)] = "none"
+    time_offset: Annotated[int | Literal["auto"], time_offset_ns] = 0
+    match: Annotated[str | None, Choice(*MATCHES)] = None
+    max_dt: Annotated[int | None, length] = None
+    min_matched: Annotated[float, _percentage] = 50.0
+    window: Annotated[int | None, length] = None
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -174,22 +174,12 @@ def _sigmas(value: object) -> Sigmas:
     return Sigmas(parsed)
 
 
+drift_deg_h = quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h")
+"""Return a drift in deg/h: a number in deg/h, or text such as ``"10deg/h"``."""
+
 COMPARE: Mapping[str, Parser] = {
-    "tol": error_limit,
-    "rms_tol": error_limit,
-    "final_tol": error_limit,
-    "p95_tol": error_limit,
-    "window_tol": angle_rad,
-    "window_rms_tol": angle_rad,
-    "drift_tol": quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h"),
-    "min_coverage": _percentage,
-    "max_sigma": _sigmas,
-    "align": Choice(*ALIGNMENTS),
-    "time_offset": time_offset_ns,
-    "match": Choice(*MATCHES),
-    "max_dt": length,
-    "min_matched": _percentage,
-    "window": length,
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(ComparisonSettings, include_extras=True).items()
 }
 """How two series are compared: setting -> its parser, which takes text or a Python value."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply
+from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
 from quatprop.series import blocks
 from quatprop.text import Setting
 from quatprop.times import duration_text
@@ -204,7 +204,7 @@ def sigma_statistics(
         if alignment.name not in EXACT_ALIGNMENTS:
             is_known &= ~is_exact[rows]
         step = multiply(conjugate(pairs.a[rows]), alignment.apply(pairs.b[rows]))
-        error = log(step * np.where(step[:, :1] < 0, -1.0, 1.0))
+        error = log(shorter(step))
         angles[rows] = np.linalg.norm(error, axis=1)
         distances[rows] = np.where(is_known, _distances(error, covariance), np.nan)
     # An exact attitude without an error, such as the first, says nothing of the others.

@@ -274,10 +274,8 @@ def conditioned(
         return
     for batch in batches:
         rate = batch.rate
-        if isinstance(bias, np.ndarray):
-            rate = rate - bias
-        elif bias is not None:
-            rate = rate - bias.at(batch.t_ns)
+        if bias is not None:
+            rate = rate - (bias if isinstance(bias, np.ndarray) else bias.at(batch.t_ns))
         if matrix is not None:
             rate = _transformed(rate, matrix)
         yield batch.with_rate(rate)

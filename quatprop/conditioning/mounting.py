@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -68,10 +69,9 @@ def mounting(text: str) -> Float64:
                 "change one sign or swap two axes"
             )
         return axes
-    try:
+    wxyz = np.zeros(0)
+    with suppress(ValueError):
         wxyz = np.array([float(part) for part in parts])
-    except ValueError:
-        wxyz = np.zeros(0)
     if wxyz.shape != (4,) or not np.isfinite(wxyz).all() or not wxyz.any():
         raise UsageError(
             f"{quoted(text)} is not a mounting; write three signed axes such as x,-y,-z, "

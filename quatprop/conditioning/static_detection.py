@@ -15,7 +15,7 @@ import numpy as np
 
 from quatprop.conditioning.cells import cells_beside, mean_of, merged, outer_products, scatter_of
 from quatprop.errors import UsageError
-from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
@@ -251,7 +251,7 @@ def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list
             # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
             wxyz = np.linalg.eigh(own["total"].reshape(-1, 4, 4))[1][:, :, -1]
             steps = multiply(conjugate(wxyz[:-1]), wxyz[1:])
-            turned = log(np.where(steps[:, :1] < 0, -steps, steps)).sum(axis=0)
+            turned = log(shorter(steps)).sum(axis=0)
             middle = (own["first_ns"] // 2 + own["last_ns"] // 2).astype(np.float64)
             turn = turned / ((middle[-1] - middle[0]) * 1e-9)
             mean = mean_of(merged(rates[period], np.array([0])))[0]

@@ -96,6 +96,23 @@ def normalize(q: ArrayLike) -> Float64:
     return scaled
 
 
+def shorter(q: ArrayLike) -> Float64:
+    """Return q or -q, the same attitude, with w >= 0: as a rotation, the shorter way round.
+
+    Parameters
+    ----------
+    q
+        Quaternions wxyz, shape ``(..., 4)``.
+
+    Returns
+    -------
+    ndarray
+        Shape ``(..., 4)``.
+    """
+    q = _array(q)
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
+
+
 def exp(rotvec: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation vector (eq. 34).
 
@@ -231,8 +248,7 @@ def from_matrix(matrix: ArrayLike) -> Float64:
     largest = np.argmax(np.where(np.isfinite(squares), squares, -np.inf), axis=-1)
     q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
     with np.errstate(invalid="ignore", over="ignore"):
-        q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.asarray(np.where(q[..., :1] < 0, -q, q))
+        return shorter(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
@@ -291,9 +307,7 @@ def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
     >>> slerp([1, 0, 0, 0], exp([0, 0, 0.4]), 0.25) - exp([0, 0, 0.1])
     array([0., 0., 0., 0.])
     """
-    step = multiply(conjugate(p), q)
-    # q and -q are the same attitude: the step is the shorter way round.
-    step *= np.where(step[..., :1] < 0, -1.0, 1.0)
+    step = shorter(multiply(conjugate(p), q))
     return normalize(multiply(p, exp(_array(fraction)[..., None] * log(step))))
 
 

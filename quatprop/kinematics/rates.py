@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import FRAMES
-from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -176,8 +176,7 @@ def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64
     before, after = q[:-1], q[1:]
     inertial = _is_inertial(rates)
     step = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
-    step *= np.where(step[:, :1] < 0, -1.0, 1.0)
-    return log(step)
+    return log(shorter(step))
 
 
 def _is_inertial(rates: str) -> bool:

@@ -7,7 +7,7 @@ the interval.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -57,21 +57,6 @@ MAX_PER_SAMPLE = 10_000
 """More times than this for each sample of a block come from a wrong rate."""
 
 
-class Times(Protocol):
-    """The times at which attitudes are wanted."""
-
-    def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the wanted times from the last call's `last_ns` on, up to and with this one.
-
-        Parameters
-        ----------
-        first_ns
-            The first sample of the segment; earlier times have no attitude.
-        last_ns
-            The last sample read so far.
-        """
-
-
 class Steady:
     """A fixed number of times a second, counted from the first sample.
 
@@ -87,15 +72,21 @@ class Steady:
         self._next = 0
 
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the next times; see :class:`Times`."""
+        """Yield the wanted times from the last call's `last_ns` on, up to and with this one.
+
+        Parameters
+        ----------
+        first_ns
+            The first sample of the segment; earlier times have no attitude.
+        last_ns
+            The last sample read so far.
+        """
         if self._origin is None:
             self._origin = first_ns
         first = max(self._next, regular_count(first_ns - self._origin - 1, self._rate))
-        stop = max(first, regular_count(last_ns - self._origin, self._rate))
-        self._next = stop
+        self._next = stop = max(first, regular_count(last_ns - self._origin, self._rate))
         for start in range(first, stop, PIECE):
-            stop_piece = min(start + PIECE, stop)
-            yield self._origin + regular_stamps(start, stop_piece, self._rate)
+            yield self._origin + regular_stamps(start, min(start + PIECE, stop), self._rate)
 
     def refuse_excess(self, t_ns: Int64) -> None:
         """Refuse samples between which too many times lie: one of their stamps must be wrong.
@@ -144,12 +135,15 @@ class Listed:
         return len(self._t_ns)
 
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the next times; see :class:`Times`."""
+        """Yield the next times, as :meth:`Steady.up_to` does."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
-        stop = max(first, int(np.searchsorted(self._t_ns, last_ns, side="right")))
-        self._next = stop
+        self._next = stop = max(first, int(np.searchsorted(self._t_ns, last_ns, side="right")))
         for start in range(first, stop, PIECE):
             yield self._t_ns[start : min(start + PIECE, stop)]
+
+
+Times: TypeAlias = Steady | Listed
+"""The times at which attitudes are wanted."""
 
 
 def at_times(
@@ -194,13 +188,19 @@ def at_times(
         if isinstance(times, Steady):
             times.refuse_excess(gyro.t_ns)
         after = gyro[-1:] if following is None else following[0][:1]
-        bend = _curvature(GyroSeries.joined([gyro, after]), method, rates, gap_limit_ns)
+        if rates == "inertial":
+            # The conjugates turn by the opposite rates, on the right.
+            gyro, after = gyro.with_rate(-gyro.rate), after.with_rate(-after.rate)
+            wxyz = conjugate(wxyz)
+        bend = _curvature(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            between = _between(gyro, wxyz, wanted, method=method, rates=rates, bend=bend)
+            between = _between(gyro, wxyz, wanted, method, bend)
             if gap_limit_ns is not None:
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
                 between = np.where(inside[:, None], wxyz[at], between)
+            if rates == "inertial":
+                between = conjugate(between)
             yield _with_columns(known, wanted, between)
 
 
@@ -230,11 +230,9 @@ def _with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> Attitu
     return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate)
 
 
-def _curvature(
-    gyro: GyroSeries, method: str, rates: str, gap_limit_ns: int | None
-) -> Curvature | None:
+def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curvature | None:
     """Return the curvature, between samples, of what is propagated; None: the method has none."""
-    rate = (-1.0 if rates == "inertial" else 1.0) * gyro.rate.T
+    rate = gyro.rate.T
     if gyro.is_integrated(method) and method in {"coning", "cubic"}:
         causal = method == "coning"
         return curvature_of_averages(
@@ -243,14 +241,8 @@ def _curvature(
     return curvature(gyro.t_ns, rate, gap_limit_ns) if method == "cubic" else None
 
 
-def _between(  # noqa: PLR0913  # what determines an attitude
-    gyro: GyroSeries,
-    wxyz: Float64,
-    wanted: Int64,
-    *,
-    method: str,
-    rates: str,
-    bend: Curvature | None,
+def _between(
+    gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, bend: Curvature | None
 ) -> Float64:
     """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
@@ -258,8 +250,7 @@ def _between(  # noqa: PLR0913  # what determines an attitude
     elapsed = (wanted - gyro.t_ns[before]) / NS_PER_S
     interval = (gyro.t_ns[after] - gyro.t_ns[before]) / NS_PER_S
     fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
-    sign = -1.0 if rates == "inertial" else 1.0
-    first, second = sign * gyro.rate[before].T, sign * gyro.rate[after].T
+    first, second = gyro.rate[before].T, gyro.rate[after].T
     bend = None if bend is None else bend.at(before)
     if gyro.is_integrated(method):
         # An increment may have been integrated over more or less time than there is between stamps.
@@ -277,10 +268,6 @@ def _between(  # noqa: PLR0913  # what determines an attitude
         rotvec = METHODS[method](first, second, elapsed)
         if bend is not None:
             rotvec += bend.rotation(elapsed)
-    steps = exp(rotvec.T)
-    if rates == "inertial":
-        attitudes = conjugate(multiply(conjugate(wxyz[before]), steps))
-    else:
-        attitudes = multiply(wxyz[before], steps)
+    attitudes = multiply(wxyz[before], exp(rotvec.T))
     # At a sample itself the attitude is the sample's, to the bit.
     return np.asarray(np.where((fraction == 0)[:, None], wxyz[before], attitudes))
