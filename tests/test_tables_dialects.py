@@ -271,10 +271,11 @@ def test_a_column_is_not_both_a_rate_and_the_time():
         chosen("t_ns,wx,wy,wz", rate_cols=("0", "2", "1"), rate_unit="rad/s")
 
 
-def test_biases_are_not_rates():
+@pytest.mark.parametrize("name", ["b_w_RS_S_{}", "b_w_RS_S_{} [rad s^-1]", "bias_gyro_{}"])
+def test_biases_are_not_rates(name):
     """A gyroscope's bias, variance or noise is not its rate."""
     with pytest.raises(NoRatesError):
-        chosen("t,b_w_RS_S_x,b_w_RS_S_y,b_w_RS_S_z,bias_gyro_x,bias_gyro_y,bias_gyro_z")
+        chosen(",".join(("t", *(name.format(axis) for axis in "xyz"))))
 
 
 @pytest.mark.parametrize("cols", [("x", "y", "z"), ("1", "2", "3"), ("X", "#y", "z [rad/s]")])
