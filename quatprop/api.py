@@ -510,12 +510,21 @@ def _attitudes(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
-    """Return a series of unit quaternions; refuse others, as where they are read from a file."""
+    """Return a series of attitudes; refuse others, as where they are read from a file."""
     from quatprop.signals.quaternion_check import QuaternionCheck
 
     check = QuaternionCheck(name)
     for _ in check.apply([(series.t_ns, series.wxyz)]):
         pass
+    if series.covariance is not None:
+        variances = np.diagonal(series.covariance, axis1=1, axis2=2)
+        is_known = (np.isfinite(variances) & (variances >= 0)).all(axis=1)
+        (others,) = np.nonzero(~is_known & ~np.isnan(variances).all(axis=1))
+        if len(others):
+            raise SeriesError(
+                f"{name}: `covariance` of row {others[0]} has the variances "
+                f"{variances[others[0]]}; they are 0 or above, or all NaN"
+            )
     return series
 
 

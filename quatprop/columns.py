@@ -144,7 +144,9 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
 
 def _as_array(name: str, values: object) -> NDArray[Any]:
     if isinstance(values, np.ndarray):
-        return values
+        if np.ma.is_masked(values):
+            raise SeriesError(f"`{name}` has missing values")
+        return np.asarray(values)
     if hasattr(values, "column_names") and hasattr(values, "columns"):
         # An Arrow table; its columns are Arrow columns.
         columns = [_as_array(name, column) for column in values.columns]

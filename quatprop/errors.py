@@ -264,11 +264,17 @@ class NoSamplesError(LogError):
         The topic or the columns.
     outside
         Samples that were left out as before and after the chosen part.
+    dropped
+        Samples that were left out as not finite.
     """
 
-    def __init__(self, path: Path | str, source: str, outside: Sequence[int] = (0, 0)) -> None:
+    def __init__(
+        self, path: Path | str, source: str, outside: Sequence[int] = (0, 0), dropped: int = 0
+    ) -> None:
         reason = "; look with info"
-        if any(outside):
+        if dropped:
+            reason = f"; {dropped} with rates that are not finite were dropped"
+        elif any(outside):
             reason = (
                 f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
                 f"{outside[1]} after; a number without a unit is in ns"

@@ -551,3 +551,41 @@ def test_numbers_of_settings_are_finite(name, value):
     """A bias that is not a number would be blamed on the rates."""
     with pytest.raises(UsageError, match=rf"^{name}: .* is not .,.,.*, . finite numbers"):
         quatprop.propagate(GyroSeries([0, 10**7], [[0, 0, 1]] * 2), **{name: value})
+
+
+def test_masked_values_are_missing():
+    """What is behind the mask is no sample."""
+    rate = np.ma.masked_array(np.ones((2, 3)), mask=[[True] * 3, [False] * 3])
+    with pytest.raises(SeriesError, match=r"^`rate` has missing values$"):
+        GyroSeries([0, 1], rate)
+    series = GyroSeries(np.ma.masked_array([0, 1]), rate[1:].repeat(2, axis=0))
+    assert type(series.rate) is type(series.t_ns) is np.ndarray
+
+
+def test_samples_that_are_all_dropped_are_said_to_be():
+    """They are there, and only --on-nonfinite leaves none of them."""
+    series = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
+    with pytest.raises(LogError, match="no samples in 'series'; 3 with rates that are not finite"):
+        quatprop.propagate(series, on_nonfinite="drop")
+
+
+def test_a_gap_is_as_long_as_pandas_says_it_is():
+    """Its durations have nanoseconds, those of Python microseconds."""
+    gap = quatprop.propagate(
+        GyroSeries([0, 10], [[0, 0, 1], [0, 0, 2]]), max_gap=pd.Timedelta(5_000_001)
+    ).report.policy.max_gap_ns
+    assert gap == 5_000_001
+
+
+@pytest.mark.parametrize("variances", [[1, np.nan, 1], [1, -1, 1], [np.inf, 1, 1]])
+def test_covariances_are_known_about_all_axes_or_none(tmp_path, variances):
+    """A file of others could not be read again."""
+    series = AttitudeSeries(
+        [5, 6], [[1, 0, 0, 0]] * 2, covariance=[np.full((3, 3), np.nan), np.diag(variances)]
+    )
+    sentence = (
+        "^series: `covariance` of row 1 has the variances .*; they are 0 or above, or all NaN"
+    )
+    with pytest.raises(SeriesError, match=sentence):
+        quatprop.write(series, tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()

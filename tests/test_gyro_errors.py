@@ -701,3 +701,23 @@ def test_the_picture_of_an_error_shows_what_was_expected(tmp_path):
         picture = (tmp_path / name).read_text()
         assert ("expected (1 sigma)" in picture) == (name == "known.svg")
         assert ("FillBetweenPolyCollection" in picture) == (name == "known.svg")
+
+
+@pytest.mark.parametrize("options", [{}, {"rate": 333}, {"sigma_axes": "reference"}])
+def test_variances_are_not_below_zero(tmp_path, options):
+    """About axes that no error reaches they are rounding errors, whose square root was unknown."""
+    random = np.random.default_rng(1)
+    out = tmp_path / "out.parquet"
+    for _ in range(20):
+        rate = np.zeros((50, 3))
+        rate[:, 2] = random.normal(size=50)
+        q0 = random.normal(size=4)
+        q0 /= np.linalg.norm(q0)
+        series = GyroSeries(np.arange(50) * 10_000_000, rate)
+        result = propagate(series, q0=q0, scale_sigma=1e-3, sigma=True, **options)
+        variances = np.diagonal(result.covariance, axis1=1, axis2=2)
+        assert (variances >= 0).all()
+        np.testing.assert_allclose(variances[:, :2], 0, atol=1e-20)
+        write(result, out)
+        sigmas = pd.read_parquet(out)[["sigma_x", "sigma_y", "sigma_z"]].to_numpy()
+        np.testing.assert_allclose((sigmas**2).sum(axis=1), variances.sum(axis=1), atol=1e-20)

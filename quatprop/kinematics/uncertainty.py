@@ -252,7 +252,10 @@ def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
         Shape ``(N, 3, 3)``, rad^2.
     """
     turn = rotation_matrix(wxyz)
-    return np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))
+    turned = np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))
+    for axis in range(3):
+        _clip(turned[..., axis, axis])
+    return turned
 
 
 def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:
@@ -265,8 +268,15 @@ def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:
             _dot(full[3 * row : 3 * row + 3], turn[column::3], half[row, column], term)
     for row, column in UPPER:
         _dot(turn[row::3], half[:, column], out[row, column], term)
-        if row != column:
+        if row == column:
+            _clip(out[row, row])
+        else:
             out[column, row] = out[row, column]
+
+
+def _clip(variances: Float64) -> None:
+    """Set variances that rounding errors have brought below 0 to 0."""
+    np.maximum(variances, 0.0, out=variances)
 
 
 def _symmetric(u: Float64, v: Float64) -> Float64:

@@ -151,7 +151,8 @@ class AttitudeStream:
         used = self._timeline.apply(rates)
         first = next(used, None)
         if first is None:
-            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside)
+            dropped = self._timeline.counts.dropped
+            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside, dropped)
         self._segments = self._begin(first)
         attitudes = self._segments.attitudes(
             chain([first], used),

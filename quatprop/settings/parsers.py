@@ -193,7 +193,8 @@ def frequency(value: object) -> Fraction:
 def duration(value: object) -> int:
     """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
     if isinstance(value, timedelta):
-        return (value // timedelta(microseconds=1)) * 1000
+        # Those of pandas have nanoseconds too.
+        return value // timedelta(microseconds=1) * 1000 + getattr(value, "nanoseconds", 0)
     if (whole := _whole(value)) is not None:
         return whole
     if isinstance(value, str):
