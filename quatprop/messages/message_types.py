@@ -181,9 +181,7 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
     "sensor_msgs/msg/Imu": SignalFields(
         rate=RateField(("angular_velocity",), absent="angular_velocity_covariance[0]"),
         orientation=OrientationField(
-            "orientation",
-            absent="orientation_covariance[0]",
-            covariance="orientation_covariance",
+            "orientation", absent="orientation_covariance[0]", covariance="orientation_covariance"
         ),
         acceleration=AccelerationField("linear_acceleration", "linear_acceleration_covariance[0]"),
     ),

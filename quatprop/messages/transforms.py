@@ -15,16 +15,18 @@ from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.cursor import ShortMessageError, cursors_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1
-from quatprop.messages.schema import Sequence, Struct, find, numbers
+from quatprop.messages.schema import Primitive, Sequence, Struct, find, numbers
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.cursor import Cursor, Names
+    from quatprop.messages.schema import Type
 
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
@@ -107,39 +109,34 @@ class TransformDecoder:
         UnsupportedLogError
             Messages are encapsulated in a way that is not read.
         """
+        none = np.empty(0, np.int64)
+        elements = [Transforms(none, none, none, np.empty((0, 4)), np.empty((0, 3)))]
         try:
-            cursors = cursors_of(self._channel, block, self._path)
+            for cursor in cursors_of(self._channel, block, self._path):
+                elements += self._elements(cursor)
         except ShortMessageError as error:
-            raise self._too_short(block, error.positions) from None
-        elements = [element for cursor in cursors for element in self._elements(cursor)]
-        if not elements:
-            none = np.empty(0, np.int64)
-            return Transforms(none, none, none, np.empty((0, 4)), np.empty((0, 3)))
-        message = np.concatenate([element.message for element in elements])
+            raise MessageError(
+                self._path,
+                f"the message of topic {quoted(self._channel.topic)} recorded at "
+                f"{block.log_ns[error.positions[0]]} ns ends before its list of transforms; "
+                "the log is damaged",
+                error.positions.tolist(),
+            ) from None
+        columns = [np.concatenate(parts) for parts in zip(*elements, strict=True)]
         # A stable sort keeps the order of the elements within each message.
-        order = np.argsort(message, kind="stable")
-        return Transforms(
-            message[order],
-            np.concatenate([element.t_ns for element in elements])[order],
-            np.concatenate([element.frames for element in elements])[order],
-            np.concatenate([element.wxyz for element in elements])[order],
-            np.concatenate([element.position for element in elements])[order],
-        )
+        order = np.argsort(columns[0], kind="stable")
+        return Transforms(*(column[order] for column in columns))
 
-    def _elements(self, cursor: Cursor) -> list[Transforms]:
-        """Return the first transform of every list, then the second, until all lists end."""
-        elements: list[Transforms] = []
-        try:
-            left = cursor.numbers("u4").astype(np.int64)
-            while True:
-                # A wrong count runs into the end of its message: every element takes bytes.
-                cursor.keep(left > 0)
-                left = left[left > 0] - 1
-                if not len(left):
-                    return elements
-                elements.append(self._element(cursor))
-        except ShortMessageError as error:
-            raise self._too_short(cursor.block, error.positions) from None
+    def _elements(self, cursor: Cursor) -> Iterator[Transforms]:
+        """Yield the first transform of every list, then the second, until all lists end."""
+        left = cursor.numbers("u4").astype(np.int64)
+        while True:
+            # A wrong count runs into the end of its message: every element takes bytes.
+            cursor.keep(left > 0)
+            left = left[left > 0] - 1
+            if not len(left):
+                return
+            yield self._element(cursor)
 
     def _element(self, cursor: Cursor) -> Transforms:
         if cursor.placement is ROS1:
@@ -168,30 +165,22 @@ class TransformDecoder:
             number += 1
         return frames
 
-    def _too_short(self, block: MessageBlock, positions: NDArray[np.intp]) -> MessageError:
-        return MessageError(
-            self._path,
-            f"the message of topic {quoted(self._channel.topic)} recorded at "
-            f"{block.log_ns[positions[0]]} ns ends before its list of transforms; "
-            "the log is damaged",
-            positions.tolist(),
-        )
-
 
 def _is_list_of_transforms(root: Struct) -> bool:
-    if len(root.fields) != 1 or not isinstance(kind := root.fields[0][1], Sequence):
+    kinds = [kind for _, kind in root.fields]
+    if len(kinds) != 1 or not isinstance(kinds[0], Sequence):
         return False
-    element = kind.element
+    element = kinds[0].element
     if not isinstance(element, Struct):
         return False
-    names = [name for name, _ in element.fields]
-    rotation = find(element, "transform.rotation")
-    transform = find(element, "transform")
+    rotation, transform = find(element, "transform.rotation"), find(element, "transform")
     return (
-        names == ["header", "child_frame_id", "transform"]
-        and isinstance(rotation, Struct)
-        and [name for name, _ in rotation.fields] == list("xyzw")
+        _names(element) == ["header", "child_frame_id", "transform"]
+        and _names(rotation) == list("xyzw")
         and transform is not None
-        and (shape := numbers(transform)) is not None
-        and (shape[0].code, shape[1]) == ("f8", _TRANSLATION_AND_ROTATION)
+        and numbers(transform) == (Primitive("f8"), _TRANSLATION_AND_ROTATION)
     )
+
+
+def _names(kind: Type | None) -> list[str]:
+    return [name for name, _ in kind.fields] if isinstance(kind, Struct) else []

@@ -122,17 +122,13 @@ class BlockParser:
             arrow_csv.read_csv,
             readable(data),
             read_options=arrow_csv.ReadOptions(
-                column_names=self._names,
-                block_size=task,
-                use_threads=len(data) > task,
+                column_names=self._names, block_size=task, use_threads=len(data) > task
             ),
             parse_options=arrow_csv.ParseOptions(
                 delimiter=self.layout.delimiter, newlines_in_values=line_breaks
             ),
             convert_options=arrow_csv.ConvertOptions(
-                column_types=types,
-                include_columns=list(types),
-                decimal_point=self.layout.decimal,
+                column_types=types, include_columns=list(types), decimal_point=self.layout.decimal
             ),
         )
         if threading.current_thread() is threading.main_thread():

@@ -103,13 +103,7 @@ _sensor_logger = partial(
 
 DIALECTS = (
     Dialect("quatprop", "w" + _XYZ, "q" + COMPONENT, ("t",), "rad/s", "ns", needs=("t_ns",)),
-    Dialect(
-        "TUM",
-        quaternion="q" + COMPONENT,
-        time=(r"timestamp|time|t",),
-        time_unit="s",
-        needs=("tx", "ty", "tz"),
-    ),
+    Dialect("TUM", "", "q" + COMPONENT, ("timestamp|time|t",), "", "s", needs=("tx", "ty", "tz")),
     Dialect(
         "EuRoC",
         r"w_[a-z]+_[a-z]+_" + _XYZ,
@@ -147,12 +141,7 @@ DIALECTS = (
     ),
     Dialect("ArduPilot", "gyr_" + _XYZ, "", ("time",), "rad/s", "us", needs=("timeus",)),
     Dialect(
-        "Betaflight",
-        "gyro_adc" + _INDEX,
-        time=("time",),
-        rate_unit="deg/s",
-        time_unit="us",
-        needs=("loopiteration",),
+        "Betaflight", "gyro_adc" + _INDEX, "", ("time",), "deg/s", "us", needs=("loopiteration",)
     ),
     Dialect(
         "Android GnssLogger",

@@ -41,11 +41,7 @@ class RosRecords:
     """
 
     def __init__(
-        self,
-        fields: Mapping[str, str | bytes],
-        constants: Mapping[str, object],
-        *,
-        ros1: bool,
+        self, fields: Mapping[str, str | bytes], constants: Mapping[str, object], *, ros1: bool
     ) -> None:
         self._ros1 = ros1
         self._written = 0

@@ -103,11 +103,7 @@ class NpzTable(TableWriter):
 
 
 def _header(dtype: np.dtype[Any], count: int) -> dict[str, object]:
-    return {
-        "descr": np.lib.format.dtype_to_descr(dtype),
-        "fortran_order": False,
-        "shape": (count,),
-    }
+    return {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (count,)}
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> BinaryIO:
