@@ -11,8 +11,7 @@ from quatprop.into.rosbag2_metadata import Added, extended_record
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
-from quatprop.writers.mcap.file import McapFile
-from quatprop.writers.mcap.writer import finish_with_provenance
+from quatprop.writers.mcap.file import McapFile, finish_with_provenance
 from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:

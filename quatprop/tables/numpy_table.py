@@ -7,8 +7,7 @@ import math
 import zipfile
 import zlib
 from contextlib import ExitStack, contextmanager
-from itertools import groupby
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -34,23 +33,16 @@ _ARCHIVE_ERRORS = (
 """What the library raises for archives that are damaged, encrypted, or packed in other ways."""
 
 
-class _ArrayMember(NamedTuple):
-    """A column and the name of its array in an archive, ``""`` in a file by itself."""
-
-    name: str
-    column: ArrayColumn
-
-
 class NumpyTable(TypedTable):
     """A file of one array or an archive of several."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._members: list[_ArrayMember] = []
+        self._members: list[tuple[str, ArrayColumn]] = []
 
     def _add_column(self, name: str, member: str, column: ArrayColumn) -> None:
         self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
-        self._members.append(_ArrayMember(member, column))
+        self._members.append((member, column))
 
     def _open_array(self, member: str) -> BinaryIO:
         """Open an array at its beginning."""
@@ -64,13 +56,13 @@ class NumpyTable(TypedTable):
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         wanted = [
-            (leaf.name, self._members[k])
+            (leaf.name, *self._members[k])
             for k, leaf in enumerate(self._leaves)
             if k in {*columns.time, *columns.numbers}
         ]
-        counts = {member.column.rows for _, member in wanted}
+        counts = {column.rows for *_, column in wanted}
         if len(counts) > 1:
-            names = listed(name for name, _ in wanted)
+            names = listed(name for name, *_ in wanted)
             raise UnsupportedLogError(
                 self.path,
                 f"its arrays {names} have {listed(sorted(counts))} rows, so they are not one "
@@ -80,19 +72,19 @@ class NumpyTable(TypedTable):
         yield RowGroup("the end of its array", rows, self._batches(wanted, rows))
 
     def _batches(
-        self, wanted: list[tuple[str, _ArrayMember]], rows: int
+        self, wanted: list[tuple[str, str, ArrayColumn]], rows: int
     ) -> Iterator[pa.RecordBatch]:
-        def place(named: tuple[str, _ArrayMember]) -> tuple[str, int]:
-            return named[1].name, named[1].column.start
-
+        arrays: dict[tuple[str, int], list[tuple[str, ArrayColumn]]] = {}
+        for name, member, column in wanted:
+            arrays.setdefault((member, column.start), []).append((name, column))
+        step = max(column.step for *_, column in wanted)
+        at_once = max(1, min(BATCH_ROWS, _BLOCK_BYTES // step))
         with ExitStack() as stack, archive_damage():
             streams = []
-            for (array, start), group in groupby(sorted(wanted, key=place), place):
-                stream = stack.enter_context(self._open_rows(array))
+            for (member, start), columns in arrays.items():
+                stream = stack.enter_context(self._open_rows(member))
                 _skip(stream, start)
-                streams.append((stream, [(name, member.column) for name, member in group]))
-            step = max(member.column.step for _, member in wanted)
-            at_once = max(1, min(BATCH_ROWS, _BLOCK_BYTES // step))
+                streams.append((stream, columns))
             for done in range(0, rows, at_once):
                 count = min(at_once, rows - done)
                 blocks = [_ArrayBlock(stream, columns, count) for stream, columns in streams]

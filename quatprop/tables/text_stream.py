@@ -53,6 +53,8 @@ class TextStream:
     ----------
     file
         An open binary file, plain or compressed with gzip, zstd, bz2 or lz4.
+    may_be_compressed
+        Whether to look for compression.
 
     Attributes
     ----------
@@ -60,9 +62,9 @@ class TextStream:
         Why the text ends before its end; ``""`` while it does not.
     """
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: BinaryIO, *, may_be_compressed: bool = True) -> None:
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
-        compression = file_compression(self._file.peek(4)[:4])
+        compression = file_compression(self._file.peek(4)[:4] if may_be_compressed else b"")
         if compression:
             self._pieces = decompressed_pieces(self._file, compression)
         else:
@@ -167,22 +169,6 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
         quotes -= buffer.count(b'"', before, cut)
         cut = before
     return cut or last
-
-
-def record_pieces(data: bytes, size: int) -> Iterator[bytes]:
-    """Cut whole records into pieces of about `size` bytes, each of whole records."""
-    begin = 0
-    while begin < len(data):
-        piece = data[begin : begin + size]
-        if begin + size < len(data):
-            end = record_end(piece, len(piece))
-            if not end:
-                after = data.find(b"\n", begin + size)
-                piece = data[begin:] if after < 0 else data[begin : after + 1]
-                end = len(piece)
-            piece = piece[:end]
-        yield piece
-        begin += len(piece)
 
 
 def note_lines(losses: Losses, rejected: list[tuple[int, str]]) -> None:

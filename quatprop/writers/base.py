@@ -208,17 +208,28 @@ class MessageWriter(FileWriter):
         """Append a batch of messages."""
 
 
-class SeriesWriter(Transaction):
-    """Writes series as the rows or messages of a file, with which it is committed.
+class AttitudeWriter(Transaction):
+    """Takes batches of attitudes in order; the arrays must not change before the commit.
 
     Parameters
     ----------
     file
-        The file that is written to.
+        The file whose rows or messages they become, and with which they are committed.
+
+    Attributes
+    ----------
+    holds_positions
+        Whether positions are written too; where a batch has none, they are zero.
     """
+
+    holds_positions = False
 
     def __init__(self, file: Transaction) -> None:
         self._file = file
+
+    @abstractmethod
+    def write(self, series: AttitudeSeries) -> None:
+        """Append a batch; see :meth:`TableWriter.write` for the errors."""
 
     def finish(self, provenance: Mapping[str, object]) -> None:
         """Write the file to its end."""
@@ -231,22 +242,6 @@ class SeriesWriter(Transaction):
     def abort(self) -> None:
         """Remove what was not committed."""
         self._file.abort()
-
-
-class AttitudeWriter(SeriesWriter):
-    """Takes batches of attitudes in order; the arrays must not change before the commit.
-
-    Attributes
-    ----------
-    holds_positions
-        Whether positions are written too; where a batch has none, they are zero.
-    """
-
-    holds_positions = False
-
-    @abstractmethod
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch; see :meth:`TableWriter.write` for the errors."""
 
 
 class AttitudeTable(AttitudeWriter):

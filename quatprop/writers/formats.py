@@ -94,7 +94,7 @@ WRITERS: Mapping[str, Format] = {
         compressions=("zstd",),
     ),
     "feather": Format(
-        (".feather", ".arrow"), "tables.feather:FeatherTable", columns=True, keeps_provenance=True
+        (".feather", ".arrow"), "tables.arrow:FeatherTable", columns=True, keeps_provenance=True
     ),
     "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
     "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
@@ -104,9 +104,9 @@ WRITERS: Mapping[str, Format] = {
         (".kitti",), "tables.trajectories:KittiTable", layout="scalar-first", has_stamps=False
     ),
     "mcap": _messages(
-        (".mcap",), "mcap.writer:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
+        (".mcap",), "mcap.file:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
     ),
-    "bag": _messages((".bag",), "rosbag1.writer:BagWriter", ("ros1",), "none", "lz4", "bz2"),
+    "bag": _messages((".bag",), "rosbag1.file:BagWriter", ("ros1",), "none", "lz4", "bz2"),
     "rosbag2": _messages(("",), "rosbag2.writer:SqliteBagWriter", ("cdr",), "none"),
     "rosbag2-mcap": _messages((), "rosbag2.writer:McapBagWriter", ("cdr",), "zstd", "none"),
 }

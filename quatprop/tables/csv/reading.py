@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser
-from quatprop.tables.text_stream import note_lines, record_pieces
+from quatprop.tables.text_stream import TextStream, note_lines, record_blocks
 from quatprop.tables.timestamps import row_stamps
 from quatprop.text import Setting
 
@@ -87,17 +88,17 @@ class BlockReader:
 
     def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
         """Read a block in which something does not fit, piece by piece."""
-        line = block.line
+        text = io.BytesIO(self._layout.without_headers(bytes(block.data)))
+        pieces = TextStream(text, may_be_compressed=False)
         rejected: list[tuple[int, str]] = []
         count = 0
-        for piece in record_pieces(self._layout.without_headers(bytes(block.data)), _PIECE_BYTES):
+        for piece in record_blocks(pieces, block.line, _PIECE_BYTES):
             try:
-                rows = self._parse(piece, quoted=b'"' in piece, task=len(piece))
+                rows = self._parse(piece.data, quoted=piece.quoted, task=len(piece.data))
             except MISFITS:
-                rows = self._row_parser.parse(piece, line)
+                rows = self._row_parser.parse(bytes(piece.data), piece.line)
                 rejected += rows.rejected
             yield rows
-            line += piece.count(b"\n")
             count += rows.total
             if count > _ENOUGH_ROWS and 2 * len(rejected) > self._count + count:
                 break  # it will be refused: nobody waits for the rest

@@ -15,11 +15,15 @@ from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, Metadat
 
 from quatprop.checksum import crc32
 from quatprop.concurrency.threads import OrderedThreadPool
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.channel import CHUNK_BYTES, MessageChannel, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents, encoded
+from quatprop.writers.messages.topics import PROFILES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
+    from pathlib import Path
     from typing import BinaryIO
 
     import numpy as np
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
 
     from quatprop.writers.mcap.channel import McapChunk
     from quatprop.writers.messages.topics import Topic
+
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
@@ -203,3 +208,51 @@ class McapFile:
 def _free_id(ids: Container[int]) -> int:
     """Return the first id that is not taken; 0 means none."""
     return next(id_ for id_ in range(1, 1 << 16) if id_ not in ids)
+
+
+METADATA = "quatprop"
+"""Name of the metadata record of a topic's provenance, with the keys ``provenance``, which is
+JSON, and ``topic``."""
+
+
+class McapWriter(MessageWriter):
+    """Write messages to an MCAP file.
+
+    Parameters
+    ----------
+    target
+        A path.
+    topic
+        The topic and its definition.
+    compression
+        Of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``.
+    """
+
+    _output: OutputFile
+
+    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+        self._topic = topic.name
+        super().__init__(OutputFile(target))
+        with self._errors():
+            profile = PROFILES.get(topic.encoding, "")
+            self._file = McapFile(self._output.stream, profile, compression)
+            self._channel = self._file.add_channel(topic)
+
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._channel.write(log_ns, messages)
+
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        finish_with_provenance(self._file, self._topic, provenance)
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._file.abort()
+        super().abort()
+
+
+def finish_with_provenance(file: McapFile, topic: str, provenance: Mapping[str, object]) -> None:
+    """Finish an MCAP file with the provenance of a topic, if there is any."""
+    if provenance:
+        record = {"provenance": provenance_json(provenance), "topic": topic}
+        file.add_metadata(METADATA, record)
+    file.finish()

@@ -1,7 +1,9 @@
 """ROS 1 bags written by the block.
 
 Where all messages have one size, so have their records: a chunk is one array that is filled a
-column at a time, and so is its index. rosbags would take a call for each message.
+column at a time, and so is its index. rosbags would take a call for each message. Bags have no
+place of their own for provenance: it is a field of the connection, as the index repeats it. Readers
+ignore fields they do not know.
 """
 
 from __future__ import annotations
@@ -16,12 +18,15 @@ import lz4.frame
 import numpy as np
 
 from quatprop.concurrency.threads import OrderedThreadPool
-from quatprop.writers.base import block_slices, provenance_json
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.base import MessageWriter, block_slices, provenance_json
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.records import MAGIC, NS_PER_S, ChunkInfo, u4
+from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
+    from pathlib import Path
     from typing import BinaryIO
 
     from numpy.typing import NDArray
@@ -236,3 +241,36 @@ def _empty_rows(connection: int, size: int, chunk_bytes: int) -> NDArray[np.void
     rows["before"] = np.void(before)
     rows["length"] = size
     return rows
+
+
+class BagWriter(MessageWriter):
+    """Write messages to a ROS 1 bag.
+
+    Parameters
+    ----------
+    target
+        A path; a bag begins with the place of its index, so it cannot be a pipe.
+    topic
+        The topic and its definition.
+    compression
+        Of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``.
+    """
+
+    _output: OutputFile
+
+    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+        refuse_streams(target, "a ROS 1 bag")
+        super().__init__(OutputFile(target))
+        with self._errors():
+            self._bag = BagFile(self._output.stream, topic, compression)
+
+    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+        self._bag.write(log_ns, messages)
+
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        self._bag.finish(provenance)
+
+    def abort(self) -> None:
+        """Remove what was not committed."""
+        self._bag.abort()
+        super().abort()
