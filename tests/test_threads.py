@@ -4,6 +4,7 @@ import threading
 import time
 from itertools import islice
 
+import numpy as np
 import pytest
 
 from quatprop.concurrency.threads import (
@@ -13,6 +14,8 @@ from quatprop.concurrency.threads import (
     thread_count,
     use_threads,
 )
+from quatprop.pipeline.job import Job, run
+from quatprop.pipeline.settings import OutputSettings
 
 COUNTS = (1, 2, 3, 8)
 
@@ -103,3 +106,18 @@ def test_the_number_of_threads_reaches_the_threads_themselves():
         assert list(in_background(thread_count() for _ in range(2))) == [5, 5]
         with use_threads(None):
             assert thread_count() == 5
+
+
+def test_a_small_log_starts_no_thread(tmp_path, monkeypatch):
+    """Starting one takes longer than reading the log."""
+    log = tmp_path / "log.npy"
+    names = [("t_ns", int), ("wx", float), ("wy", float), ("wz", float)]
+    np.save(log, np.array([(k, 0.1, 0.2, 0.3) for k in range(9)], names))
+    monkeypatch.setattr("quatprop.concurrency.threads.available_cores", lambda: 4)
+    started, start = [], threading.Thread.start
+    monkeypatch.setattr(threading.Thread, "start", lambda own: started.append(own) or start(own))
+    run(Job(str(log), OutputSettings(str(tmp_path / "out.parquet"))))
+    assert not started
+    monkeypatch.setattr("quatprop.pipeline.job.SMALL_BYTES", 0)
+    run(Job(str(log), OutputSettings(str(tmp_path / "out.parquet"))))
+    assert started

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
     from quatprop.writers.base import AttitudeWriter
 
     Stamps = Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]
+
+
+SMALL_BYTES = 1 << 18
+"""A smaller log is not worth a thread."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +99,7 @@ def run(
     _refuse_contradictions(job)
     stored = digest_of_object(job.log) if is_address(job.log) else None
     with (
-        use_threads(settings.threads),
+        use_threads(1 if _is_small(job.log) else settings.threads),
         open_log(
             job.log, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
         ) as log,
@@ -154,6 +159,11 @@ def _with_layout(output: OutputSettings, log: MessageLog | TableLog) -> OutputSe
     else:
         kind = kind_of(output.path, output.to)
     return replace(output, to=kind, layout=layout_of(kind, output.layout).name)
+
+
+def _is_small(log: str) -> bool:
+    """Tell whether a log is read before other threads would have started."""
+    return os.path.isfile(log) and os.path.getsize(log) < SMALL_BYTES  # noqa: PTH113, PTH202
 
 
 def open_output(
