@@ -805,7 +805,7 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
         time.sleep(0.01)
     process.send_signal(number)
     process.wait(30)
-    before = None
+    before = None if number == signal.SIGKILL else len(entries(out))
     while before != (before := len(entries(out))):
         time.sleep(1)  # until the processes of a killed batch have ended
     # What was complete an instant before it was recorded is done again.
