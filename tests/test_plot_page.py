@@ -290,3 +290,18 @@ def test_a_page_zooms_and_reads_values(series, tmp_path):
     assert [float(tick) for tick in fine] == [5, 5.5, 6, 6.5]
     assert again == ticks
     assert left == ["", "", "", ""]
+
+
+def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path):
+    """Between the extremes of a bin nothing is known; a short series has all its samples."""
+    for samples, bin_s in ((2000, 0.0), (8 * 2048, 0.007)):
+        log = tmp_path / "rates.npy"
+        rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
+        rows["t_ns"] = np.arange(samples) * 1_000_000
+        np.save(log, rows)
+        target = tmp_path / "page.html"
+        _, page = page_of("plot", log, "--rate-unit", "rad/s", "-o", target)
+        (figure,) = (attributes for tag, attributes in page.elements if tag == "figure")
+        # A bin is 2^23 ns long, and holds 8 or 9 samples.
+        assert json.loads(figure["data-limits"])["least"] == pytest.approx(150 * bin_s, rel=0.2)
+        assert ("Only extremes" in "".join(page.words)) == (bin_s > 0)

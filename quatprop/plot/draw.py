@@ -63,6 +63,12 @@ LONGEST_FACT = 125
 
 LONGEST_LABEL = 85
 
+LONGEST_NAME, SMALL = 54, 0.7
+"""Characters in two columns of a legend; share of the usual width below which it has one."""
+
+LEAST_BINS = 150
+"""Least of the bins of a long series that a page zooms to."""
+
 NARROW = 0.8
 """Least share of its usual height that a panel has, for letters of the usual size."""
 
@@ -175,6 +181,7 @@ def inline_svg(page: Page) -> tuple[str, str]:
         drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
         limits = {
             "time": drawn.axes[0].get_xlim(),
+            "least": LEAST_BINS * page.picture.bin_s,
             "panels": [[*axes.transScale.transform([[1.0, y] for y in axes.get_ylim()])[:, 1],
                         axes.get_yscale() == "log"] for axes in drawn.axes],
         }  # fmt: skip
@@ -185,9 +192,9 @@ def inline_svg(page: Page) -> tuple[str, str]:
     # A rule for all elements would be one for all of the page.
     text = text.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Thousandths of a point are enough for a zoom of hundreds.
+    # Ten thousandths of a point are enough for a zoom of hundreds.
     path = re.compile(r'<path[^>]* d="[^"]*"')
-    return path.sub(lambda found: re.sub(r"(\.\d{3})\d+", r"\1", found[0]), text), dumps(limits)
+    return path.sub(lambda found: re.sub(r"(\.\d{4})\d+", r"\1", found[0]), text), dumps(limits)
 
 
 @contextmanager
@@ -213,7 +220,8 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     time = wrap(picture.time, round(LONGEST_LABEL * room))
     body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
-    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // 2)) * scale
+    columns = 2 if room >= SMALL else 1
+    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
     foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
     height = style.height or head + body * max(style.width / WIDTH, NARROW * scale) + foot
     result = Figure(figsize=(style.width, height))
@@ -239,9 +247,8 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     if style.title:
         _write_text(result, page, notes, scale, room)
     if explained:
-        _write_legend(
-            result, explained, 1 - (head - GAP * scale) / height, round(LONGEST_FACT * room) // 2
-        )
+        top = 1 - (head - GAP * scale) / height
+        _write_legend(result, explained, top, columns, round(2 * LONGEST_NAME * room / columns))
     return result
 
 
@@ -273,14 +280,18 @@ def _write_text(
 
 
 def _write_legend(
-    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, longest: int
+    result: Figure,
+    explained: Sequence[tuple[Artist, str]],
+    top: float,
+    columns: int,
+    longest: int,
 ) -> None:
     legend = result.legend(
         [artist for artist, _ in explained],
         [f"{number}" for number in range(len(explained))],
         loc="lower left",
         bbox_to_anchor=(0.006, top),
-        ncols=2,
+        ncols=columns,
         frameon=False,
         borderaxespad=0.2,
         borderpad=0.1,

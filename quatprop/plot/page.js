@@ -34,6 +34,9 @@ const cursor = make("path", {class: "cursor"});
 const range = make("rect", {class: "range", y: top, height: bottom - top});
 const clock = make("text", {x: right, y: bottom + 26});
 const time = x => limits.time[0] + (limits.time[1] - limits.time[0]) * (x - left) / width;
+const decimals_of = step => Math.min(Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)), 12);
+// What was drawn of a long series are the extremes of short times: nothing is known within those.
+const least = Math.max(limits.least / (limits.time[1] - limits.time[0]) * width, 0.5);
 let from = left, to = right, pressed = null;
 
 // Draw ticks of a panel along x (0) or y (1) for values from low to high, at places start to end.
@@ -43,7 +46,8 @@ function draw_ticks({copies, ticks}, along, low, high, start, end) {
   const rough = (high - low) / Math.max(Math.abs(end - start) / [75, 18][along], 1);
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find(factor => factor * power >= rough);
-  const decimals = Math.min(Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)), 12);
+  const decimals = decimals_of(step), largest = Math.max(Math.abs(low), Math.abs(high));
+  const exponent = Math.floor(Math.log10(largest)), is_long = largest >= 1e5 || largest < 1e-2;
   for (let count = Math.ceil(low / step); count * step <= high; count += 1) {
     const place = start + (end - start) * (count * step - low) / (high - low);
     const shift = place - number(original.querySelector("use"), "xy"[along]);
@@ -51,14 +55,16 @@ function draw_ticks({copies, ticks}, along, low, high, start, end) {
     copy.style.display = "";
     copy.setAttribute("transform", along ? `translate(0 ${shift})` : `translate(${shift} 0)`);
     copy.querySelector("[clip-path]").removeAttribute("clip-path");
-    if (label) label.textContent = signed((count * step).toFixed(decimals));
+    const text = is_long && count ? (count * step).toExponential(decimals_of(step / 10 ** exponent))
+      : (count * step).toFixed(is_long ? 0 : decimals);
+    if (label) label.textContent = signed(text.replace("e+", "e"));
     copies.push(original.parentNode.appendChild(copy));
   }
 }
 
 // Show the part of the picture as it was drawn that lies between two places.
 function show(start, end) {
-  const span = Math.min(Math.max(end - start, 0.5), width), whole = span === width;
+  const span = Math.min(Math.max(end - start, least), width), whole = span === width;
   from = Math.min(Math.max((start + end - span) / 2, left), right - span);
   to = from + span;
   for (const panel of panels) {
@@ -96,8 +102,8 @@ function show(start, end) {
 // Write the time at a place, and the values of the lines there.
 function read(x) {
   const inside = x >= left && x <= right, at = from + (to - from) * (x - left) / width;
-  const decimals = Math.min(Math.max(0, 3 - Math.floor(Math.log10(time(to) - time(from)))), 9);
-  clock.textContent = inside ? `${signed(time(at).toFixed(decimals))} s` : "";
+  const text = time(at).toFixed(decimals_of((time(to) - time(from)) / 1000));
+  clock.textContent = inside ? `${signed(text)} s` : "";
   cursor.setAttribute("d", inside ? panels.map(panel => `M ${x} ${panel.top} V ${panel.bottom}`).join(" ") : "");
   for (const {values, curves, top, bottom, low, high, log} of panels) {
     values.replaceChildren();
@@ -108,7 +114,8 @@ function read(x) {
       if (b?.joined) y = a.y + (b.y - a.y) * (at - a.x) / (b.x - a.x);
       const value = low + (high - low) * (bottom - y) / (bottom - top);
       const part = make("tspan", {fill: colour, dx: values.firstChild ? 6 : 0});
-      part.textContent = isNaN(y) ? "\u2013" : signed(`${Number((log ? 10 ** value : value).toPrecision(6))}`);
+      const digits = log ? (10 ** value).toPrecision(4) : value.toFixed(decimals_of((high - low) / 5e4));
+      part.textContent = isNaN(y) ? "\u2013" : signed(`${Number(digits)}`);
       values.append(part);
     }
   }

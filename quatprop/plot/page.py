@@ -23,6 +23,9 @@ HINT = (
 )
 """How to use the picture of a page."""
 
+REDUCED = " Only extremes of short times are drawn of it: draw a part of it to zoom further."
+"""What else to know of a long series."""
+
 
 class FactTable(NamedTuple):
     """Facts under a heading.
@@ -95,7 +98,7 @@ def html(page: Page) -> str:
         f'<figure role="img" tabindex="0" aria-label="{_description(page)}" {limits}>',
         svg,
         "</figure>",
-        f'<p class="hint" hidden>{HINT}</p>',
+        f'<p class="hint" hidden>{HINT}{REDUCED if page.picture.bin_s else ""}</p>',
         *(line for table in page.tables for line in _table(table)),
         "</main>",
         f"<footer>quatprop {__version__}</footer>",

@@ -154,6 +154,8 @@ class Picture:
         For each file: first and last second of each gap, shape ``(G, 2)``.
     starts
         For each file: the stamp at which its seconds begin, ns.
+    bin_s
+        The time that was reduced to its extremes, mostly; 0 where samples are drawn as they are.
     legend
         Names of the files where they are several.
     """
@@ -162,6 +164,7 @@ class Picture:
     panels: tuple[Panel, ...]
     gaps: tuple[Float64, ...]
     starts: tuple[int, ...]
+    bin_s: float
     legend: tuple[str, ...] = ()
 
 
@@ -198,6 +201,7 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
         if limit is None or any((np.abs(curve.drawn.values) > limit).any() for curve in curves):
             panels.append(Panel(quantity, curves))
     gaps = [gaps_in(file.groups[0].reduced, file.groups[0].gap_limit_ns) for file in files]
+    reduced = [group.reduced for file in files for group in file.groups]
     return Picture(
         time=time,
         panels=tuple(panels),
@@ -206,6 +210,7 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
             for one, start in zip(gaps, starts, strict=True)
         ),
         starts=tuple(starts),
+        bin_s=1e-9 * max(float(np.median(part.last_ns - part.first_ns)) for part in reduced),
         legend=tuple(file.name for file in files) if several else (),
     )
 
