@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
 from quatprop.containers.base import LATEST, MessageBlock, MessageLog
 from quatprop.containers.coalesce import join_blocks
 from quatprop.containers.file_source import source_of
-from quatprop.containers.loading import load_in_groups
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.containers.loading import LARGE, Buffers, load_in_groups
 from quatprop.containers.time_range import TimedPart, parts_within, span_of
 
 if TYPE_CHECKING:
@@ -96,25 +97,24 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
         self.source.close()
 
 
-class ChunkContent(Protocol):
+@dataclass(frozen=True)
+class ChunkContent:
     """What was loaded of a chunk.
 
-    Attributes
+    Parameters
     ----------
     data
         Its decompressed records, as far as they could be read.
     damage
         Why they end early, or ``""``.
-    is_selection
-        Whether `data` holds copies of the wanted messages, and little else.
+    offsets
+        Where the selected messages begin in `data`, which holds copies of them and little else;
+        None where it holds all records.
     """
 
-    @property
-    def data(self) -> Buffer | Bytes: ...  # noqa: D102
-    @property
-    def damage(self) -> str: ...  # noqa: D102
-    @property
-    def is_selection(self) -> bool: ...  # noqa: D102
+    data: Buffer | Bytes = b""
+    damage: str = ""
+    offsets: NDArray[np.int64] | None = None
 
 
 Content = TypeVar("Content", bound=ChunkContent)
@@ -131,18 +131,24 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     def __init__(self, source: FileSource) -> None:
         self.source = source
+        self.budget = DecompressionBudget(source.size)
+        self._buffers = Buffers()
 
     @abstractmethod
     def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
         """Return begin and end of the bytes of the file that are read first for a chunk."""
 
     @abstractmethod
-    def size(self, chunk: Chunk) -> int | None:
-        """Return the bytes of the records of a chunk; None where only a part of them is kept."""
+    def size_of(self, chunk: Chunk) -> int:
+        """Return the bytes of the records of a chunk, as far as that is known; else 0."""
 
     @abstractmethod
-    def load(self, chunk: Chunk, into: Bytes | None) -> Content:
-        """Return the records of a chunk, or its wanted messages.
+    def is_mixed(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is known to hold other channels, and where its messages are."""
+
+    @abstractmethod
+    def whole(self, chunk: Chunk, into: Bytes | None = None) -> Content:
+        """Return the records of a chunk.
 
         Called in other threads.
 
@@ -151,9 +157,26 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         chunk
             The chunk.
         into
-            Memory of its :meth:`size` for the records; None for memory of their own, as for those
-            that turn out to have another size.
+            Memory for them; those of another size have memory of their own.
         """
+
+    @abstractmethod
+    def selected(self, chunk: Chunk, whole: Content | None = None) -> Content | None:
+        """Return copies of the wanted messages of a mixed chunk; None where all are needed.
+
+        Called in other threads.
+
+        Parameters
+        ----------
+        chunk
+            The chunk.
+        whole
+            All of it; None to read a part of the file only, where that is quicker.
+        """
+
+    @abstractmethod
+    def messages_at(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages that were selected; None where they are others."""
 
     @abstractmethod
     def only_messages(self, data: Bytes, first: Chunk) -> tuple[MessageBlock, int] | None:
@@ -168,7 +191,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of one chunk, and note what is lost of them."""
+        """Return the messages of a whole chunk, and note what is lost of them."""
 
     def blocks(self, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
         """Yield the messages in some chunks, in their order.
@@ -178,21 +201,38 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         ranges = [each for chunk in chunks for each in self.expected(chunk)]
         self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
-        sized = ((chunk, self.size(chunk)) for chunk in chunks)
+        sized = ((chunk, self._size(chunk)) for chunk in chunks)
         done = 0
-        with closing(load_in_groups(sized, self.load)) as groups:
+        with closing(load_in_groups(sized, self._load)) as groups:
             for group, contents in groups:
                 for read, block in self.located(group, contents):
                     done += read
                     if block:
                         yield replace(block, not_before_ns=bounds[done])
 
+    def _size(self, chunk: Chunk) -> int | None:
+        """Return the bytes of the records of a chunk; None where only some of them are kept."""
+        size = self.size_of(chunk)
+        return None if size <= LARGE and self.is_mixed(chunk) else size or None
+
+    def _load(self, chunk: Chunk, into: Bytes | None) -> Content:
+        """Return the wanted messages of a mixed chunk, or all of a chunk."""
+        if into is not None or not self.is_mixed(chunk):
+            return self.whole(chunk, into)
+        content = self.selected(chunk)
+        if content is None:
+            size = self.size_of(chunk)
+            content = self.whole(chunk, self._buffers.take(size) if 0 < size <= LARGE else None)
+            if not content.damage:
+                content = self.selected(chunk, content) or content
+        return content
+
     def located(
         self, group: ChunkGroup[Chunk], contents: list[Content]
     ) -> Iterator[tuple[int, MessageBlock | None]]:
         """Yield the messages of loaded chunks as few blocks, and of how many chunks each is."""
         sizes = [len(content.data) for content in contents]
-        if all(content.is_selection for content in contents):
+        if all(content.offsets is not None for content in contents):
             copies = [np.frombuffer(content.data, np.uint8) for content in contents]
             group = replace(group, sizes=sizes, buffer=np.concatenate(copies))
         buffer = group.buffer if sizes == group.sizes else None
@@ -201,7 +241,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
             if every is not None:
                 yield len(group.chunks), every
                 return
-        blocks = [self.messages(*pair) for pair in zip(contents, group.chunks, strict=True)]
+        blocks = [self._messages(*pair) for pair in zip(contents, group.chunks, strict=True)]
         # A chunk whose selection turned out to be wrong was loaded again, into other memory.
         in_place = [
             not block or len(block.data) == size for block, size in zip(blocks, sizes, strict=True)
@@ -212,6 +252,14 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         placed = zip(blocks, group.begins, strict=True)
         parts = [(block, begin) for block, begin in placed if block]
         yield len(blocks), join_blocks(buffer, parts) if parts else None
+
+    def _messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+        if content.offsets is not None:
+            block = self.messages_at(content, chunk)
+            if block is not None:
+                return block
+            content = self.whole(chunk)
+        return self.messages(content, chunk)
 
     def _all_at_once(self, data: Bytes, group: ChunkGroup[Chunk]) -> MessageBlock | None:
         """Return the messages of chunks that hold nothing else, which is quick; else None."""

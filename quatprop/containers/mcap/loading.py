@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.containers.chunks import ChunkReader
-from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, Buffers
 from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
     indexed_offsets,
@@ -67,8 +65,6 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.index, self.losses = definitions.index, definitions.index.losses
         self.lost = 0
         self.unchecked = unchecked
-        self._budget = DecompressionBudget(source.size)
-        self._buffers = Buffers()
 
     def expected(self, chunk: Region) -> list[tuple[int, int]]:
         """Return the bytes of a region, or head and index of a chunk that is read in part."""
@@ -77,39 +73,41 @@ class McapReader(ChunkReader[Region, Loaded]):
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
-    def size(self, chunk: Region) -> int | None:
-        """Return the bytes of the records of a region; None where they are selected from."""
-        if chunk.size <= LARGE and may_be_selected(chunk, chunk.own(self.ids)):
-            return None
-        return chunk.size or None
+    def size_of(self, chunk: Region) -> int:
+        """Return the bytes of the records of a region by the index."""
+        return chunk.size
 
-    def load(self, chunk: Region, into: Bytes | None) -> Loaded:
-        """Return the selected messages of a region, or all of it."""
-        own = chunk.own(self.ids)
-        selects = into is None and may_be_selected(chunk, own)
-        if selects and is_read_in_part(chunk, own):
-            try:
-                selection = selected_messages(self.source, chunk, own, self.definitions)
-            except (RegionError, OSError):
-                selection = None  # it is read whole, and then compared with its checksum
-            if selection is not None:
-                return selection
-        if selects and 0 < chunk.size <= LARGE:
-            into = self._buffers.take(chunk.size)
-        loaded = self._whole(chunk, into)
-        if not selects or loaded.damage:
-            return loaded
-        try:
-            selection = selected_messages(self.source, chunk, own, self.definitions, loaded.data)
-        except RegionError:
-            return loaded  # it is noted when its messages are located
-        return loaded if selection is None else selection
+    def is_mixed(self, chunk: Region) -> bool:
+        """Return whether a region is a chunk with other channels, by an index of its messages."""
+        return may_be_selected(chunk, chunk.own(self.ids))
 
-    def _whole(self, region: Region, into: Bytes | None = None) -> Loaded:
+    def whole(self, chunk: Region, into: Bytes | None = None) -> Loaded:
+        """Return the records of a region."""
         try:
-            return load(self.source, region, self._budget, into=into)
+            return load(self.source, chunk, self.budget, into=into)
         except RegionError as error:
-            return Loaded(b"", error.reason, is_readable=False)
+            return Loaded(damage=error.reason, is_readable=False)
+
+    def selected(self, chunk: Region, whole: Loaded | None = None) -> Loaded | None:
+        """Return copies of the wanted messages of a chunk, if they are all that is needed."""
+        own = chunk.own(self.ids)
+        if whole is None and not is_read_in_part(chunk, own):
+            return None
+        try:
+            return selected_messages(
+                self.source, chunk, own, self.definitions, None if whole is None else whole.data
+            )
+        except (RegionError, OSError):
+            return None  # it is read whole, compared with its checksum, and the error noted
+
+    def messages_at(self, content: Loaded, chunk: Region) -> MessageBlock | None:
+        """Return the messages that were selected; None where they are others."""
+        offsets = content.offsets
+        messages = None if offsets is None else messages_at(content.data, offsets)
+        if messages is None or not messages.are_all_of(chunk.own(self.ids)):
+            self.unchecked.discard(chunk.start)
+            return None
+        return messages.block(content.data)
 
     def located(
         self, group: ChunkGroup[Region], contents: list[Loaded]
@@ -143,16 +141,10 @@ class McapReader(ChunkReader[Region, Loaded]):
         UnsupportedLogError
             A chunk redefines the channel.
         """
-        if content.offsets is not None:
-            messages = messages_at(content.data, content.offsets)
-            if messages is not None and messages.are_all_of(chunk.own(self.ids)):
-                return messages.block(content.data)
-            content = self._whole(chunk)
-            self.unchecked.discard(chunk.start)
         reason = content.damage
         if content.is_readable:
             try:
-                messages = self._messages(content, chunk)
+                messages = self._by_index_or_walk(content, chunk)
             except RegionError as error:
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
@@ -163,7 +155,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost += lost or 0
         return None
 
-    def _messages(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
+    def _by_index_or_walk(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
         """Locate the messages of a region by its index or, if that fails, by its records."""
         data, damage = loaded.data, loaded.damage
         ids = region.own(self.ids)

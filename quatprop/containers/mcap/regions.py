@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
+from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
 
@@ -135,37 +136,24 @@ class RegionError(Exception):
         self.reason = reason
 
 
-class Loaded(NamedTuple):
+@dataclass(frozen=True)
+class Loaded(ChunkContent):
     """A region that was read.
 
     Parameters
     ----------
-    data
-        The decompressed records.
-    damage
-        Why `data` ends early, or ``""``.
     has_checksum
         Whether a checksum shows that it is as it was written.
-    offsets
-        Where the selected messages begin in `data`, which holds copies of them and little else;
-        None where `data` is everything.
     is_partial
         Whether only the selected messages were read.
     is_readable
         Whether anything of it can be read.
     """
 
-    data: Buffer
-    damage: str = ""
+    data: Buffer = b""
     has_checksum: bool = False
-    offsets: NDArray[np.int64] | None = None
     is_partial: bool = False
     is_readable: bool = True
-
-    @property
-    def is_selection(self) -> bool:
-        """Whether it is of selected messages."""
-        return self.offsets is not None
 
 
 TORN = "the file ends inside it"

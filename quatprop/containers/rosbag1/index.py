@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses
+from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import decompress, decompress_prefix
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
@@ -27,7 +28,7 @@ from quatprop.containers.rosbag1.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Container
     from collections.abc import Set as AbstractSet
 
     from numpy.typing import NDArray
@@ -83,36 +84,21 @@ class BagChunk:
 
 
 @dataclass(frozen=True)
-class ChunkRecords:
+class ChunkRecords(ChunkContent):
     """The decompressed records of a chunk.
 
     Parameters
     ----------
-    data
-        The records, shape ``(B,)``, uint8.
     read_index
         Reads the index data that follow the chunk.
-    damage
-        Why `data` ends early, or ``""``.
-    selected
-        Index entries of the selected messages, where `data` holds copies of them and little else.
     """
 
     data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     read_index: Callable[[], bytes] = bytes
-    damage: str = ""
-    selected: dict[int, NDArray[np.void]] | None = None
-
-    @property
-    def is_selection(self) -> bool:
-        """Whether it is of selected messages."""
-        return self.selected is not None
 
     @cached_property
     def entries(self) -> dict[int, NDArray[np.void]]:
         """Index entries of each connection."""
-        if self.selected is not None:
-            return self.selected
         try:
             return index_offsets(self.read_index())
         except MalformedRecordError:
@@ -121,8 +107,19 @@ class ChunkRecords:
     @property
     def indexed_offsets(self) -> NDArray[np.int64]:
         """Where messages begin by the index data, shape ``(N,)``, int64, ascending."""
-        parts = [rows["offset"].astype(np.int64) for rows in self.entries.values()]
-        return np.unique(np.concatenate([*parts, np.empty(0, np.int64)]))
+        return np.unique(offsets_of(self.entries))
+
+
+def offsets_of(
+    entries: dict[int, NDArray[np.void]], connections: Container[int] | None = None
+) -> NDArray[np.int64]:
+    """Return where the messages of some connections begin, or of all, ascending."""
+    parts = [
+        rows["offset"].astype(np.int64)
+        for conn, rows in entries.items()
+        if connections is None or conn in connections
+    ]
+    return np.sort(np.concatenate([*parts, np.empty(0, np.int64)]), kind="stable")
 
 
 @dataclass(slots=True)
@@ -203,14 +200,14 @@ def read_chunk(
     if compression == "none":
         records = file.at(record.data, length) if into is None else file.into(record.data, into)
         damage = "its end is cut off" if len(records) < length else ""
-        return ChunkRecords(np.frombuffer(records, np.uint8), index, damage)
+        return ChunkRecords(np.frombuffer(records, np.uint8), damage, read_index=index)
     content = file.at(record.data, length)
     if len(content) < length:
         prefix = decompress_prefix(content, compression, size)
         damage = f"its {compression} data is cut off"
-        return ChunkRecords(np.frombuffer(prefix, np.uint8), index, damage)
+        return ChunkRecords(np.frombuffer(prefix, np.uint8), damage, read_index=index)
     data = decompress(content, compression, size, into)
-    return ChunkRecords(np.frombuffer(data, np.uint8), index)
+    return ChunkRecords(np.frombuffer(data, np.uint8), read_index=index)
 
 
 def index_reader(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,11 +10,8 @@ import numpy as np
 from quatprop.containers.base import MessageBlock
 from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
 from quatprop.containers.chunks import ChunkReader
-from quatprop.containers.coalesce import join_blocks
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, Buffers
-from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, read_chunk
+from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, offsets_of, read_chunk
 from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
 from quatprop.containers.rosbag1.records import (
     HEAD,
@@ -48,58 +46,57 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:
         super().__init__(file.source)
         self.file, self.losses, self.topic, self.connections = file, losses, topic, connections
-        self._budget = DecompressionBudget(file.size)
-        self._buffers = Buffers()
-        self._records: dict[int, Record | None] = {}
+        self._record = lru_cache(4096)(self._read)
         self._is_plain: bool | None = None
 
     def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or of the head of one that is read in part."""
         head_end = chunk.start + HEAD
-        if self._is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
+        if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
             if self._is_plain is None:
-                record = self._record(chunk)
+                record = self._record(chunk.start)
                 self._is_plain = record is None or record.fields[b"compression"] == b"none"
             if self._is_plain:
                 return [(chunk.start, head_end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
-    def size(self, chunk: BagChunk) -> int | None:
-        """Return the bytes of the records of a chunk; None for one that is not loaded as usual."""
-        record = self._records[chunk.start] = self._record(chunk)
+    def size_of(self, chunk: BagChunk) -> int:
+        """Return the bytes of the records of a chunk by its head."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
+        record = self._record(chunk.start)
         if record is None:
-            return None
-        size = _size_of(record)
-        return None if self._is_mixed(chunk) and size <= LARGE else size or None
+            return 0
+        is_plain = record.fields[b"compression"] == b"none"
+        return record.end - record.data if is_plain else record.number(b"size")
 
-    def load(self, chunk: BagChunk, into: NDArray[np.uint8] | None) -> ChunkRecords:
-        """Return the selected messages of a chunk, or all of it."""
-        record = self._records.pop(chunk.start)
-        inside = chunk.inside(self.connections)
-        selects = into is None and self._is_mixed(chunk) and record is not None
-        if selects and record is not None:
-            selection = selected_messages(self.file, chunk, record, inside)
-            if selection is not None:
-                return selection
-            if 0 < (size := _size_of(record)) <= LARGE:
-                into = self._buffers.take(size)
-        loaded = self._whole(chunk, record, into)
-        if selects and record is not None and not loaded.damage:
-            return selected_messages(self.file, chunk, record, inside, loaded) or loaded
-        return loaded
+    def is_mixed(self, chunk: BagChunk) -> bool:
+        """Return whether a chunk holds other connections."""
+        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
 
-    def _whole(
-        self, chunk: BagChunk, record: Record | None = None, into: NDArray[np.uint8] | None = None
-    ) -> ChunkRecords:
+    def whole(self, chunk: BagChunk, into: NDArray[np.uint8] | None = None) -> ChunkRecords:
+        """Return the records of a chunk."""
         try:
-            self._budget.check()
-            loaded = read_chunk(self.file, chunk, into, record)
+            self.budget.check()
+            loaded = read_chunk(self.file, chunk, into, self._record(chunk.start))
         except (MalformedRecordError, CompressionError) as error:
             return ChunkRecords(damage=str(error))
-        self._budget.spend(0 if chunk.is_unchunked else len(loaded.data))
+        self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
+
+    def selected(self, chunk: BagChunk, whole: ChunkRecords | None = None) -> ChunkRecords | None:
+        """Return copies of the wanted messages of a chunk, if they are all that is needed."""
+        record = self._record(chunk.start)
+        if record is None:
+            return None
+        inside = chunk.inside(self.connections)
+        return selected_messages(self.file, chunk, record, inside, whole)
+
+    def messages_at(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
+        """Return the messages that were selected; None where they are others."""
+        if content.offsets is None:
+            return None
+        return indexed_messages(content.data, content.offsets, chunk.inside(self.connections))
 
     def only_messages(
         self,
@@ -118,10 +115,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         """Return the messages of one chunk, and note what is lost of them."""
         inside = chunk.inside(self.connections)
         messages, damage = None, ""
-        if not content.damage:
-            messages = _indexed(content.data, content.entries, chunk, inside)
-        if messages is None and content.is_selection:
-            content = self._whole(chunk)
+        counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
+        if not content.damage and counts == {c: n for c, n in chunk.counts.items() if c in inside}:
+            messages = indexed_messages(content.data, offsets_of(content.entries, inside), inside)
         if messages is None:
             messages, damage = _scanned(content, inside)
         missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
@@ -130,51 +126,15 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             self.losses.note(chunk.place, reason, missing or None, self.topic)
         return messages
 
-    def _is_mixed(self, chunk: BagChunk) -> bool:
-        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
-
-    def _record(self, chunk: BagChunk) -> Record | None:
+    def _read(self, start: int) -> Record | None:
         """Return the record of a chunk; None where there is none that is whole."""
         try:
-            record = None if chunk.is_unchunked else self.file.record(chunk.start)
-            if record is None or record.op != OP_CHUNK or record.end > self.file.size:
-                return None
+            record = self.file.record(start)
             record.number(b"size")
+            is_chunk = record.op == OP_CHUNK and b"compression" in record.fields
         except MalformedRecordError:
             return None
-        return record if b"compression" in record.fields else None
-
-
-def _size_of(record: Record) -> int:
-    """Return the bytes of the records of a chunk."""
-    is_plain = record.fields[b"compression"] == b"none"
-    return record.end - record.data if is_plain else record.number(b"size")
-
-
-def _indexed(
-    data: NDArray[np.uint8],
-    indexed: dict[int, NDArray[np.void]],
-    chunk: BagChunk,
-    wanted: set[int],
-) -> MessageBlock | None:
-    """Locate messages by the index data; None if it disagrees with the records."""
-    parts = []
-    for conn in wanted & chunk.counts.keys():
-        entries = indexed.get(conn)
-        if entries is None or len(entries) != chunk.counts[conn]:
-            return None
-        offsets = entries["offset"].astype(np.int64)
-        # Index data is in order of time; records of equal time are in order of writing.
-        if not (offsets[1:] > offsets[:-1]).all():
-            offsets.sort()
-        part = indexed_messages(data, offsets, conn)
-        if part is None:
-            return None
-        parts.append(part)
-    if len(parts) == 1:
-        return parts[0]
-    block = join_blocks(data, [(part, 0) for part in parts])
-    return block.at(np.argsort(block.starts))
+        return record if is_chunk and record.end <= self.file.size else None
 
 
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:

@@ -16,6 +16,8 @@ from quatprop.containers.rosbag1.records import (
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
 
@@ -48,7 +50,7 @@ def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageBlock, in
         return None
     headers = np.ndarray((count,), f"V{size}", data, begin, (stride,)).copy().view(layout)
     conn = int(headers["conn"][0])
-    if not _are_of(headers, conn) or np.count_nonzero(headers["size"] != length):
+    if not _are_of(headers, [conn]) or np.count_nonzero(headers["size"] != length):
         return None
     starts = np.arange(begin + size, begin + size + count * stride, stride)
     log_ns = _log_ns(headers)
@@ -56,9 +58,9 @@ def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageBlock, in
 
 
 def indexed_messages(
-    data: NDArray[np.uint8], offsets: NDArray[np.int64], conn: int
+    data: NDArray[np.uint8], offsets: NDArray[np.int64], connections: Iterable[int]
 ) -> MessageBlock | None:
-    """Locate the messages of one connection that the index points to.
+    """Locate the messages of some connections that the index points to.
 
     All headers are compared with the first, so that a wrong index is detected.
 
@@ -68,13 +70,13 @@ def indexed_messages(
         The decompressed chunk, shape ``(B,)``.
     offsets
         Where their records begin by the index, shape ``(N,)``, ascending.
-    conn
-        Number of the connection.
+    connections
+        Numbers of the connections.
 
     Returns
     -------
     MessageBlock or None
-        None if anything there is not a message of this connection.
+        None if anything there is not a message of these connections.
     """
     if len(offsets) == 0:
         return None
@@ -87,7 +89,7 @@ def indexed_messages(
     size = layout.itemsize
     every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
     headers = every[offsets].view(layout)
-    if not _are_of(headers, conn):
+    if not _are_of(headers, connections):
         return None
     starts = offsets + size
     ends = starts + headers["size"]
@@ -97,10 +99,13 @@ def indexed_messages(
     return MessageBlock(data, starts, ends, log_ns, log_ns)
 
 
-def _are_of(headers: NDArray[np.void], conn: int) -> bool:
-    """Tell whether all headers are those of messages of a connection, and of one layout."""
-    wanted = {"length": headers.dtype.itemsize - 8, "op": OP_MESSAGE, "conn": conn}
-    return not any(np.count_nonzero(headers[name] != value) for name, value in wanted.items())
+def _are_of(headers: NDArray[np.void], connections: Iterable[int]) -> bool:
+    """Tell whether all headers are those of messages of some connections, and of one layout."""
+    count = sum(np.count_nonzero(headers["conn"] == conn) for conn in connections)
+    wanted = {"length": headers.dtype.itemsize - 8, "op": OP_MESSAGE}
+    return count == len(headers) and not any(
+        np.count_nonzero(headers[name] != value) for name, value in wanted.items()
+    )
 
 
 def _log_ns(headers: NDArray[np.void]) -> NDArray[np.int64]:

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
-from quatprop.containers.rosbag1.index import ChunkRecords, index_reader
+from quatprop.containers.rosbag1.index import ChunkRecords, index_reader, offsets_of
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
-
-    from numpy.typing import NDArray
 
     from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.records import Record, RecordFile
@@ -59,9 +57,10 @@ def selected_messages(
     entries = (whole or ChunkRecords(read_index=index_reader(file, chunk, record, size))).entries
     if {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
         return None
-    indexed = _offsets(entries)
-    selected = {conn: rows for conn, rows in entries.items() if conn in connections}
-    begins = _offsets(selected)
+    indexed = offsets_of(entries)
+    if (indexed[1:] == indexed[:-1]).any():
+        return None
+    begins = offsets_of(entries, connections)
     nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
     ranges = ranges_worth_reading(begins, nexts, size, SHARE if whole is None else 1)
     if ranges is None:
@@ -71,14 +70,4 @@ def selected_messages(
         data = np.frombuffer(file.at_ranges(*(each.tolist() for each in places)), np.uint8)
     else:
         data = ranges.of(whole.data)
-    for conn, rows in selected.items():
-        moved = rows.copy()
-        moved["offset"] = rows["offset"] - ranges.moved[np.searchsorted(begins, rows["offset"])]
-        selected[conn] = moved
-    return ChunkRecords(data, selected=selected)
-
-
-def _offsets(entries: dict[int, NDArray[np.void]]) -> NDArray[np.int64]:
-    """Return where all records begin, ascending."""
-    parts = [rows["offset"].astype(np.int64) for rows in entries.values()]
-    return np.sort(np.concatenate([*parts, np.empty(0, np.int64)]))
+    return ChunkRecords(data, offsets=begins - ranges.moved)
