@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.errors import SeriesError
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-NS_PER_S = 1_000_000_000
 
 INT64 = np.iinfo(np.int64)
 
@@ -131,12 +130,11 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
             array = array.astype(np.float64)
         except (TypeError, ValueError) as error:
             raise SeriesError(f"`{name}` has values that are missing or not numbers") from error
-    if array.shape == (width, count) != (count, width):
-        raise SeriesError(
-            f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}; transpose it"
-        )
     if array.shape != (count, width):
-        raise SeriesError(f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}")
+        hint = "; transpose it" if array.shape == (width, count) else ""
+        raise SeriesError(
+            f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}{hint}"
+        )
     if array.dtype.kind not in "iuf":
         raise SeriesError(f"Expected `{name}` to be numbers, got {array.dtype}")
     return array.astype(np.float64, copy=False)

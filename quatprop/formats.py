@@ -85,15 +85,11 @@ def open_log(
         elif is_address(path):
             stack.enter_context(_renamed_errors(without_secret(path)))
             yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
-        elif Path(path).is_dir():
-            log = _open_folder(Path(path), kind, stack)
-            _complete(log, [Path(path), Path(path).parent], msg_path)
-            yield log
-        elif kind == "rosbag2":
-            raise _other_kind(path, "file", kind)
         else:
-            log = _open_file(Path(path), kind, stack)
-            _complete(log, [Path(path).parent], msg_path)
+            place = Path(path)
+            is_folder = place.is_dir()
+            log = (_open_folder if is_folder else _open_file)(place, kind, stack)
+            _complete(log, [place, place.parent] if is_folder else [place.parent], msg_path)
             yield log
 
 
@@ -232,6 +228,8 @@ def _open_stdin(
 
 def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | TableLog:
     """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
+    if kind == "rosbag2":
+        raise _other_kind(path, "file", kind)
     source = stack.enter_context(FileSource(path))
     head = head_of(source)
     inside = path.with_suffix("") if path.suffix else path

@@ -29,7 +29,7 @@ from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import is_table
-from quatprop.text import Setting, Text, plain, quoted
+from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -221,15 +221,15 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
     if before is None and after is None:
         raise NoSamplesError(path, "its attitudes")
     if before is None or after is None:
-        edge, word = (after, "first") if before is None else (before, "last")
-        stamp = cast("Row", edge)[0]
-        begin_there = Text(" If so, begin there with ", Setting("start", str(stamp)))
+        if before is None:
+            stamp, word, side = cast("Row", after)[0], "first", "after"
+            way_out = f" If so, begin there with {Setting('start', str(stamp))}"
+        else:
+            stamp, word, side, way_out = before[0], "last", "before", ""
         raise TimelineError(
             path,
-            f"its {word} attitude is {duration_text(abs(stamp - t_ns))} "
-            f"{'after' if stamp > t_ns else 'before'} the first sample that is used ({stamp} and "
-            f"{t_ns} ns); are both on the same clock?",
-            begin_there if before is None else "",
+            f"its {word} attitude is {duration_text(abs(stamp - t_ns))} {side} the first sample "
+            f"that is used ({stamp} and {t_ns} ns); are both on the same clock?{way_out}",
         )
     if after[0] - before[0] > MAX_INTERPOLATION_NS:
         raise TimelineError(

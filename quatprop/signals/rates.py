@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from quatprop.selection import RateSelection
     from quatprop.signals.time_ranges import RangeReader, TableRangeReader
     from quatprop.tables.base import TableLog
-    from quatprop.tables.matching.choose import ColumnMatch
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
@@ -89,35 +88,31 @@ def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
     from quatprop.tables.matching.choose import match_rates
 
     columns = match_rates(log, selection)
+    factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
+
+    def batches(parts: frozenset[int] | None = None) -> Iterator[GyroSeries]:
+        for t_ns, rate in log.metered_rows(columns.timed._replace(parts=parts)):
+            for factor in factors:
+                np.multiply(rate, factor, out=rate)
+            yield GyroSeries(t_ns, rate, averages=columns.method == "end")
+
+    def part_reader() -> TableRangeReader | None:
+        from quatprop.signals.time_ranges import TableRangeReader
+
+        spans = log.spans(columns.timed)
+        return TableRangeReader(spans, batches) if spans else None
+
     return RateSignal(
         name=columns.name,
         type_name=columns.dialect,
         field=columns.name,
         clock=columns.clock,
         remarks=columns.remarks,
-        batches=partial(_table_rates, log, columns),
+        batches=batches,
         unit=columns.unit,
         method=columns.method,
-        part_reader=partial(_table_part_reader, log, columns),
+        part_reader=part_reader,
     )
-
-
-def _table_part_reader(log: TableLog, columns: ColumnMatch) -> TableRangeReader | None:
-    from quatprop.signals.time_ranges import TableRangeReader
-
-    spans = log.spans(columns.timed)
-    return TableRangeReader(spans, partial(_table_rates, log, columns)) if spans else None
-
-
-def _table_rates(
-    log: TableLog, columns: ColumnMatch, parts: frozenset[int] | None = None
-) -> Iterator[GyroSeries]:
-    """Yield the rates of a table, or of some parts of it, in rad/s."""
-    factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
-    for t_ns, rate in log.metered_rows(columns.timed._replace(parts=parts)):
-        for factor in factors:
-            np.multiply(rate, factor, out=rate)
-        yield GyroSeries(t_ns, rate, averages=columns.method == "end")
 
 
 def _candidates(

@@ -12,7 +12,8 @@ only if its delay differs by more than the margin from all of those.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning.time_range import PartOfLog
@@ -86,7 +87,7 @@ class TableRangeReader:
         return part, self.batches(frozenset(chosen))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class RangeReader:
     """Reads ranges of stamps of a signal.
 
@@ -103,11 +104,10 @@ class RangeReader:
     span: TimeRange
     stamps: Callable[[TimeRange], Iterator[tuple[Int64, Int64]]]
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
-    _zones: list[tuple[_Zone, _Zone] | None] = field(default_factory=list, init=False)
 
     def ends(self) -> tuple[int, int] | None:
         """Return the first and the last stamp, ns; None where only the whole log tells them."""
-        zones = self._end_zones()
+        zones = self._end_zones
         return None if zones is None else (zones[0].first_ns, zones[1].last_ns)
 
     def read(
@@ -125,7 +125,7 @@ class RangeReader:
         tuple or None
             None where the whole log has to be read.
         """
-        zones = self._end_zones()
+        zones = self._end_zones
         if zones is None:
             return None
         head, tail = zones
@@ -150,13 +150,9 @@ class RangeReader:
         part = PartOfLog(window.first_ns, window.last_ns, leaves_out)
         return part, self.batches(window)
 
+    @cached_property
     def _end_zones(self) -> tuple[_Zone, _Zone] | None:
-        """Return what is at the beginning and at the end of the log, read once."""
-        if not self._zones:
-            self._zones.append(self._read_end_zones())
-        return self._zones[0]
-
-    def _read_end_zones(self) -> tuple[_Zone, _Zone] | None:
+        """What is at the beginning and at the end of the log."""
         first_ns, last_ns = self.span.first_ns, self.span.last_ns
         if self.span.length_ns <= 2 * SHARE * MARGIN_NS:
             return None
