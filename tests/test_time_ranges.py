@@ -31,7 +31,7 @@ from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
 from quatprop.timeline.stamps import Policy
 from quatprop.times import NS_PER_S, instant
-from quatprop.writers.rosbag1 import writer as rosbag1_writer
+from quatprop.writers.rosbag1 import file as rosbag1_file
 
 SECONDS = 2000
 RATE = 20
@@ -61,8 +61,8 @@ def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     gyroscope = Gyroscope(RATE, SECONDS * RATE, noise=1e-3, start_ns=T0_NS)
     with pytest.MonkeyPatch.context() as patched:
-        small = partial(rosbag1_writer.BagFile, chunk_bytes=50_000)
-        patched.setattr(rosbag1_writer, "BagFile", small)
+        small = partial(rosbag1_file.BagFile, chunk_bytes=50_000)
+        patched.setattr(rosbag1_file, "BagFile", small)
         for name, kind in {"one.mcap": "mcap", "log.bag": "bag"}.items():
             simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     rewrite(folder / "one.mcap", folder / "log.mcap")
