@@ -135,7 +135,8 @@ def test_other_clocks_are_refused():
 
 
 def test_one_pair_is_too_few():
-    """Two pairs are the least."""
-    one = random_series([5])
+    """Two are the least, but for two series that are one attitude each."""
+    one, more = random_series([5]), random_series([5, 15])
     with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
-        associate(one, one, min_matched=0)
+        associate(one, more, match="exact", min_matched=0)
+    assert associate(one, one).t_ns.tolist() == [5]
