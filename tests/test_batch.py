@@ -398,6 +398,24 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
     assert [{**row} for row in table] == [found[row["output"]] for row in table]
 
 
+def test_a_topic_is_no_matter_of_tables(tmp_path):
+    """Those in a folder are not meant; one that is named is refused before anything is done."""
+    table, out = log(tmp_path / "logs" / "a.csv"), tmp_path / "out"
+    recorded = tmp_path / "logs" / "b.mcap"
+    simulate = ["simulate", str(recorded), "--samples", "5", "--truth", "none"]
+    assert CliRunner().invoke(cli, simulate).exit_code == 0
+    done = run(tmp_path / "logs", "-o", out, "--topic", "/imu")
+    assert done.exit_code == 0, done.output
+    assert done.stderr.splitlines()[-1] == "1 of 1 logs done, 5 samples; ignored 1 other file"
+    done = run(recorded, table, "-o", tmp_path / "none", "--topic", "/imu")
+    assert done.exit_code == 2
+    assert done.stderr == (
+        f"Error: '{table}' is a table, and --topic is for logs of messages; propagate tables by "
+        "themselves\n"
+    )
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_line_that_was_cut_is_ignored(tmp_path):
     """A kill costs the line that was being written, and no other."""
     logs, out = [log(tmp_path / f"{name}.csv") for name in "ab"], tmp_path / "out"
@@ -615,8 +633,8 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
     said = [option] if value is None else [option, value]
     out = tmp_path / "a.parquet"
     for words in (said, []):
-        CliRunner().invoke(cli, ["propagate", "a.csv", "-o", str(out), *beside, *words])
-        run("a.csv", "-o", tmp_path, *beside, *words)
+        CliRunner().invoke(cli, ["propagate", "a.mcap", "-o", str(out), *beside, *words])
+        run("a.mcap", "-o", tmp_path, *beside, *words)
     alone, among, plain, plain_among = [
         replace(job, output=replace(job.output, to=None)) for job in jobs
     ]

@@ -65,6 +65,9 @@ class LogSearch:
         the fixed part of a pattern, or the folder of a file.
     output
         The folder of the outputs, which is not searched.
+    of_messages
+        A setting, such as ``"topic"``, that only logs of messages can follow: tables in folders
+        are no logs then. None: there is no such setting.
 
     Attributes
     ----------
@@ -76,6 +79,7 @@ class LogSearch:
 
     root: str | None = None
     output: str = ""
+    of_messages: str | None = None
     logs: list[FoundLog] = field(default_factory=list)
     other_files: int = 0
     _places: set[str] = field(default_factory=set)
@@ -86,8 +90,8 @@ class LogSearch:
         Raises
         ------
         UsageError
-            Nothing matches a pattern, a log is not below the root, or the outputs would lie among
-            the logs.
+            Nothing matches a pattern, a log is not below the root, the outputs would lie among
+            the logs, or a table is named where only logs of messages can be used.
         UnreadableLogError, StoreError
             A folder cannot be listed.
         """
@@ -127,7 +131,10 @@ class LogSearch:
                              Setting("output", "another folder"))  # fmt: skip
         search = self._search_store if is_address(folder) else self._search
         for path, kind in search(folder, output):
-            self._add_log(path, root, folder=kind == "rosbag2", maybe=kind in TABLES)
+            if kind in TABLES and self.of_messages:
+                self.other_files += 1
+            else:
+                self._add_log(path, root, folder=kind == "rosbag2", maybe=kind in TABLES)
 
     def _search_store(self, address: str, output: str) -> Iterator[tuple[str, str]]:
         """Yield address and kind of each log below an address."""
@@ -172,6 +179,12 @@ class LogSearch:
         if place in self._places:
             return
         self._places.add(place)
+        if self.of_messages and _kind_by_suffix(place) in TABLES:
+            raise UsageError(
+                f"{quoted(place)} is a table, and ",
+                Setting(self.of_messages),
+                " is for logs of messages; propagate tables by themselves",
+            )
         root = _absolute(self.root or root)
         if not place.startswith(os.path.join(root, "")):
             reason = f"{quoted(place)} does not lie in {quoted(root)}; choose another "

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
 
+OF_MESSAGES = ("topic", "rate_field", "time_field")
+"""Options of ``propagate`` that no table can follow."""
+
 SHARED = [option for option in propagate.command.params if option.name not in ONE_LOG]
 """The options of ``propagate`` that hold for every log."""
 
@@ -97,7 +100,8 @@ def command(names: tuple[str, ...], **options: Any) -> None:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
-    search = _search(names, batch)
+    of_messages = next(filter(options.get, OF_MESSAGES), None) if options["kind"] is None else None
+    search = _search(names, batch, of_messages)
     manifest = manifest_in(folder)
     suffix = next((s for s in WRITERS[options["to"]].suffixes if s), "")
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
@@ -129,7 +133,7 @@ def command(names: tuple[str, ...], **options: Any) -> None:
 command.params += SHARED
 
 
-def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
+def _search(names: Iterable[str], batch: Mapping[str, Any], of_messages: str | None) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.outputs import shard
@@ -142,7 +146,7 @@ def _search(names: Iterable[str], batch: Mapping[str, Any]) -> LogSearch:
             batch["list_file"], encoding="utf-8", errors="surrogateescape"
         ) as file:
             given += [name for line in file if (name := line.rstrip("\r\n"))]
-    search = LogSearch(batch["root"], batch["folder"])
+    search = LogSearch(batch["root"], batch["folder"], of_messages)
     for name in given:
         search.add(name)
     if not search.logs:
