@@ -85,9 +85,10 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
     if provenance.get("conversions"):
         lines.append("# converted afterwards, which this does not repeat")
     for file in provenance.get("files", ()):
-        name, was = ("ETag", file["etag"]) if "etag" in file else ("SHA-256", file["sha256"])
         state = _state(file)
-        lines.append(f"# {plain(file['path'])}: {state}; its {name} was {was}")
+        digests = {"ETag": file.get("etag"), "SHA-256": file["sha256"]}
+        was = "".join(f"; its {name} was {value}" for name, value in digests.items() if value)
+        lines.append(f"# {plain(file['path'])}: {state}{was}")
         if state != UNCHANGED:
             click.echo(
                 f"Warning: {plain(file['path'])}, which {plain(path)} was made with: {state}",
@@ -112,11 +113,11 @@ def _state(file: Mapping[str, Any]) -> str:
     from quatprop.pipeline.report import digest_of_input
 
     if file["bytes"] is None:
-        return "not known, as it was a pipe"
+        return "what it held is not known, as it was no file"
     now = as_json(digest_of_input(file["path"]))
     if now["bytes"] is None:
         return "it is missing"
-    changed = any(now[key] != file[key] for key in now)
+    changed = any(now[key] != file.get(key) for key in now)
     return "it has changed since" if changed else UNCHANGED
 
 
