@@ -19,14 +19,13 @@ from quatprop.text import Setting, Text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from os import PathLike
-    from pathlib import Path
     from typing import Unpack
 
     from numpy.typing import NDArray
 
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import CompareOptions
-    from quatprop.containers.base import Loss
+    from quatprop.containers.base import Log, Loss
     from quatprop.conversion.report import ConversionReport
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
@@ -287,7 +286,7 @@ sample_rate, clock
         if not len(log):
             raise SeriesError("Expected a series with samples, got an empty one")
         in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
-        return _propagated("series", in_memory, settings)
+        return _propagated("series", in_memory, settings, None)
     path = _path("log", log)
     with (
         use_threads(settings.threads),
@@ -295,7 +294,7 @@ sample_rate, clock
     ):
         signal = choose_rates(opened, settings.selection)
         stream = AttitudeStream(path, signal, settings, opened)
-        return _propagated(path, stream, settings, opened.definition_files)
+        return _propagated(path, stream, settings, opened)
 
 
 def compare(
@@ -539,15 +538,12 @@ def _refuse_log_settings(options: Mapping[str, object]) -> None:
 
 
 def _propagated(
-    path: str,
-    stream: AttitudeStream,
-    settings: PropagationSettings,
-    definitions: Iterable[Path] = (),
+    path: str, stream: AttitudeStream, settings: PropagationSettings, log: Log | None
 ) -> PropagatedSeries:
-    from quatprop.pipeline.report import input_files
+    from quatprop.pipeline.report import digests_of_inputs
 
     series = AttitudeSeries.joined(list(stream))
-    report = replace(stream.report(), files=input_files(settings.inputs, definitions))
+    report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
     _warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
 

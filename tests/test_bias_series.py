@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from quatprop import GyroSeries, propagate
 from quatprop.check.cases import load_cases
 from quatprop.errors import LogError, RemarkWarning, UsageError
-from quatprop.settings import parse
+from quatprop.settings import PROPAGATE
 
 N = 200
 STAMPS = 1_000_000_000 + np.arange(N) * 10_000_000
@@ -195,7 +195,7 @@ def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
     _, cases = load_cases(suite)
     assert cases[0].inputs["bias"] == str(tmp_path / "bias.csv")
     assert [case.inputs.keys() & {"bias"} for case in cases[1:]] == [set(), set()]
-    assert parse("bias", "/imu/bias").name == "/imu/bias"
+    assert PROPAGATE["bias"]("/imu/bias").name == "/imu/bias"
 
 
 @pytest.mark.filterwarnings("ignore")

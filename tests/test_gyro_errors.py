@@ -18,7 +18,7 @@ from quatprop.errors import DataLossWarning, LogError, RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
-from quatprop.settings import parse
+from quatprop.settings import PROPAGATE
 from quatprop.writers import WRITERS
 
 SECOND = 1_000_000_000
@@ -57,7 +57,7 @@ update_rate:                 200.0      #Hz (for discretization of the values ab
 )
 def test_quantities_have_the_units_of_data_sheets(name, value, expected):
     """They become rad/s/sqrt(Hz), rad/s, rad/s^2/sqrt(Hz) and ratios."""
-    assert parse(name, value) == pytest.approx(expected, rel=1e-15)
+    assert PROPAGATE[name](value) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_quantities_have_the_units_of_data_sheets(name, value, expected):
 def test_other_quantities_are_refused(name, value, message):
     """With an example of what is right."""
     with pytest.raises(UsageError) as error:
-        parse(name, value)
+        PROPAGATE[name](value)
     assert str(error.value) == message
 
 

@@ -144,7 +144,7 @@ def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
 @pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
 def test_metadata_of_messages_that_are_damaged_are_refused(tmp_path, monkeypatch, kind):
     """What stands under this package's key and is no JSON is damage."""
-    for module in ("mcap.writer", "rosbag1.file", "rosbag2.writer"):
+    for module in ("mcap.file", "rosbag1.file", "rosbag2.writer"):
         monkeypatch.setattr(f"quatprop.writers.{module}.provenance_json", lambda _provenance: "{")
     path = written(tmp_path / "log", kind, {"method": "start"})
     with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON it should"):
@@ -208,15 +208,10 @@ def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
     for name, text in texts.items():
         Path(name).write_text(text)
     settings = {name.partition(".")[0]: name for name in texts}
-    expected = [
-        {
-            "setting": setting,
-            "path": name,
-            "bytes": len(texts[name]),
-            "sha256": hashlib.sha256(texts[name].encode()).hexdigest(),
-        }
-        for setting, name in sorted(settings.items())
-    ]
+    expected = {
+        name: {"bytes": len(text), "sha256": hashlib.sha256(text.encode()).hexdigest()}
+        for name, text in texts.items()
+    }
     options = [part for name, file in settings.items() for part in (f"--{name}", file)]
     Path("rates.csv").write_text(RATES.replace("0,0,1", "0,0,0.1"))
     run("propagate", "rates.csv", "-o", "out.parquet", "--report", "out.json", *options)
@@ -225,7 +220,7 @@ def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
     rates = GyroSeries([10**9, 2 * 10**9], [[0, 0, 0.1], [0, 0, 0.2]])
     series = propagate(rates, **settings)
     assert as_json(series.report.files) == expected
-    assert propagate(rates, q0="1,0,0,0").report.files == ()
+    assert propagate(rates, q0="1,0,0,0").report.files == {}
 
 
 def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):

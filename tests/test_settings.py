@@ -10,7 +10,7 @@ import pytest
 from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, parse, parse_all
+from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, parse_all
 from quatprop.settings.parsers import StaticBias
 from quatprop.times import Instant
 
@@ -46,7 +46,7 @@ from quatprop.times import Instant
 def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expected):
     """One parser takes what the command line, a suite and Python have."""
     for value in values:
-        parsed = parse(name, value)
+        parsed = PROPAGATE[name](value)
         assert parsed == expected
         assert type(parsed) is type(expected)
 

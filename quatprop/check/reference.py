@@ -88,7 +88,7 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
 def _with_names(value: Any, names: Mapping[str, str]) -> Any:
     """Return JSON with the paths of inputs as the suite has them."""
     if isinstance(value, dict):
-        return {key: _with_names(item, names) for key, item in value.items()}
+        return {names.get(key, key): _with_names(item, names) for key, item in value.items()}
     if isinstance(value, list):
         return [_with_names(item, names) for item in value]
     return names.get(value, value) if isinstance(value, str) else value

@@ -84,14 +84,14 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
     ]
     if provenance.get("conversions"):
         lines.append("# converted afterwards, which this does not repeat")
-    for file in provenance.get("files", ()):
-        state = _state(file)
+    for name, file in (provenance.get("files") or {}).items():
+        state = _state(name, file)
         digests = {"ETag": file.get("etag"), "SHA-256": file["sha256"]}
-        was = "".join(f"; its {name} was {value}" for name, value in digests.items() if value)
-        lines.append(f"# {plain(file['path'])}: {state}{was}")
+        was = "".join(f"; its {key} was {value}" for key, value in digests.items() if value)
+        lines.append(f"# {plain(name)}: {state}{was}")
         if state != UNCHANGED:
             click.echo(
-                f"Warning: {plain(file['path'])}, which {plain(path)} was made with: {state}",
+                f"Warning: {plain(name)}, which {plain(path)} was made with: {state}",
                 err=True,
             )
     # As it may be kept in any folder.
@@ -108,13 +108,13 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
 UNCHANGED = "unchanged"
 
 
-def _state(file: Mapping[str, Any]) -> str:
+def _state(path: str, file: Mapping[str, Any]) -> str:
     """Return whether a file holds what it held when an output was made, in words."""
     from quatprop.pipeline.report import digest_of_input
 
     if file["bytes"] is None:
         return "what it held is not known, as it was no file"
-    now = as_json(digest_of_input(file["path"]))
+    now = as_json(digest_of_input(path))
     if now["bytes"] is None:
         return "it is missing"
     changed = any(now[key] != file.get(key) for key in now)

@@ -12,9 +12,8 @@ from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
-from quatprop.kinematics.propagate import unit_q0
 from quatprop.pipeline.attitude_stream import AttitudeStream
-from quatprop.pipeline.report import ReportFile, input_files
+from quatprop.pipeline.report import ReportFile, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
@@ -136,12 +135,12 @@ def run(
             report = replace(
                 report,
                 settings={**report.settings, **output.given},
-                files=input_files(settings.inputs, log.definition_files) if kept else (),
+                files=digests_of_inputs(settings.inputs, log) if kept else {},
                 remarks=(*report.remarks, *format_remarks(output.path, output.to)),
             )
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
-            report = report.timed(time.perf_counter() - began)
+            report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())
             before_publish(report)
@@ -203,8 +202,6 @@ def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
         layout_of(kind_of(output.path, output.to), output.layout)
-    if not settings.q0.source:
-        unit_q0(settings.q0.wxyz)
     refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
     if job.log == "-" and settings.needs_second_read:
         raise UsageError(

@@ -60,7 +60,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 _NONE = np.empty(0, dtype=np.int64)
 
 
-def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:
+def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     Parameters
@@ -94,7 +94,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
     ]
 
 
-def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[Text]:
+def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = None if is_table(log) else source.name
     try:
@@ -105,15 +105,13 @@ def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
-    remarks = [] if remark is None else [remark]
+    remarks: list[str | Text] = [] if remark is None else [remark]
     counts = check.counts
     if counts.zero or counts.not_unit:
         remarks.append(
-            Text(
-                f"the log's own orientation is invalid in {counts.zero + counts.not_unit} of the "
-                f"first {counts.read} samples ({counts.zero} are zero, {counts.not_unit} off unit "
-                f"length by up to {counts.worst:.3g}); it is not used"
-            )
+            f"the log's own orientation is invalid in {counts.zero + counts.not_unit} of the first "
+            f"{counts.read} samples ({counts.zero} are zero, {counts.not_unit} off unit length by "
+            f"up to {counts.worst:.3g}); it is not used"
         )
     return remarks
 

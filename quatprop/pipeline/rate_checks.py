@@ -136,7 +136,7 @@ class RateChecks:
         self._different += int(np.count_nonzero((~equal & counted)[new]))
         return np.concatenate([[False], equal])
 
-    def remarks(self, counts: StampCounts) -> list[Text]:
+    def remarks(self, counts: StampCounts) -> list[str | Text]:
         """Return a sentence for each finding.
 
         Parameters
@@ -148,8 +148,8 @@ class RateChecks:
         if not math.isfinite(largest):
             return []
         if largest == 0.0 and not self._lowest.any():
-            return [Text("every rate is zero: is this the right topic?")]
-        remarks = []
+            return ["every rate is zero: is this the right topic?"]
+        remarks: list[str | Text] = []
         interval = _interval_s(counts)
         if largest > WIDEST_RANGE:
             remarks.append(
@@ -164,15 +164,13 @@ class RateChecks:
         if (self._highest == self._lowest).all():
             if self._samples >= FROZEN_SAMPLES:
                 rate = self._highest.tolist()
-                remarks.append(Text(f"every rate is the same, {rate} rad/s: frozen, or simulated?"))
+                remarks.append(f"every rate is the same, {rate} rad/s: frozen, or simulated?")
             return remarks
         hold = self._hold()
         if hold > 1:
             remarks.append(
-                Text(
-                    f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body "
-                    f"turns: the log repeats samples, with a new rate only every {hold:.2g} rows"
-                )
+                f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body turns: "
+                f"the log repeats samples, with a new rate only every {hold:.2g} rows"
             )
         moving = self._highest != self._lowest
         return [*remarks, *self._saturation.remarks(self._samples, moving, hold, interval)]
@@ -183,10 +181,10 @@ class RateChecks:
         enough = self._repeated >= MIN_HELD and 1 - 1 / hold >= HELD
         return hold if enough and hold <= LONGEST_HOLD else 1.0
 
-    def _slow(self, largest_step: float, interval: float) -> Iterator[Text]:
+    def _slow(self, largest_step: float, interval: float) -> Iterator[str]:
         """Yield a remark where the motion between samples is unknown."""
         if largest_step > STEP_LIMIT:
-            yield Text(
+            yield (
                 f"the body rotates by up to {math.degrees(largest_step):.3g} deg between two "
                 "samples: the sample rate is too low for this motion"
             )
@@ -198,7 +196,7 @@ class RateChecks:
             return
         step = math.sqrt(difference / self._neighbours) * interval
         if step > UNRESOLVED_STEP and difference > UNRESOLVED * 2 * variance:
-            yield Text(
+            yield (
                 f"between two samples, the rate changes by {math.degrees(step / interval):.3g} "
                 f"deg/s RMS, which is {math.degrees(step):.3g} deg in the time between them: the "
                 "sample rate is too low for this motion"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
@@ -12,15 +12,14 @@ from quatprop.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
+    from collections.abc import Mapping
     from typing import Self
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.conditioning import ConditioningReport
-    from quatprop.containers.base import Loss
+    from quatprop.containers.base import Log, Loss
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.text import Text
     from quatprop.timeline.counts import Counts
@@ -64,40 +63,19 @@ class SourceReport:
     clock: str
 
 
-@dataclass(frozen=True, slots=True)
-class InputFile:
-    """A file that was read beside the log.
-
-    Parameters
-    ----------
-    setting
-        The one that names it; for message definitions ``"msg_path"``, wherever they were found.
-    path
-        Where it was.
-    digest
-        Its size and SHA-256.
-    """
-
-    setting: str
-    path: str
-    digest: Digest
-
-
-def input_files(inputs: Mapping[str, str], definitions: Iterable[Path]) -> tuple[InputFile, ...]:
-    """Return what the files held that were read beside a log, by setting and path.
+def digests_of_inputs(inputs: Mapping[str, str], log: Log | None) -> dict[str, Digest]:
+    """Return what the files held that were read beside a log, by path.
 
     Parameters
     ----------
     inputs
         Setting -> the path or the address that it names.
-    definitions
-        Files of message definitions.
+    log
+        Says where it has message definitions from; None for rates in memory.
     """
-    named = [*inputs.items(), *(("msg_path", str(path)) for path in definitions)]
-    return tuple(
-        InputFile(setting, without_secret(path), digest_of_input(path))
-        for setting, path in sorted(named)
-    )
+    definitions = () if log is None else map(str, log.definition_files)
+    paths = sorted((*inputs.values(), *definitions))
+    return {without_secret(path): digest_of_input(path) for path in paths}
 
 
 def digest_of_input(path: str) -> Digest:
@@ -204,7 +182,8 @@ class RunReport:
     settings
         What was asked for, by the names of settings, as text.
     files
-        What the files held that were read beside the log; empty where the report is kept nowhere.
+        Size and SHA-256 of the files that were read beside the log, by path; empty where the
+        report is kept nowhere.
     losses
         What of the log could not be read.
     remarks
@@ -226,7 +205,7 @@ class RunReport:
     uncertainty: UncertaintyReport | None
     result: ResultReport
     settings: Mapping[str, str | bool]
-    files: tuple[InputFile, ...] = ()
+    files: Mapping[str, Digest] = field(default_factory=dict)
     unchecked_chunks: int = 0
     seconds: float | None = None
 
@@ -235,31 +214,14 @@ class RunReport:
         """Whether a part of the log could not be read, or samples were dropped."""
         return bool(self.losses or self.counts.dropped)
 
-    def timed(self, seconds: float) -> RunReport:
-        """Return the same report with the duration of the run."""
-        return replace(self, seconds=seconds)
-
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""
-        report = {
-            "quatprop": __version__,
-            "source": as_json(self.source),
-            "convention": {**as_json(self.convention), "side": self.convention.side},
-            "settings": dict(self.settings),
-            "files": as_json(self.files),
-            "policy": as_json(self.policy),
-            "counts": as_json(self.counts),
-            "losses": as_json(self.losses),
-            "data_lost": self.data_lost,
-            "remarks": as_json(self.remarks),
-            "conditioning": as_json(self.conditioning),
-            "uncertainty": as_json(self.uncertainty),
-            "result": as_json(self.result),
-        }
-        if self.seconds is None:
+        report = {"quatprop": __version__, **as_json(self), "data_lost": self.data_lost}
+        report["convention"]["side"] = self.convention.side
+        unchecked, seconds = report.pop("unchecked_chunks"), report.pop("seconds")
+        if seconds is None:
             return report
-        timings = {"timings": {"seconds": self.seconds}}
-        return {**report, "unchecked_chunks": self.unchecked_chunks, **timings}
+        return {**report, "unchecked_chunks": unchecked, "timings": {"seconds": seconds}}
 
 
 def convention_of(layout: str) -> JsonObject:

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.text import Text
-
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -116,7 +114,7 @@ class Saturation:
 
     def remarks(
         self, samples: int, moving: Bools, hold: float, interval: float | None
-    ) -> Iterator[Text]:
+    ) -> Iterator[str]:
         """Yield a sentence for each end of an axis that is saturated.
 
         Parameters
@@ -136,14 +134,14 @@ class Saturation:
                 limit = self._limits[side, axis] * (1 if side == 0 else -1)
                 name = f"axis {sign}{'xyz'[axis]}"
                 if runs[side, axis]:
-                    yield Text(
+                    yield (
                         f"{name} stays at its extreme of {limit:.6g} rad/s for {HAS_RUN} samples "
                         "or more: saturated, so larger rates are missing"
                     )
                 elif self._piles_up(self._counts[side, axis], samples, hold, interval):
                     share = 100 * self._counts[side, axis, 0] / samples
                     end = f"{100 - 100 * TOP:.2g} % of its extreme of {limit:.4g} rad/s"
-                    yield Text(
+                    yield (
                         f"{name} is within {end} in {share:.2g} % of the samples, and hardly ever "
                         "shortly below: saturated, so larger rates are missing"
                     )

@@ -126,24 +126,6 @@ class PropagateOptions(RateOptions, total=False):
     sigma_axes: str
 
 
-def parse(name: str, value: object) -> Any:
-    """Return the value of a setting in the type that the program uses.
-
-    Parameters
-    ----------
-    name
-        A key of :data:`PROPAGATE`.
-    value
-        Text, a value of TOML, or a Python value.
-
-    Raises
-    ------
-    UsageError
-        The value cannot be used; the sentence does not name the setting.
-    """
-    return PROPAGATE[name](value)
-
-
 def parse_all(
     options: Mapping[str, object], parsers: Mapping[str, Parser] | None = None
 ) -> dict[str, Any]:
