@@ -15,7 +15,7 @@ from mcap_doctor import MAGIC, examine
 from rosbags.highlevel import AnyReader
 
 from quatprop.cli import cli
-from quatprop.into.log_times import LogTimes
+from quatprop.into import LogTimes
 from quatprop.writers.mcap.contents import McapContents
 
 FORMS = {

@@ -260,20 +260,21 @@ def test_small_files_are_replaced_whole(tmp_path):
 def test_a_folder_takes_its_place_only_when_committed(tmp_path):
     """A library that makes its own folder makes it temp, under its own name."""
     target = tmp_path / "bag"
-    with OutputPath(target, folder=True) as replacement:
-        replacement.path.mkdir()
-        assert replacement.path.name == "bag"
-        assert not target.exists()
-        replacement.publish()
+    replacement = OutputPath(target, folder=True)
+    replacement.path.mkdir()
+    assert replacement.path.name == "bag"
+    assert not target.exists()
+    replacement.publish()
     assert target.is_dir()
     assert list(tmp_path.iterdir()) == [target]
 
 
 def test_a_folder_that_is_not_committed_vanishes(tmp_path):
     """Leaving without a commit removes everything that was made temp."""
-    with OutputPath(tmp_path / "bag") as replacement:
-        replacement.path.mkdir()
-        (replacement.path / "half").touch()
+    replacement = OutputPath(tmp_path / "bag")
+    replacement.path.mkdir()
+    (replacement.path / "half").touch()
+    replacement.discard()
     assert list(tmp_path.iterdir()) == []
 
 

@@ -7,10 +7,11 @@ are inserted in order of time, and indexes are written anew.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.into.log_times import LogTimes
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import WRITERS, kind_of, layout_of, refuse_columns
 from quatprop.writers.base import AttitudeMessages
@@ -20,7 +21,6 @@ from quatprop.writers.targets import is_stdout
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.base import Log, MessageLog
@@ -30,29 +30,14 @@ if TYPE_CHECKING:
     Int64 = NDArray[np.int64]
     Stamps = Callable[[MessageLog | TableLog], Iterator[tuple[Int64, Int64]]]
 
-
-class Copier(NamedTuple):
-    """One row of :data:`COPIERS`.
-
-    Parameters
-    ----------
-    kind
-        The key of :data:`quatprop.writers.WRITERS` of the copy.
-    opener
-        ``module:class`` of the writer, called with the log, the target and the message to add.
-    """
-
-    kind: str
-    opener: str
-
-
-COPIERS: Mapping[str, Copier] = {
-    "mcap": Copier("mcap", "mcap:McapCopyWriter"),
-    "bag": Copier("bag", "rosbag1:BagCopyWriter"),
-    "db3": Copier("rosbag2", "rosbag2:Rosbag2CopyWriter"),
-    "rosbag2": Copier("rosbag2", "rosbag2:Rosbag2CopyWriter"),
+COPIERS: Mapping[str, tuple[str, str]] = {
+    "mcap": ("mcap", "mcap:McapCopyWriter"),
+    "bag": ("bag", "rosbag1:BagCopyWriter"),
+    "db3": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
+    "rosbag2": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
 }
-"""Every kind of log that attitudes can be added to."""
+"""By the kind of log: the key of :data:`quatprop.writers.WRITERS` of the copy, and ``module:class``
+of the writer, which is called with the log, the target and the message to add."""
 
 
 def copy_kind(log: Log, target: str, to: str | None = None) -> str:
@@ -80,7 +65,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
             f"this one is {quoted(log.kind)}; write them to a file of their own with ",
             Setting("output"),
         )
-    kind = COPIERS[log.kind].kind
+    kind, _ = COPIERS[log.kind]
     if is_stdout(target):
         raise OutputError(target, "standard output takes text only; name a file for the copy")
     if to is not None:
@@ -149,6 +134,71 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
             "with ",
             Setting("out_topic", "NAME"),
         )
-    module, _, name = COPIERS[log.kind].opener.partition(":")
+    module, _, name = COPIERS[log.kind][1].partition(":")
     container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
     return AttitudeMessages(container, container.encoder, target, LogTimes(stamps(log)).at)
+
+
+class LogTimes:
+    """Finds log times by stamps, both in order, and keeps no more than it needs.
+
+    Stamps and log times need not be of one clock: some devices count from when they were switched
+    on. Players and plots sort by log time, so attitudes logged at their stamps could be fifty years
+    away.
+
+    Parameters
+    ----------
+    pairs
+        Stamps and log times, shapes ``(N,)``, int64 ns, batch after batch in order of log times.
+        Stamps that step back are ignored.
+
+    Examples
+    --------
+    >>> times = LogTimes(iter([(np.array([10, 20]), np.array([1005, 1017]))]))
+    >>> times.at(np.array([10, 14, 20, 30]))
+    array([1005, 1009, 1017, 1027])
+    """
+
+    def __init__(self, pairs: Iterator[tuple[Int64, Int64]]) -> None:
+        self._pairs = pairs
+        self._stamps = np.empty(0, np.int64)
+        self._logged = np.empty(0, np.int64)
+        self._latest = np.iinfo(np.int64).min
+        self._ended = False
+
+    def at(self, t_ns: Int64) -> Int64:
+        """Return when attitudes are logged, shape ``(N,)``, int64 ns.
+
+        An attitude between messages is logged as long after the one before it as its stamp is
+        after that one's, and never before the attitude ahead of it.
+
+        Parameters
+        ----------
+        t_ns
+            Their stamps, shape ``(N,)``, in order, none before those of earlier calls.
+        """
+        if not len(t_ns):
+            return t_ns
+        while not self._ended and not (len(self._stamps) and self._stamps[-1] > t_ns[-1]):
+            self._fetch()
+        if not len(self._stamps):
+            return t_ns
+        before = np.maximum(np.searchsorted(self._stamps, t_ns, "right") - 1, 0)
+        log_ns: Int64 = self._logged[before] + (t_ns - self._stamps[before])
+        log_ns = np.maximum(np.maximum.accumulate(log_ns), self._latest)
+        self._latest = log_ns[-1]
+        self._stamps, self._logged = self._stamps[before[-1] :], self._logged[before[-1] :]
+        return log_ns
+
+    def _fetch(self) -> None:
+        """Read another batch, without stamps that are not later than all before them."""
+        batch = next(self._pairs, None)
+        if batch is None:
+            self._ended = True
+            return
+        stamps, logged = batch
+        last = self._stamps[-1:] if len(self._stamps) else stamps[:1] - 1
+        latest = np.maximum.accumulate(np.concatenate([last, stamps]))[:-1]
+        is_later = stamps > latest
+        self._stamps = np.concatenate([self._stamps, stamps[is_later]])
+        self._logged = np.concatenate([self._logged, logged[is_later]])

@@ -20,7 +20,7 @@ from quatprop.writers.targets import checked_place, is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import BinaryIO, Self
+    from typing import BinaryIO
 
 
 @contextmanager
@@ -191,9 +191,3 @@ class OutputPath:
     def discard(self) -> None:
         """Remove what was not committed; may be called twice."""
         self._temp.remove()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.discard()

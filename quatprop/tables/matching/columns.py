@@ -93,7 +93,7 @@ class TableColumns:
         Returns
         -------
         str
-            ``""`` where nothing declares it, which :meth:`timed` then refuses.
+            ``""`` where nothing declares it, which :meth:`timed_and_named` then refuses.
         """
         columns = "rate_cols" if quantity == "rate" else "time_col"
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
@@ -139,7 +139,7 @@ class TableColumns:
             )
 
     def undeclared(self, what: str, setting: Setting) -> None:
-        """Note what is not declared; all of it is refused together, in :meth:`timed`."""
+        """Note what is not declared; all of it is refused together, in :meth:`timed_and_named`."""
         self.unknown.append((what, setting))
 
 

@@ -149,20 +149,7 @@ class ColumnMatcher(TableColumns):
     ) -> tuple[TimedColumns, str, str]:
         """Return columns with their time, the names of those to be named, and of the time.
 
-        All of them are named if none are given. The time may be a sample rate. Raises as
-        :meth:`timed`.
-        """
-        timed = self.timed(numbers, dialect)
-        names, clock = (
-            ",".join(self.columns[k].text for k in columns)
-            for columns in (named or numbers, timed.time)
-        )
-        if timed.sample_rate is not None:
-            clock = f"{float(timed.sample_rate):g} Hz"
-        return timed, names, clock
-
-    def timed(self, numbers: Positions, dialect: Dialect) -> TimedColumns:
-        """Return columns with the time of their rows.
+        All of them are named if none are given. The time may be a sample rate.
 
         Raises
         ------
@@ -198,7 +185,12 @@ class ColumnMatcher(TableColumns):
             first, *others = (setting for _, setting in self.unknown)
             way_out = Text(first, *(part for other in others for part in (" and ", other)))
             raise UndeclaredError(self.path, unknown, way_out, several=bool(others))
-        return TimedColumns(numbers, time, unit, sample_rate)
+        names, clock = (
+            ",".join(self.columns[k].text for k in columns) for columns in (named or numbers, time)
+        )
+        if sample_rate is not None:
+            clock = f"{float(sample_rate):g} Hz"
+        return TimedColumns(numbers, time, unit, sample_rate), names, clock
 
     def unused_stamps(self, dialect: Dialect) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
