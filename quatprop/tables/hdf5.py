@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import io
-from contextlib import ExitStack
+import math
+from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import numpy as np
@@ -109,10 +109,7 @@ class Hdf5Log(NumpyTable):
             self._add_column(name + dot + inner, path, column)
 
     def _open_rows(self, member: str) -> BinaryIO:
-        dataset = self._file[member]
-        return cast(
-            "BinaryIO", _DatasetBytes(_Rows(dataset) if _is_of_matlab(dataset) else dataset)
-        )
+        return cast("BinaryIO", nullcontext(_DatasetBytes(self._file[member])))
 
 
 def _is_of_matlab(dataset: Any) -> bool:
@@ -120,60 +117,41 @@ def _is_of_matlab(dataset: Any) -> bool:
     return "MATLAB_class" in dataset.attrs and len(dataset.shape) == 2  # noqa: PLR2004
 
 
-class _Rows:
-    """A matrix of MATLAB by its rows, which are the columns of the dataset."""
+def _shape(dataset: Any) -> tuple[int, ...]:
+    """Return rows and columns."""
+    shape: tuple[int, ...] = dataset.shape
+    return shape[::-1] if _is_of_matlab(dataset) else shape
+
+
+class _DatasetBytes:
+    """The numbers of a dataset, row after row, as they would stand in a file of NumPy."""
 
     def __init__(self, dataset: Any) -> None:
         self._dataset = dataset
-        self.dtype = dataset.dtype
-        self.shape = dataset.shape[::-1]
-
-    def __getitem__(self, rows: slice) -> NDArray[Any]:
-        values: NDArray[Any] = self._dataset[:, rows].T
-        return values
-
-
-class _DatasetBytes(io.RawIOBase):
-    """The numbers of a dataset, row after row, as they would stand in a file of NumPy.
-
-    Parameters
-    ----------
-    dataset
-        The dataset.
-    """
-
-    def __init__(self, dataset: Any) -> None:
-        self._dataset = dataset
-        self._step = dataset.dtype.itemsize * (dataset.shape[1] if len(dataset.shape) > 1 else 1)
+        self._is_of_matlab = _is_of_matlab(dataset)
+        self._step = dataset.dtype.itemsize * math.prod(_shape(dataset)[1:])
         self._next = 0
-        self._rest = memoryview(b"")
 
-    def readinto(self, buffer: Any) -> int:
-        """Fill a buffer, or a part of it."""
-        if not self._rest:
-            block = self._block(max(1, len(buffer) // self._step))
-            self._next += len(block)
-            self._rest = memoryview(block.tobytes())
-        size = min(len(buffer), len(self._rest))
-        buffer[:size] = self._rest[:size]
-        self._rest = self._rest[size:]
-        return size
-
-    def _block(self, count: int) -> NDArray[Any]:
-        """Return the next rows, fewer of them before a chunk that is damaged.
+    def read(self, size: int) -> bytes:
+        """Return whole rows, one at least, and fewer of them before a chunk that is damaged.
 
         Raises
         ------
         EOFError
             It begins here.
         """
+        count = max(1, size // self._step)
         while True:
+            rows = slice(self._next, self._next + count)
             try:
-                return np.ascontiguousarray(self._dataset[self._next : self._next + count])
+                taken = self._dataset[:, rows].T if self._is_of_matlab else self._dataset[rows]
             except _ERRORS as error:
                 if count == 1:
                     raise EOFError(plain(error)) from error
-            count //= 2
+                count //= 2
+                continue
+            self._next += len(taken)
+            return bytes(taken.tobytes())
 
 
 def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
@@ -188,8 +166,7 @@ def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
         raise HeaderError(f"its type is {dataset.dtype}, not numbers")
     if dataset.nbytes > _MOST_UNPACKED * file_size:
         raise HeaderError(f"it claims {dataset.nbytes} bytes, which the file cannot hold")
-    shape = dataset.shape[::-1] if _is_of_matlab(dataset) else dataset.shape
-    return columns_of(ArrayHeader(dataset.dtype, shape, is_fortran=False))
+    return columns_of(ArrayHeader(dataset.dtype, _shape(dataset), is_fortran=False))
 
 
 def _second_file(path: Path) -> int | None:
