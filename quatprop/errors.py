@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 
@@ -216,37 +216,30 @@ class _NothingFoundError(LogError):
     """
 
     wanted: str
-    ways_out: Mapping[str, Text]
+    field: str
+    columns: str
 
     def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
-        names = listed(seen)
-        held = Text(f"it has no {what} with messages")
-        if names:
-            held = Text(f"its {what} are {names}; ", self.ways_out[what])
-        super().__init__(path, f"no {self.wanted} found; ", held)
+        held = f"it has no {what} with messages"
+        if names := listed(seen):
+            topic = f"the field with {Setting('topic')} and {Setting(self.field)}"
+            way_out = topic if what == "topics" else f"the columns with {self.columns}"
+            held = f"its {what} are {names}; name {way_out}"
+        super().__init__(path, f"no {self.wanted} found; {held}")
 
 
 class NoRatesError(_NothingFoundError):
     """Nothing in the log carries body rates."""
 
-    wanted = "body rates"
-    ways_out: Mapping[str, Text] = {
-        "topics": Text(f"name the field with {Setting('topic')} and {Setting('rate_field')}"),
-        "columns": Text(f"name the columns with {Setting('rate_cols')} and {Setting('time_col')}"),
-    }
+    wanted, field = "body rates", "rate_field"
+    columns = f"{Setting('rate_cols')} and {Setting('time_col')}"
 
 
 class NoAttitudesError(_NothingFoundError):
     """Nothing in the log carries attitudes."""
 
-    wanted = "attitudes"
-    ways_out: Mapping[str, Text] = {
-        "topics": Text(f"name the field with {Setting('topic')} and {Setting('quat_field')}"),
-        "columns": Text(
-            f"name the columns with {Setting('quat_cols')}, {Setting('from_layout')} and "
-            f"{Setting('time_col')}"
-        ),
-    }
+    wanted, field = "attitudes", "quat_field"
+    columns = f"{Setting('quat_cols')}, {Setting('from_layout')} and {Setting('time_col')}"
 
 
 class NotRotationsError(LogError):

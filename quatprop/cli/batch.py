@@ -14,7 +14,9 @@ import click
 from quatprop.cli import propagate
 from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, own_options, with_options
+from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
+from quatprop.text import listed, plain
 from quatprop.writers import WRITERS
 
 if TYPE_CHECKING:
@@ -81,7 +83,7 @@ OPTIONS = own_options(
     "folder, or a prefix such as s3://bucket/runs.",
 )
 @with_options(OPTIONS)
-def command(names: tuple[str, ...], **options: Any) -> None:
+def command(names: tuple[str, ...], **options: Any) -> int:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
     Folders, prefixes of object stores and quoted patterns (with **) are searched for logs, and
@@ -125,9 +127,8 @@ def command(names: tuple[str, ...], **options: Any) -> None:
     if not quiet:
         shown.finish(skipped=len(planned) - len(tasks), other_files=search.other_files)
     if shown.states["failed"]:
-        raise click.exceptions.Exit(2)
-    if shown.states["data lost"]:
-        raise click.exceptions.Exit(3)
+        return 2
+    return 3 if shown.states["data lost"] else 0
 
 
 command.params += SHARED
@@ -138,7 +139,6 @@ def _search(names: Iterable[str], batch: Mapping[str, Any], of_messages: str | N
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.outputs import shard
     from quatprop.containers.stores import without_secret
-    from quatprop.text import listed
 
     given = list(names)
     if batch["list_file"] is not None:
@@ -177,8 +177,6 @@ class _Shown:
     def __init__(
         self, tasks: list[BatchTask], meter: tqdm[Any], *, quiet: bool, keeps: bool
     ) -> None:
-        from quatprop.text import plain
-
         self.states: Counter[str] = Counter()
         self.reports: dict[int, Any] = {}
         self._errors: list[str] = []
@@ -189,8 +187,6 @@ class _Shown:
 
     def add(self, index: int, result: BatchResult) -> None:
         """Show the result of a log; errors also when asked to be quiet."""
-        from quatprop.cli.spelling import spelled
-
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
         task = self._tasks[index]
@@ -230,10 +226,8 @@ class _Shown:
 
 def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> str:
     """Return the result of one log in a line, and its warnings and losses below."""
-    from quatprop.cli.spelling import spelled
     from quatprop.containers.stores import without_secret
     from quatprop.rendering import loss_lines
-    from quatprop.text import plain
     from quatprop.times import duration_text
 
     span = duration_text(round(span_s * 1e9))

@@ -13,6 +13,7 @@ import click
 from quatprop.cli.help import Command
 from quatprop.cli.options import JSON, own_options, with_options
 from quatprop.cli.types import PATH
+from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -67,7 +68,7 @@ OPTIONS = own_options(
     "repeated.  [default: all]",
 )
 @with_options(OPTIONS)
-def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
+def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     """Compare recorded logs with references.
 
     SUITE.toml has one table [case.NAME] for each case, and [defaults] for all of them:
@@ -115,7 +116,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
         deleted = {name: pin for name, pin in locked.items() if name not in pins}
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
-            return
+            return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
         lock = loaded.lock if options["update"] or options["init"] else None
         results = _run(cases, pins, lock, options)
@@ -128,8 +129,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> None:
         _report_deleted(all_cases, deleted, updating=lock is not None)
     strict = options["strict"]
     missing = strict and deleted and lock is None
-    if code := exit_code(results, strict=strict) or int(bool(missing)):
-        raise click.exceptions.Exit(code)
+    return exit_code(results, strict=strict) or int(bool(missing))
 
 
 @contextmanager
@@ -164,7 +164,6 @@ def _run(
     """Run cases, show their results, failures last, and return them."""
     from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
     from quatprop.check.runner import run_cases
-    from quatprop.text import plain
 
     listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
     artifacts = options["artifacts"] and Path(options["artifacts"])
@@ -193,7 +192,6 @@ def _report_deleted(
 ) -> None:
     """Name the cases that the lock has and the suite has not."""
     from quatprop.check.reference import orphaned_references
-    from quatprop.text import listed, plain
 
     if not updating:
         way_out = "restore them, or remove them from the lock with --update"

@@ -18,6 +18,7 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
+from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import CHECK_ATTITUDES, ONE_SERIES
@@ -46,7 +47,7 @@ EXAMPLES = (
     setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
     setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
 )
-def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> None:
+def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.
 
     Each is a table of attitudes, or a log with a topic of them: the same log twice, too. q and -q
@@ -55,7 +56,6 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     """
     from quatprop import __version__
     from quatprop.cli.progress import progress
-    from quatprop.cli.spelling import spelled
     from quatprop.cli.summary import show
     from quatprop.comparison.files import compare_files
     from quatprop.comparison.summary import comparison_rows
@@ -84,16 +84,14 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
         rows = comparison_rows(first, second, comparison, spelled)
         show(lines_of(rows), indent=10, err=False)
     if not comparison.passed:
-        raise click.exceptions.Exit(1)
-    if first.data_lost or second.data_lost:
-        raise click.exceptions.Exit(3)
+        return 1
+    return 3 if first.data_lost or second.data_lost else 0
 
 
 def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[PictureFile | None]:
     """Return the picture of the error to be drawn; None in it where no picture is wanted."""
     if plot is None:
         return nullcontext()
-    from quatprop.cli.spelling import spelled
     from quatprop.plot.target import PictureFile
 
     return PictureFile(plot, [a, b], spell=spelled)

@@ -68,7 +68,7 @@ OPTIONS = own_options(
     OUTPUT_OPTIONS,
     OPTIONS,
 )
-def command(*, quiet: bool, **chosen: Any) -> None:
+def command(*, quiet: bool, **chosen: Any) -> int:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes, or - for stdin; OUT is a file, or -
@@ -91,8 +91,7 @@ def command(*, quiet: bool, **chosen: Any) -> None:
         report = convert(job)
     if not quiet:
         show(_summary(report), indent=5)
-    if report.data_lost:
-        raise click.exceptions.Exit(3)
+    return 3 if report.data_lost else 0
 
 
 def _summary(report: ConversionReport) -> Iterator[str]:

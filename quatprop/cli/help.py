@@ -123,6 +123,10 @@ class Command(click.Command):
             hint = did_you_mean(error.option_name, names)
             raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
 
+    def invoke(self, ctx: click.Context) -> None:
+        """Run the command and exit with the code that it returns."""
+        ctx.exit(super().invoke(ctx) or 0)
+
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, and the options by group."""
         if self.examples:

@@ -61,7 +61,7 @@ EXAMPLES = (
     ),
     setting_options(READ_RATES),
 )
-def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> None:
+def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> int:
     """Show every source of body rates and of attitudes in each LOG.
 
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
@@ -80,7 +80,7 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
         if len(logs) > 1 or as_json:
             raise click.UsageError("--as-config prints one file for one LOG")
         click.echo(_config(logs[0], kind, wanted))
-        return
+        return 0
     surveys: list[LogSurvey] = []
     for path in logs:
         try:
@@ -93,9 +93,8 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     else:
         click.echo("\n\n".join("\n".join(_lines(log)) for log in surveys), nl=bool(surveys))
     if len(surveys) < len(logs):
-        raise click.exceptions.Exit(2)
-    if any(log.losses for log in surveys):
-        raise click.exceptions.Exit(3)
+        return 2
+    return 3 if any(log.losses for log in surveys) else 0
 
 
 def _config(path: str, kind: str | None, selection: RateSelection) -> str:

@@ -89,7 +89,7 @@ REFERENCE = {
     setting_options(ATTITUDES, log="FILE", signal="attitudes"),
     setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"),
 )
-def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
+def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
@@ -131,8 +131,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> None:
     if not quiet:
         lines = [*drawn.lines, *(f"warning: {warning}" for warning in drawn.warnings)]
         click.echo("\n".join(map(plain, lines)), err=True)
-    if drawn.data_lost:
-        raise click.exceptions.Exit(3)
+    return 3 if drawn.data_lost else 0
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:

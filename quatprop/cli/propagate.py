@@ -11,6 +11,7 @@ from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
 from quatprop.cli.options import PLOT, QUIET, REPORT, own_options, setting_options, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
+from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import file_beside
@@ -49,7 +50,7 @@ VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
     [config_option],
     own_options({**REPORT, **PLOT, **QUIET, **VERBOSE}),
 )
-def command(**chosen: Any) -> None:
+def command(**chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
@@ -69,15 +70,13 @@ def command(**chosen: Any) -> None:
             report = run(job, picture, summary=not quiet, before_publish=picture.draw)
     if not quiet:
         show(summary(report, verbose=verbose), INDENT)
-    if report.data_lost:
-        raise click.exceptions.Exit(3)
+    return 3 if report.data_lost else 0
 
 
 def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPicture | None]:
     """Return the picture of a job in the making; None in it where no picture is wanted."""
     if plot is None:
         return nullcontext()
-    from quatprop.cli.spelling import spelled
     from quatprop.plot.propagation import PropagationPicture
 
     return PropagationPicture(plot, job, spelled)
