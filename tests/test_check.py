@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from suites import check
 
 from quatprop import __version__
 from quatprop.check.case import CaseResult, exit_code
@@ -39,18 +40,6 @@ reference-log = "logs/tumbling.truth.csv"
 tol = "0.1deg"
 """
 NAMES = ["spin", "rest", "tumbling"]
-
-
-@pytest.fixture(autouse=True)
-def _not_in_ci(monkeypatch):
-    """Let no test write into the summary of the CI that runs it."""
-    monkeypatch.delenv("GITHUB_STEP_SUMMARY", raising=False)
-    monkeypatch.delenv("GITHUB_ACTIONS", raising=False)
-
-
-def check(suite, *options):
-    """Run the command; errors come back as exit code and text."""
-    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
 
 
 def outcomes(suite, *options):

@@ -10,11 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 from ruamel.yaml import YAML
+from suites import check
 
 from quatprop import __version__
-from quatprop.cli import cli
 
 SUITE = """[defaults]
 method = "mean"
@@ -33,11 +32,6 @@ reference = "refs/px4.parquet"
 log = "logs/bag"
 reference = "refs/bag.parquet"
 """
-
-
-def check(suite, *options):
-    """Run `quatprop check`."""
-    return CliRunner().invoke(cli, ["check", str(suite), *options])
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from xml.etree import ElementTree as ET
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from suites import check
 
 from quatprop import __version__
 from quatprop.check import cases
@@ -22,13 +23,6 @@ from quatprop.cli import cli, compare, propagate
 from quatprop.third_party_errors import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
-
-
-@pytest.fixture(autouse=True)
-def _not_in_ci(monkeypatch):
-    """Let no test write into the summary of the CI that runs it."""
-    monkeypatch.delenv("GITHUB_STEP_SUMMARY", raising=False)
-    monkeypatch.delenv("GITHUB_ACTIONS", raising=False)
 
 
 @pytest.fixture
@@ -45,11 +39,6 @@ def write(folder, text):
     suite = folder / "suite.toml"
     suite.write_text(text)
     return suite
-
-
-def check(suite, *options):
-    """Run the command; errors come back as exit code and text."""
-    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
 
 
 def stored(name="spin", log="spin.csv", *more):

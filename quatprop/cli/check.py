@@ -98,7 +98,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     """
     from quatprop.check.case import exit_code
     from quatprop.check.cases import load_cases
-    from quatprop.check.explain import explain
+    from quatprop.check.judge import explain
     from quatprop.check.lock import read_lock
     from quatprop.check.runner import select_cases
 

@@ -86,7 +86,7 @@ def compare(
         meter,
         Matching.of(pairs),
         offset,
-        Coverage.of(meter.covered, reference, 100 * len(pairs) / len(b) if counted else None),
+        Coverage(meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None),
         lambda rising: likely_cause(a, b, settings, rising),
         pairs=pairs,
         window=window,

@@ -228,6 +228,6 @@ def _streamed(
         meter,
         matching,
         AppliedOffset(offset_ns, None),
-        Coverage.of(covered, sides[1].covered, 100 * len(meter) / sides[1].samples),
+        Coverage(covered.share_of(sides[1].covered), 100 * len(meter) / sides[1].samples),
         lambda rising: likely_cause(sides[0].head(), sides[1].head(), settings, rising),
     )

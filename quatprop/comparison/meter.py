@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.comparison.statistics import S_PER_H, ErrorStatistics
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.timeline.stamps import MEDIAN_WINDOW
+from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 PIECE = 16_384
 """Pairs that are measured together: their arrays stay in the cache."""
-
-GAP_INTERVALS = 10
-"""Between stamps further apart than this many median intervals, nothing was compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +72,13 @@ class CoveredTime:
         if self._limit is None:
             # The first one is from the first stamp to itself.
             usual = intervals[1 : MEDIAN_WINDOW + 1]
-            self._limit = GAP_INTERVALS * float(np.median(usual)) if len(usual) else 0.0
+            self._limit = GAP_FACTOR * float(np.median(usual)) if len(usual) else 0.0
         self._ns += int(intervals[intervals <= self._limit].sum())
         self._intervals = [intervals[:0]]
+
+    def share_of(self, reference: CoveredTime) -> float:
+        """Return how much of the time of a reference is covered, in percent."""
+        return min(100 * self.ns / reference.ns, 100.0) if reference.ns else 100.0
 
     @property
     def ns(self) -> int:
@@ -120,7 +121,6 @@ class ErrorMeter:
         self._limit = limit
         self._errors = array("d")
         self._block_ns = np.empty(PIECE, np.int64)
-        self._block_errors = np.empty(PIECE)
         self._filled = self._count = 0
         self._total = self._squares = 0.0
         # Means of time, h, and error; sums of squares and products of the differences from them.
@@ -160,9 +160,8 @@ class ErrorMeter:
             self.worst = worst
         self.covered.add(t_ns)
         self._errors.frombytes(errors.tobytes())
-        block = slice(self._filled, self._filled + len(errors))
-        self._block_ns[block], self._block_errors[block] = t_ns, errors
-        self._filled = block.stop
+        self._block_ns[self._filled : self._filled + len(errors)] = t_ns
+        self._filled += len(errors)
         if self._filled == PIECE:
             self._sum_up()
 
@@ -174,7 +173,7 @@ class ErrorMeter:
         Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample
         variances", Stanford STAN-CS-79-773, 1979.
         """
-        count, errors = self._filled, self._block_errors[: self._filled]
+        count, errors = self._filled, np.array(self._errors[-self._filled :])
         self._total += float(errors.sum())
         self._squares += float((errors**2).sum())
         hours = (self._block_ns[:count] - self.covered.first_ns) / (NS_PER_S * S_PER_H)

@@ -18,14 +18,13 @@ from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from typing import Self
 
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.hypotheses import Cause
-    from quatprop.comparison.meter import ComparedSample, CoveredTime
+    from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
     from quatprop.text import Text
@@ -92,12 +91,6 @@ class Coverage:
     time: float
     samples: float | None
 
-    @classmethod
-    def of(cls, pairs: CoveredTime, reference: CoveredTime, samples: float | None) -> Self:
-        """Return how much of a reference pairs cover, and so many percent of its samples."""
-        time = min(100 * pairs.ns / reference.ns, 100.0) if reference.ns else 100.0
-        return cls(time, samples)
-
     @property
     def least(self) -> float:
         """The smaller of the two."""
@@ -130,18 +123,16 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
         limit = getattr(settings, setting)
         if limit is None:
             continue
-        if not isinstance(limit, Sigmas):
-            value = getattr(errors, name)
-            yield Criterion(setting, label, value, limit, "rad", value <= limit)
-            continue
-        if sigmas is None:
+        in_sigma = isinstance(limit, Sigmas)
+        if in_sigma and sigmas is None:
             shown = "" if setting == "max_sigma" else str(limit)
             raise ComparisonError(
                 f"neither series has standard deviations, which {Setting(setting, shown)} needs; "
                 f"write them with {Setting('sigma')}"
             )
-        value = getattr(sigmas, name)
-        yield Criterion(setting, label, value, limit.count, "sigma", value <= limit.count)
+        value = getattr(sigmas if in_sigma else errors, name)
+        most, unit = (limit.count, "sigma") if in_sigma else (limit, "rad")
+        yield Criterion(setting, label, value, most, unit, value <= most)
     others = [
         ("drift_tol", "drift", drift_deg_h or 0.0, "deg/h"),
         ("min_coverage", "coverage", covered.least, "%"),

@@ -14,11 +14,10 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.comparison.alignment import Alignment, MountingFit
     from quatprop.comparison.association import Matching
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
-    from quatprop.comparison.result import AppliedOffset, Comparison, Criterion
+    from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.rendering import Row, Spell
     from quatprop.signals.attitude_input import ReadAttitudes
@@ -134,12 +133,24 @@ def _series(operand: ReadAttitudes) -> str:
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     yield "matched", _matching(comparison.association)
-    if offset.added_to_b_ns or offset.found:
-        yield "offset", _offset(offset)
-    if alignment.name != "none":
-        yield "alignment", _alignment(alignment)
-    if alignment.mounting:
-        yield "", _mounting(alignment.mounting)
+    shifted = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
+    if found := offset.found:
+        shifted += (
+            f" +- {duration_text(round(found.std_ns))}, estimated from angular speeds: correlation "
+            f"{found.correlation:.4f}, next best elsewhere {found.runner_up:.4f}"
+        )
+    if offset.added_to_b_ns or found:
+        yield "offset", shifted
+    rotated = f"{alignment.name}: reference frame rotated by {angle_text(alignment.reference_rad)}"
+    if fit := alignment.mounting:
+        yield "alignment", f"{rotated}, body frame by {angle_text(alignment.mount_rad)}"
+        first, second, third = fit.singular_values
+        turned = f"{degrees_text(fit.turn_rad, 3)} RMS"
+        axes = f"1 : {second / first:.2g} : {third / first:.2g}"
+        std = degrees_text(fit.std_rad, 2)
+        yield "", f"from {fit.motions} rotations, {turned}; axes excited as {axes}; +- {std}"
+    elif alignment.name != "none":
+        yield "alignment", rotated
 
 
 def _matching(matching: Matching) -> str:
@@ -153,31 +164,6 @@ def _matching(matching: Matching) -> str:
     span = duration_text(matching.last_ns - matching.first_ns)
     counts = f"{matching.matched} of {matching.candidates} samples over {span}"
     return f"{counts}: {method[matching.match]}"
-
-
-def _offset(offset: AppliedOffset) -> str:
-    text = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
-    if found := offset.found:
-        text += (
-            f" +- {duration_text(round(found.std_ns))}, estimated from angular speeds: correlation "
-            f"{found.correlation:.4f}, next best elsewhere {found.runner_up:.4f}"
-        )
-    return text
-
-
-def _alignment(alignment: Alignment) -> str:
-    text = f"{alignment.name}: reference frame rotated by {angle_text(alignment.reference_rad)}"
-    if alignment.mounting:
-        text += f", body frame by {angle_text(alignment.mount_rad)}"
-    return text
-
-
-def _mounting(fit: MountingFit) -> str:
-    first, second, third = fit.singular_values
-    return (
-        f"from {fit.motions} rotations, {degrees_text(fit.turn_rad, 3)} RMS; axes excited as "
-        f"1 : {second / first:.2g} : {third / first:.2g}; +- {degrees_text(fit.std_rad, 2)}"
-    )
 
 
 def _errors(comparison: Comparison) -> Iterator[Row]:

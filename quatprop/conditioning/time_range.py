@@ -80,8 +80,8 @@ def absolute_range(
     return start_ns, end_ns
 
 
-def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list[Text]:
-    """Return a remark for each absolute end that leaves nothing out, and on what was not read.
+def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[Text]:
+    """Yield a remark for each absolute end that leaves nothing out, and on what was not read.
 
     Parameters
     ----------
@@ -93,22 +93,17 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> list
         ("start", "before the first", settings.start, before),
         ("end", "after the last", settings.end, after),
     )
-    remarks = [
-        Text(
-            f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit is "
-            "in ns",
-        )
-        for name, side, instant, left_out in ends
-        if instant is not None and instant.origin == "clock" and not left_out
-    ]
-    if report.part is not None:
-        remarks.append(
-            Text(
-                "only the part of the log around the time range was read, by its index: what is "
-                "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log"
+    for name, side, instant, left_out in ends:
+        if instant is not None and instant.origin == "clock" and not left_out:
+            yield Text(
+                f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit "
+                "is in ns"
             )
+    if report.part is not None:
+        yield Text(
+            "only the part of the log around the time range was read, by its index: what is "
+            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log"
         )
-    return remarks
 
 
 def clipped(

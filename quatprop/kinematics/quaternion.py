@@ -97,18 +97,7 @@ def normalize(q: ArrayLike) -> Float64:
 
 
 def shorter(q: ArrayLike) -> Float64:
-    """Return q or -q, the same attitude, with w >= 0: as a rotation, the shorter way round.
-
-    Parameters
-    ----------
-    q
-        Quaternions wxyz, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4)``.
-    """
+    """Return q or -q, ``(..., 4)``, with w >= 0: the same attitude, the shorter way round."""
     q = _array(q)
     return np.asarray(np.where(q[..., :1] < 0, -q, q))
 

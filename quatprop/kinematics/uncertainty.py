@@ -201,7 +201,9 @@ class ErrorGrowth:
             sums = np.zeros((len(steps), TILE))
             sums[:, :count] = steps
         sums[:, 0] += self._sums[name]
-        _accumulate(sums)
+        # Even and odd terms are summed as complex numbers, faster than one by one.
+        pairs = np.cumsum(sums.view(np.complex128), axis=1).view(np.float64)
+        np.add(pairs[:, 1:], pairs[:, :-1], out=sums[:, 1:])
         self._sums[name] = sums[:, count - 1].copy()
         return sums[:, :count]
 
@@ -212,15 +214,6 @@ def _with_previous(values: Float64, last: Float64) -> Float64:
     np.add(values[:, 1:], values[:, :-1], out=sums[:, 1:])
     np.add(values[:, :1], last, out=sums[:, :1])
     return sums
-
-
-def _accumulate(sums: Float64) -> None:
-    """Replace terms ``(rows, TILE)`` by the sums up to them.
-
-    Those of even and of odd terms are summed as complex numbers, faster than one by one.
-    """
-    pairs = np.cumsum(sums.view(np.complex128), axis=1).view(np.float64)
-    np.add(pairs[:, 1:], pairs[:, :-1], out=sums[:, 1:])
 
 
 def rotation_elements(wxyz: Float64) -> Float64:
@@ -253,8 +246,8 @@ def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
     """
     turn = rotation_matrix(wxyz)
     turned = np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))
-    for axis in range(3):
-        _clip(turned[..., axis, axis])
+    variances = np.einsum("...ii->...i", turned)
+    np.maximum(variances, 0.0, out=variances)  # rounding errors may have brought them below 0
     return turned
 
 
@@ -269,14 +262,9 @@ def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:
     for row, column in UPPER:
         _dot(turn[row::3], half[:, column], out[row, column], term)
         if row == column:
-            _clip(out[row, row])
+            np.maximum(out[row, row], 0.0, out=out[row, row])
         else:
             out[column, row] = out[row, column]
-
-
-def _clip(variances: Float64) -> None:
-    """Set variances that rounding errors have brought below 0 to 0."""
-    np.maximum(variances, 0.0, out=variances)
 
 
 def _symmetric(u: Float64, v: Float64) -> Float64:

@@ -17,7 +17,7 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
 from quatprop.text import Setting
 from quatprop.timeline.counts import Counts
-from quatprop.timeline.stamps import StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -101,12 +101,9 @@ class Timeline(StampChecks):
         """Cut blocks at gaps and number the segments."""
         number, last_ns = 0, None
         for block in blocks:
-            limit = self.counts.gap_limit_ns
+            limit = LONGEST_NS if self.counts.gap_limit_ns is None else self.counts.gap_limit_ns
             before = block.t_ns[0] if last_ns is None else last_ns
             last_ns = block.t_ns[-1]
-            if limit is None:
-                yield number, block
-                continue
             starts = np.flatnonzero(np.diff(block.t_ns, prepend=before) > limit)
             edges = [0, *starts.tolist(), len(block)]
             for start, stop in pairwise(edges):

@@ -20,7 +20,6 @@ LISTED_GAPS = 1000
 INTEGRATED_SHARE = 0.001
 """Increments that miss more than this share of the log's time are remarked on."""
 
-
 FASTEST = 50_000
 """Hz: no gyroscope gives more samples a second."""
 
@@ -149,8 +148,8 @@ HANDLED = {
 """Setting and its value -> what was done to an event."""
 
 
-def remarks(counts: Counts, policy: Policy) -> list[Text]:
-    """Return a sentence for every event that a reader of the result should know of.
+def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
+    """Yield a sentence for every event that a reader of the result should know of.
 
     Parameters
     ----------
@@ -166,16 +165,15 @@ def remarks(counts: Counts, policy: Policy) -> list[Text]:
         "on_nonfinite": (counts.nonfinite, "non-finite rate{s}"),
         "on_gap": (counts.gaps, f"interval{{s}} longer than {limit}"),
     }
-    sentences = [
-        Text(
-            f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
-            HANDLED[setting, getattr(policy, setting, "")],
-            f"), first at sample {event.first_index}, t = {event.first_ns} ns",
-        )
-        for setting, (event, noun) in events.items()
-        if event.count
-    ]
-    return [*sentences, *_time_remarks(counts)]
+    for setting, (event, noun) in events.items():
+        if event.count:
+            handled = HANDLED[setting, getattr(policy, setting, "")]
+            yield Text(
+                f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
+                handled,
+                f"), first at sample {event.first_index}, t = {event.first_ns} ns",
+            )
+    yield from _time_remarks(counts)
 
 
 def _time_remarks(counts: Counts) -> Iterator[Text]:

@@ -156,20 +156,18 @@ class StampChecks:
         return back
 
     def with_gap_limit(
-        self, batches: Iterable[Result], stamps_of: Callable[[Result], Int64]
-    ) -> Iterator[Result]:
+        self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
+    ) -> Iterator[Batch]:
         """Yield batches; the first ones only when the median interval is known."""
-        window: list[Result] = []
-        first: list[Int64] = []
+        window: list[Batch] = []
         stream = iter(batches)
         for batch in stream:
             window.append(batch)
-            first.append(stamps_of(batch))
-            if sum(map(len, first)) > MEDIAN_WINDOW:
+            if sum(map(len, window)) > MEDIAN_WINDOW:
                 break
         if not window:
             return
-        intervals = np.diff(np.concatenate(first)[: MEDIAN_WINDOW + 1])
+        intervals = np.diff(np.concatenate([*map(stamps_of, window)])[: MEDIAN_WINDOW + 1])
         positive = intervals[intervals > 0]
         if len(positive):
             self.counts.median_dt_ns = int(np.median(positive))
