@@ -140,3 +140,13 @@ def test_one_pair_is_too_few():
     with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
         associate(one, more, match="exact", min_matched=0)
     assert associate(one, one).t_ns.tolist() == [5]
+
+
+def test_series_that_overlap_without_samples_are_not_said_to_be_apart():
+    """B has a sample before A and one after it, and none between."""
+    identity = [1.0, 0, 0, 0]
+    a = AttitudeSeries(np.arange(10, 20), [identity] * 10)
+    b = AttitudeSeries([0, 100], [identity] * 2)
+    sentence = "^one of them has no sample in the time that both cover: A is from 10 to 19 ns and B"
+    with pytest.raises(ComparisonError, match=sentence):
+        associate(a, b, match="exact")

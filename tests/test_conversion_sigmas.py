@@ -164,3 +164,12 @@ def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
     assert sum(sentence in str(one.message) for one in caught) == 1
     assert np.isfinite(series.covariance).all(axis=(1, 2)).tolist() == [True, False, False, False]
     assert convert(log, tmp_path / "back.csv", "--on-invalid", "drop", code=3).count(sentence) == 1
+
+
+def test_messages_without_covariances_have_none_when_they_are_read_again(tmp_path):
+    """An Imu has zeros then, which are not exact attitudes: nothing is lost, nothing is sigma."""
+    table, log = tmp_path / "in.csv", tmp_path / "log.mcap"
+    table.write_text("t_ns,qw,qx,qy,qz\n" + "".join(f"{t},0.6,0.8,0,0\n" for t in range(1, 4)))
+    convert(table, log, "--message", "Imu")
+    assert LOST not in convert(log, tmp_path / "back.tum")
+    assert quatprop.read_attitudes(log).covariance is None

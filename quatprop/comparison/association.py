@@ -252,6 +252,8 @@ def require_enough(
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)
     spans = f"A is from {a} and B from {b}; see {Setting('time_offset')}"
+    if not matching.candidates and max(spans_ns)[0] <= min(last for _, last in spans_ns):
+        raise ComparisonError(f"one of them has no sample in the time that both cover: {spans}")
     if not matching.candidates:
         raise ComparisonError(f"A and B have no time in common: {spans}")
     within = f" within {duration_text(matching.max_dt_ns)}" if matching.max_dt_ns else ""

@@ -240,14 +240,15 @@ def _known(
     """Yield rows with their covariances, NaN where these are marked as unknown.
 
     With None where all of the first messages have the same: that is a constant of the sensor's
-    driver, not what is known of each attitude.
+    driver, not what is known of each attitude; and where it is zero, it is not set.
     """
     first: list[tuple[Any, ...]] = []
-    count, varies = 0, may_be_constant
+    count, varies = 0, False
     while not varies and count < CONSTANT_MESSAGES and (batch := next(rows, None)) is not None:
         first.append(batch)
         count += len(batch[0])
-        varies = bool((batch[-1] != first[0][-1][:1]).any())
+        constant = 0.0 if may_be_constant else first[0][-1][:1]
+        varies = bool((batch[-1] != constant).any())
     if not varies and first and first[0][-1][:1].any():
         _add_remark(
             log,
