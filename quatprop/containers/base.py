@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.provenance import JsonObject, provenance_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import Self
 
@@ -72,6 +72,11 @@ class Channel:
             lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
             definition = b"\n".join(b" ".join(line) for line in lines if line)
         object.__setattr__(self, "_definition", definition)
+
+
+def by_topic(channels: Iterable[Channel]) -> list[Channel]:
+    """Return channels in order of topic, then of type."""
+    return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
 
 @dataclass(frozen=True, slots=True)

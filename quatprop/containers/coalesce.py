@@ -64,21 +64,14 @@ def compacted(block: MessageBlock) -> MessageBlock:
     """Return a copy of a block without the bytes between its messages."""
     if not len(block):
         return block
-    lengths = block.ends - block.starts
-    length = int(lengths[0])
-    if length and not np.count_nonzero(lengths != length):
-        # Messages of one length are copied in a single call.
-        shape = (len(block.data) - length + 1,)
-        every: NDArray[np.void] = np.ndarray(shape, f"V{length}", block.data, 0, (1,))
-        data = every[block.starts].view(np.uint8)
-        starts = np.arange(0, len(data), length)
-        ends = starts + length
-    else:
-        ranges = ranges_of(block.starts, block.ends, _GAP)
-        data = ranges.of(block.data)
-        starts, ends = block.starts - ranges.moved, block.ends - ranges.moved
-    return MessageBlock(
-        data, starts, ends, block.log_ns, block.publish_ns.copy(), block.not_before_ns
+    ranges = ranges_of(block.starts, block.ends, _GAP)
+    return replace(
+        block,
+        data=ranges.of(block.data),
+        starts=block.starts - ranges.moved,
+        ends=block.ends - ranges.moved,
+        publish_ns=block.publish_ns.copy(),
+        stride=0,
     )
 
 

@@ -16,18 +16,17 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """How a compressed message begins; one in CDR begins with 0."""
 
 
-def is_compressed(block: MessageBlock) -> bool:
-    """Tell whether the first message of a block is compressed with zstd."""
-    return block.data[block.starts[0] : block.ends[0]][:4].tobytes() == ZSTD_MAGIC
-
-
-def decompressed(block: MessageBlock) -> tuple[MessageBlock, int]:
-    """Decompress messages that are compressed with zstd one by one.
+def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple[MessageBlock, int]:
+    """Decompress messages that are compressed with zstd one by one; others stay as they are.
 
     Parameters
     ----------
     block
-        The compressed messages.
+        The messages.
+    encoding
+        How they are encoded; in CDR it is recognised whether the first is compressed.
+    is_known
+        Whether they are known to be compressed.
 
     Returns
     -------
@@ -36,6 +35,9 @@ def decompressed(block: MessageBlock) -> tuple[MessageBlock, int]:
     int
         How many could not.
     """
+    first = block.data[block.starts[0] : block.ends[0]][:4].tobytes()
+    if not is_known and (encoding != "cdr" or first != ZSTD_MAGIC):
+        return block, 0
     from zstandard import ZstdError, frame_content_size
 
     data = block.data.data

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog
+from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog, by_topic
 from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError
 from quatprop.messages.decoders import decoder_of
@@ -134,11 +134,10 @@ class UlogLog(MessageLog):
     def channels(self) -> list[Channel]:
         """Return every topic instance, in order of topic."""
         counts = np.bincount(self._ids, minlength=1 << 16)
-        channels = [
+        return by_topic(
             replace(channel, count=int(counts[ids].sum()))
             for channel, ids in self._channels.items()
-        ]
-        return sorted(channels, key=lambda channel: channel.topic)
+        )
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.

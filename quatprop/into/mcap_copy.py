@@ -246,11 +246,10 @@ def _indexes(data: Buffer) -> Indexes:
     if messages is None:
         return {}
     entries = np.empty(len(messages), INDEX_ENTRY)
-    entries["log"] = messages.log_ns
-    entries["offset"] = messages.starts - _MESSAGE_HEAD_BYTES
+    entries["log"] = messages.block.log_ns
+    entries["offset"] = messages.block.starts - _MESSAGE_HEAD_BYTES
     order = np.argsort(entries["log"], kind="stable")
-    ids = np.broadcast_to(np.asarray(messages.channels), len(messages))[order]
-    entries = entries[order]
+    ids, entries = messages.channels[order], entries[order]
     return {int(id_): entries[ids == id_] for id_ in np.unique(ids)}
 
 

@@ -289,7 +289,7 @@ class _Scan:
         messages = messages_at(data, walked.offsets[walked.offsets < end])
         if messages:
             counts = messages.counts()
-            first = int(messages.log_ns.min())
+            first = int(messages.block.log_ns.min())
             holds = dict.fromkeys(counts, 0)
             region = Region(position, end, False, first, holds=holds, counts=counts, size=end)
             region.first_id = self.definitions.first_id

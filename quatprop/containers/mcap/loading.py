@@ -107,7 +107,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         if messages is None or not messages.are_all_of(chunk.own(self.ids)):
             self.unchecked.discard(chunk.start)
             return None
-        return messages.block(content.data)
+        return messages.block
 
     def located(
         self, group: ChunkGroup[Region], contents: list[Loaded]
@@ -124,10 +124,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         except RegionError:
             return None
         messages = only_messages(data.data, begin)
-        if messages is None:
-            return None
-        (id_,) = messages.counts()
-        return messages.block(data.data), id_
+        return None if messages is None else (messages.block, int(messages.channels[0]))
 
     def may_have(self, chunk: Region, count: int, id_: int) -> bool:
         """Return whether an id is wanted, and a region has so many messages of it by the index."""
@@ -149,7 +146,7 @@ class McapReader(ChunkReader[Region, Loaded]):
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
             else:
-                return messages.block(content.data) if messages else None
+                return messages.block if messages else None
         lost = message_count([chunk], self.ids)
         self.losses.note(chunk.place, reason, lost, self.topic)
         self.lost += lost or 0
@@ -163,7 +160,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         offsets = indexed_offsets(index, region, ids)
         if offsets is not None:
             messages = messages_at(data, offsets)
-            if messages is not None and messages.are_all_of(ids):
+            if messages and messages.are_all_of(ids):  # an empty index may be a damaged one
                 self.definitions.check_beside(data, region, ids, messages)
                 return messages
         walked = walk_records(data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock
+from quatprop.containers.base import LATEST, Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import build_index
@@ -85,8 +85,7 @@ class McapLog(ChunkedLog[Region]):
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with or without messages."""
-        channels = [replace(channel, count=self._count(ids)) for channel, ids in self._ids.items()]
-        return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
+        return by_topic(replace(c, count=self._count(ids)) for c, ids in self._ids.items())
 
     def _count(self, ids: Sequence[int]) -> int | None:
         """Return how many messages the channels of these ids have; None if that is unknown."""

@@ -31,67 +31,34 @@ _CHANNEL_BITS = (1 << 24) - 1
 
 @dataclass(slots=True)
 class LocatedMessages:
-    """Where messages are in their buffer, and when they were recorded and published.
+    """Messages of several channels, and which channel each is of.
 
     Parameters
     ----------
-    starts, ends
-        Begin and end of each message, shape ``(N,)``, int64.
-    log_ns, publish_ns
-        Log and publish time, shape ``(N,)``, int64 ns. Unsigned times after the year 2262 are
-        negative in `publish_ns`, which may be a view of the buffer, and clamped to
-        :data:`~quatprop.containers.base.LATEST` in `log_ns`.
+    block
+        The messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
+        clamped to :data:`~quatprop.containers.base.LATEST` in `log_ns`.
     channels
-        Channel ids, shape ``(N,)``, or the one id that all messages have.
-    stride
-        Bytes from each message to the next where all have one length and the same distance, else 0.
+        Channel ids, shape ``(N,)``.
     """
 
-    starts: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    log_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
-    channels: NDArray[np.uint16] | int
-    stride: int = 0
+    block: MessageBlock
+    channels: NDArray[np.uint16]
 
     def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
-        if isinstance(self.channels, int):
-            wanted = np.full(len(self.starts), self.channels in ids)
-        else:
-            wanted = _is_one_of(self.channels, ids)
-        return LocatedMessages(
-            self.starts[wanted],
-            self.ends[wanted],
-            self.log_ns[wanted],
-            self.publish_ns[wanted],
-            self.channels if isinstance(self.channels, int) else self.channels[wanted],
-        )
-
-    def block(self, data: Buffer) -> MessageBlock:
-        """Return the messages as a block of their buffer."""
-        return MessageBlock(
-            np.frombuffer(data, np.uint8),
-            self.starts,
-            self.ends,
-            self.log_ns,
-            self.publish_ns,
-            stride=self.stride,
-        )
+        wanted = _is_one_of(self.channels, ids)
+        return LocatedMessages(self.block.at(wanted), self.channels[wanted])
 
     def __len__(self) -> int:
-        return len(self.starts)
+        return len(self.channels)
 
     def are_all_of(self, ids: Sequence[int]) -> bool:
         """Return whether no message is of another channel."""
-        if isinstance(self.channels, int):
-            return self.channels in ids
         return bool(_is_one_of(self.channels, ids).all())
 
     def counts(self) -> dict[int, int]:
         """Return how many messages each channel has."""
-        if isinstance(self.channels, int):
-            return {self.channels: len(self.starts)}
         ids, counts = np.unique(self.channels, return_counts=True)
         return dict(zip(ids.tolist(), counts.tolist(), strict=True))
 
@@ -115,7 +82,8 @@ def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | N
         Where message records begin, shape ``(N,)``, int64.
     """
     if len(offsets) == 0:
-        return LocatedMessages(offsets, offsets, offsets, offsets, 0)
+        none = MessageBlock(np.empty(0, np.uint8), offsets, offsets, offsets, offsets)
+        return LocatedMessages(none, np.empty(0, np.uint16))
     if offsets[0] < 0 or max(offsets[0], offsets[-1]) > len(data) - _HEAD:
         return None
     count, first = len(offsets), int(offsets[0])
@@ -188,14 +156,9 @@ def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | No
         return None
     head = np.ndarray((count,), MESSAGE_HEAD, data, first, (stride,))
     starts = np.arange(first + _HEAD, first + _HEAD + count * stride, stride)
-    return LocatedMessages(
-        starts,
-        starts + (length - _FIXED),
-        _clamped(head["log"]),
-        head["publish"],
-        int(head["channel"][0]),
-        stride,
-    )
+    ends = starts + (length - _FIXED)
+    block = _block(data, starts, ends, head, stride)
+    return LocatedMessages(block, np.broadcast_to(head["channel"][:1].copy(), count))
 
 
 def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
@@ -213,17 +176,22 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | Non
     ends = offsets + length.astype(np.int64) + RECORD.size
     if ends[-1] > len(data) or (ends[:-1] > offsets[1:]).any():
         return None
-    return LocatedMessages(
-        offsets + _HEAD, ends, _clamped(head["log"]), head["publish"], head["channel"]
-    )
+    return LocatedMessages(_block(data, offsets + _HEAD, ends, head), head["channel"])
 
 
-def _clamped(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return unsigned 64-bit stamps, viewed as signed ones, clamped to the largest signed one."""
-    stamps = stamps.copy()
-    if stamps.min() < 0:
-        stamps[stamps < 0] = LATEST
-    return stamps
+def _block(
+    data: Buffer,
+    starts: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    head: NDArray[np.void],
+    stride: int = 0,
+) -> MessageBlock:
+    """Return messages with the times in their heads, of which the log times are clamped."""
+    log_ns = head["log"].copy()
+    if log_ns.min() < 0:
+        log_ns[log_ns < 0] = LATEST
+    buffer = np.frombuffer(data, np.uint8)
+    return MessageBlock(buffer, starts, ends, log_ns, head["publish"], stride=stride)
 
 
 def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64] | None:

@@ -71,8 +71,9 @@ class DefinitionCheck:
         """
         # Messages that fill the rest of the chunk need not be followed one by one.
         head = MESSAGE_HEAD.itemsize
-        begin = int(messages.starts[0]) - head if len(messages) else 0
-        size = int((messages.ends - messages.starts).sum()) + len(messages) * head
+        starts, ends = messages.block.starts, messages.block.ends
+        begin = int(starts[0]) - head if len(starts) else 0
+        size = int((ends - starts).sum()) + len(starts) * head
         beside = memoryview(data)[: begin if begin + size == len(data) else None]
         self.check(beside, walk_records(beside).definitions, region, ids)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel
+from quatprop.containers.base import Channel, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader
@@ -141,8 +141,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         counts: Counter[Channel] = Counter()
         for conn, channel in self._channels.items():
             counts[channel] += totals[conn]
-        channels = (replace(channel, count=count) for channel, count in counts.items())
-        return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
+        return by_topic(replace(channel, count=count) for channel, count in counts.items())
 
     def chunks_of(self, channel: Channel) -> list[BagChunk]:
         """Return the chunks that hold a channel, in order of time."""

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -44,6 +44,8 @@ HEAD = 512
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
 _LENGTH = struct.Struct("<I")
+
+Data = TypeVar("Data")
 
 
 class MalformedRecordError(ValueError):
@@ -107,25 +109,15 @@ class RecordFile:
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes, fewer at the end of the file."""
-        try:
-            return self.source.read(start, size)
-        except OSError as error:
-            # A worn memory card fails at one place; the rest of the bag is still good.
-            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+        return _read(self.source.read, start, size)
 
     def into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
         """Fill memory and return it; it ends where the file does."""
-        try:
-            return self.source.read_into(start, into)
-        except OSError as error:
-            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+        return _read(self.source.read_into, start, into)
 
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another."""
-        try:
-            return self.source.read_ranges(begins, ends)
-        except OSError as error:
-            raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+        return _read(self.source.read_ranges, begins, ends)
 
     def record(self, start: int) -> Record:
         """Return the record at `start`; it may end beyond the file.
@@ -140,6 +132,14 @@ class RecordFile:
         if size > MAX_HEADER:
             raise MalformedRecordError("there is no record")
         return record_at(head if size <= len(head) else self.at(start, size), 0, start)
+
+
+def _read(read: Callable[..., Data], *place: object) -> Data:
+    try:
+        return read(*place)
+    except OSError as error:
+        # A worn memory card fails at one place; the rest of the bag is still good.
+        raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
 
 
 def record_at(data: Buffer, at: int, origin: int = 0) -> Record:

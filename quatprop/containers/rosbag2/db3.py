@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import apsw
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.compressed_messages import decompressed, is_compressed
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
+from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, combined, fetch_of, fetched, next_group
@@ -107,9 +107,7 @@ class Db3Log(MessageLog):
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic; how many messages it has is not known."""
-        return sorted(
-            set(self._topics.values()), key=lambda channel: (channel.topic, channel.type_name)
-        )
+        return by_topic(set(self._topics.values()))
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, in order of their log times."""
@@ -140,10 +138,8 @@ class Db3Log(MessageLog):
         fetches = self._fetches(channel, within)
         damaged = 0
         while group := next_group(fetches):
-            block = combined(group)
-            if self._is_zstd or (channel.encoding == "cdr" and is_compressed(block)):
-                block, lost = decompressed(block)
-                damaged += lost
+            block, lost = decompressed(combined(group), channel.encoding, is_known=self._is_zstd)
+            damaged += lost
             if len(block):
                 yield block
         if damaged:

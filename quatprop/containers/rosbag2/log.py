@@ -8,9 +8,9 @@ from contextlib import closing, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog
+from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compressed_messages import decompressed, is_compressed
+from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
@@ -150,15 +150,9 @@ class Rosbag2Log(MessageLog):
                     whole = replace(channel, schema_encoding=schema_encoding, schema=schema)
                 part.channels[channel] = whole
                 counts.setdefault(whole, []).append(channel.count)
-        return sorted(
-            (
-                replace(
-                    channel,
-                    count=total_count(found, stated.get((channel.topic, channel.type_name))),
-                )
-                for channel, found in counts.items()
-            ),
-            key=lambda channel: (channel.topic, channel.type_name),
+        return by_topic(
+            replace(channel, count=total_count(found, stated.get(_name(channel))))
+            for channel, found in counts.items()
         )
 
     def channels(self) -> list[Channel]:
@@ -221,8 +215,8 @@ class Rosbag2Log(MessageLog):
 
     def _check_count(self, channel: Channel, count: int) -> None:
         """Note messages that metadata.yaml counts, and that are neither read nor noted as lost."""
-        name = channel.topic, channel.type_name
-        namesakes = sum((each.topic, each.type_name) == name for each in self._channels)
+        name = _name(channel)
+        namesakes = sum(_name(each) == name for each in self._channels)
         lost = sum(loss.messages or 0 for loss in self.losses if loss.place != METADATA)
         missing = self._stated.get(name, 0) - count - lost
         if missing > 0 and namesakes == 1:
@@ -257,9 +251,10 @@ class Rosbag2Log(MessageLog):
         damaged = 0
         with nullcontext() if part.log else log:
             for block in log.blocks(own) if within is None else log.blocks_within(own, within):
-                whole, lost = (
-                    decompressed(block) if self._is_compressed(log, own, block) else (block, 0)
-                )
+                whole, lost = block, 0
+                if log.kind != "db3":
+                    known = self._message_compression is not None
+                    whole, lost = decompressed(block, own.encoding, is_known=known)
                 damaged += lost
                 if len(whole):
                     yield whole
@@ -278,14 +273,6 @@ class Rosbag2Log(MessageLog):
         """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""
         return self._recorded
 
-    def _is_compressed(self, log: MessageLog, own: Channel, block: MessageBlock) -> bool:
-        """Tell whether the messages of a block are compressed one by one."""
-        if log.kind == "db3":
-            return False
-        return self._message_compression is not None or (
-            own.encoding == "cdr" and is_compressed(block)
-        )
-
     def close(self) -> None:
         """Close the parts and remove the decompressed copies."""
         for part in self._parts:
@@ -293,3 +280,7 @@ class Rosbag2Log(MessageLog):
                 part.log.close()
             if part.copy:
                 part.copy.close()
+
+
+def _name(channel: Channel) -> tuple[str, str]:
+    return channel.topic, channel.type_name
