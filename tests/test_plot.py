@@ -3,6 +3,7 @@
 import re
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +75,10 @@ def rates(tmp_path):
 
 def figure_of(*paths, **view):
     """Return the figure of files, its axes and the picture."""
-    drawn = picture([view_file(str(path), View(**view)).plotted for path in paths])
+    views = [view_file(str(path), View(**view)) for path in paths]
+    drawn = picture(
+        [replace(one.plotted, label=path.name) for one, path in zip(views, paths, strict=True)]
+    )
     figure = draw.figure(Page("t", (), (), drawn, (), ()))
     return figure, figure.axes, drawn
 

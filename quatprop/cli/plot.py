@@ -119,7 +119,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=Conditioning(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
-        drawn = plot(
+        lines, warnings, data_lost = plot(
             files,
             chosen["output"],
             view,
@@ -129,21 +129,18 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             spell=spelled,
         )
     if not quiet:
-        lines = [*drawn.lines, *(f"warning: {warning}" for warning in drawn.warnings)]
-        click.echo("\n".join(map(plain, lines)), err=True)
-    return 3 if drawn.data_lost else 0
+        said = [*lines, *(f"warning: {warning}" for warning in warnings)]
+        click.echo("\n".join(map(plain, said)), err=True)
+    return 3 if data_lost else 0
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:
     """Return how large the picture is to be."""
-    from quatprop.plot.draw import Style
+    from quatprop.plot.draw import STYLE, Style
 
-    width, height = chosen["size"] or (None, None)
-    given = {"width": width, "height": height, "dpi": chosen["dpi"], "font": chosen["font_size"]}
-    return Style(
-        **{name: value for name, value in given.items() if value is not None},
-        title=not chosen["no_title"],
-    )
+    width, height = chosen["size"] or (STYLE.width, None)
+    dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font
+    return Style(width, height, dpi, font, title=not chosen["no_title"])
 
 
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:

@@ -122,11 +122,6 @@ class Group(NamedTuple):
     gap_limit_ns: int | None = None
 
 
-def rates_in(unit: str) -> tuple[Quantity, ...]:
-    """Return the quantities of angular rates in a unit."""
-    return tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz")
-
-
 class Accumulator:
     """Quantities of a picture, reduced while samples pass.
 
@@ -167,7 +162,7 @@ class RateAccumulator(Accumulator):
     """
 
     def __init__(self, unit: str, rad_s: float) -> None:
-        super().__init__(rates_in(unit))
+        super().__init__(tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz"))
         self._scale = 1.0 / rad_s
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:

@@ -9,7 +9,6 @@ import numpy as np
 from quatprop.plot.accumulators import MINUS, NORM_ERROR
 from quatprop.plot.lines import TURN, lone_points
 from quatprop.plot.palette import ALARM, SHADE, colour_of, stroke_of
-from quatprop.plot.picture import Band
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -75,15 +74,9 @@ def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
     colour, points = colour_of(curve.colour), lone_points(curve.drawn)
     stroke = stroke_of(curve.colour)
     axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width, gid=name)
-    seconds, values = curve.drawn
-    areas = [curve.band] if curve.band else []
-    if curve.is_filled:
-        # A logarithmic axis has no place for zero.
-        areas.append(Band(seconds, np.full(len(values), 1e-300), values))
-    for area in areas:
-        axes.fill_between(
-            area.seconds, area.low, area.high, color=colour, alpha=0.2, linewidth=0, zorder=1
-        )
+    if curve.band:
+        seconds, low, high = curve.band
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.2, linewidth=0, zorder=1)
     if len(points.seconds):
         axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
 

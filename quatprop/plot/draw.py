@@ -81,7 +81,6 @@ SETTINGS: dict[Any, Any] = {
     "axes.linewidth": 0.6,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
-    "axes.unicode_minus": True,
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
@@ -89,9 +88,6 @@ SETTINGS: dict[Any, Any] = {
     "text.parse_math": False,
     "grid.color": GRID,
     "grid.linewidth": 0.5,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.1,
-    "figure.constrained_layout.h_pad": 0.03,
     "svg.hashsalt": "quatprop",
     "pdf.fonttype": 42,
 }
@@ -141,11 +137,6 @@ class Style:
     dpi: int = DOTS
     font: float = FONT
     title: bool = True
-
-    @property
-    def scale(self) -> float:
-        """How much larger than usual the letters are."""
-        return self.font / FONT
 
 
 STYLE = Style()
@@ -214,7 +205,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     from matplotlib.lines import Line2D
 
     picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
-    panels, scale = picture.panels, style.scale
+    panels, scale = picture.panels, style.font / FONT
     heights = [panel.quantity.height for panel in panels]
     room = style.width / WIDTH / scale
     time = wrap(picture.time, round(LONGEST_LABEL * room))

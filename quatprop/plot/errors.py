@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
 from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
-from quatprop.plot.page import FactTable, Page
+from quatprop.plot.page import Page
 from quatprop.plot.picture import Mark, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain
@@ -97,13 +97,10 @@ def error_page(
         lead=tuple(_verdict(file) for file in files),
         picture=_marked(picture(lines), files),
         warnings=tuple(_warnings(files, reference, spell)),
-        tables=tuple(
-            FactTable(
-                f"{file.name} against {reference_name}",
-                tuple(comparison_rows(file.operand, reference, file.comparison, spell)),
-            )
-            for file in files
-        ),
+        tables=[
+            (f"{name} against {reference_name}", comparison_rows(side, reference, result, spell))
+            for name, side, result in files
+        ],
     )
 
 
@@ -113,8 +110,7 @@ def _plotted(file: ComparedFile) -> PlottedFile:
     values = np.column_stack([np.degrees(comparison.errors), vectors])
     sigmas = None
     if comparison.sigmas:
-        unknown = np.full(len(values), np.nan)
-        sigmas = np.column_stack([unknown, np.degrees(comparison.sigmas.axes_rad)]).T
+        sigmas = np.degrees(np.insert(comparison.sigmas.axes_rad, 0, np.nan, axis=1)).T
     return _line(file.name, comparison.t_ns, values.T, _sizes(comparison), sigmas)
 
 
@@ -127,8 +123,7 @@ def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigma_text(sigmas.final)}"
         angles = np.degrees(sigmas.one_sigma_rad)[None]
-        line = _line("expected (1 sigma)", comparison.t_ns, angles, text)
-        yield replace(line, is_filled=True)
+        yield _line("expected (1 sigma)", comparison.t_ns, angles, text)
 
 
 def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFile]:
@@ -205,14 +200,8 @@ def _warnings(
 ) -> Iterator[str]:
     for name, operand, comparison in files:
         named = partial(with_names, a=name, b="the reference")
-        if first := comparison.first_exceeding:
-            yield (
-                f"{name} is above the tolerance, first at sample {first.index} of "
-                f"{named(first.at)}, "
-                f"{first.t_ns} ns: {degrees_text(first.error_rad, DIGITS)}"
-            )
         for criterion in comparison.criteria:
-            if not criterion.passed and (criterion.setting, criterion.unit) != ("tol", "rad"):
+            if not criterion.passed:
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):

@@ -26,7 +26,7 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import PlottedFile
 from quatprop.plot.view import FileView
-from quatprop.rendering import count_text, file_names, instant_text, samples_text, source_text
+from quatprop.rendering import count_text, instant_text, samples_text, source_text
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.signals.signal import RateSignal
@@ -37,7 +37,7 @@ from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -138,7 +138,6 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
     if path != "-":
         remarks += log_remarks(log, source)
     return FileView(
-        path=path,
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns),
@@ -160,7 +159,7 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     )
     outside, stamps = [0, 0], StampChecks(path)
     counts = stamps.counts
-    deque(stamps.observe(_accumulated(_within(source, view, outside), drawn)), maxlen=0)
+    deque(stamps.observe(_drawn(source, view, drawn, outside)), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside)
     remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
@@ -174,7 +173,6 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     propagated = f", propagated with method {method}" if method else ""
     stored = f"{source.meaning.convention} {source.meaning.direction}"
     return FileView(
-        path=path,
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns),
@@ -195,10 +193,8 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
 def _plotted(
     path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: StampCounts
 ) -> PlottedFile:
-    (name,) = file_names([path])
-    return PlottedFile(
-        name, (drawn.group(counts.gap_limit_ns),), source_text(source.name, source.type_name)
-    )
+    shown = source_text(source.name, source.type_name)
+    return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
 
 
 def _source_facts(path: str, log: Log, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
@@ -232,19 +228,10 @@ def _irregularities(counts: StampCounts) -> Iterator[str]:
             yield f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
 
 
-def _accumulated(
-    rows: Iterable[tuple[Int64, Float64, Float64 | None]], drawn: AttitudeAccumulator
+def _drawn(
+    source: AttitudeSignal, view: View, drawn: AttitudeAccumulator, outside: list[int]
 ) -> Iterator[Int64]:
-    """Accumulate attitudes, and yield their stamps."""
-    for t_ns, wxyz, covariance in rows:
-        drawn.add_rows(t_ns, wxyz, covariance)
-        yield t_ns
-
-
-def _within(
-    source: AttitudeSignal, view: View, outside: list[int]
-) -> Iterator[tuple[Int64, Float64, Float64 | None]]:
-    """Yield stamps, attitudes and covariances of the part to draw; count those outside it."""
+    """Accumulate the part to draw and yield its stamps; count the samples before and after it."""
     ends = (0, 0)
     if view.part.looks_ahead:
         stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
@@ -257,4 +244,6 @@ def _within(
         outside[0] += int(np.count_nonzero(before))
         outside[1] += int(np.count_nonzero(after))
         inside = ~(before | after)
-        yield t_ns[inside], wxyz[inside], None if covariance is None else covariance[inside]
+        known = None if covariance is None else covariance[inside]
+        drawn.add_rows(t_ns[inside], wxyz[inside], known)
+        yield t_ns[inside]

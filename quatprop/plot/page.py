@@ -13,6 +13,8 @@ from quatprop.plot.draw import inline_svg
 from quatprop.text import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from quatprop.plot.picture import Picture
     from quatprop.rendering import Row
 
@@ -25,21 +27,6 @@ HINT = (
 
 REDUCED = " Only extremes of short times are drawn of it: draw a part of it to zoom further."
 """What else to know of a long series."""
-
-
-class FactTable(NamedTuple):
-    """Facts under a heading.
-
-    Parameters
-    ----------
-    heading
-        Its title.
-    rows
-        Label and text of each.
-    """
-
-    heading: str
-    rows: tuple[Row, ...]
 
 
 class Page(NamedTuple):
@@ -58,7 +45,7 @@ class Page(NamedTuple):
     warnings
         What a reader should know.
     tables
-        Details.
+        Details: headings, and rows of labels and texts.
     """
 
     title: str
@@ -66,7 +53,7 @@ class Page(NamedTuple):
     lead: tuple[str, ...]
     picture: Picture
     warnings: tuple[str, ...]
-    tables: tuple[FactTable, ...]
+    tables: Sequence[tuple[str, Iterable[Row]]]
 
 
 def html(page: Page) -> str:
@@ -99,7 +86,7 @@ def html(page: Page) -> str:
         svg,
         "</figure>",
         f'<p class="hint" hidden>{HINT}{REDUCED if page.picture.bin_s else ""}</p>',
-        *(line for table in page.tables for line in _table(table)),
+        *(line for table in page.tables for line in _table(*table)),
         "</main>",
         f"<footer>quatprop {__version__}</footer>",
         f'<script type="module">{script}</script>',
@@ -125,12 +112,11 @@ def _warnings(warnings: tuple[str, ...]) -> list[str]:
     return ['<ul class="warnings" aria-label="Warnings">', *items, "</ul>"]
 
 
-def _table(table: FactTable) -> list[str]:
+def _table(heading: str, facts: Iterable[Row]) -> list[str]:
     rows = [
-        f'<tr><th scope="row">{_text(name)}</th><td>{_text(text)}</td></tr>'
-        for name, text in table.rows
+        f'<tr><th scope="row">{_text(name)}</th><td>{_text(text)}</td></tr>' for name, text in facts
     ]
-    return [f"<h2>{_text(table.heading)}</h2>", "<table>", *rows, "</table>"]
+    return [f"<h2>{_text(heading)}</h2>", "<table>", *rows, "</table>"]
 
 
 def _description(page: Page) -> str:

@@ -43,15 +43,12 @@ class Curve(NamedTuple):
         Its points, seconds and values.
     colour
         A key of :data:`quatprop.plot.palette.AXES`, or the number of the file.
-    is_filled
-        Whether the area below it is filled.
     band
         The area of one standard deviation; None where it is unknown.
     """
 
     drawn: Line
     colour: str | int
-    is_filled: bool
     band: Band | None
 
 
@@ -108,14 +105,11 @@ class PlottedFile:
         What is drawn of it; the gaps are those of the first.
     detail
         What else stands in the legend.
-    is_filled
-        Whether the areas below its lines are filled.
     """
 
     label: str
     groups: tuple[Group, ...]
     detail: str = ""
-    is_filled: bool = False
 
     @property
     def name(self) -> str:
@@ -221,7 +215,7 @@ def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: i
     band = None
     if np.isfinite(group.reduced.high[len(group.quantities) + place :][:1]).any():
         band = _band(group, place, start_ns)
-    return Curve(folded(drawn) if quantity.wraps else drawn, colour, file.is_filled, band)
+    return Curve(folded(drawn) if quantity.wraps else drawn, colour, band)
 
 
 def _band(group: Group, place: int, start_ns: int) -> Band:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
-from quatprop.plot.page import FactTable, Page
+from quatprop.plot.page import Page
 from quatprop.plot.picture import PlottedFile, picture
 from quatprop.plot.target import PictureFile
 from quatprop.provenance import as_json
@@ -100,11 +100,11 @@ class PropagationPicture(PictureFile):
             lead=(f"Propagated: {method}; {samples}.",),
             picture=picture([PlottedFile(name, tuple(groups))]),
             warnings=(*warnings, *loss_lines(report.losses)),
-            tables=(
-                FactTable("Result", tuple(_result(report))),
-                FactTable("Convention", tuple(_convention(convention))),
-                FactTable("Processing", tuple(_processing(report))),
-            ),
+            tables=[
+                ("Result", _result(report)),
+                ("Convention", _convention(convention)),
+                ("Processing", _processing(report)),
+            ],
         )
         self.commit(page)
 

@@ -135,17 +135,13 @@ class Reduction:
             Reduced(t_ns, t_ns, values, values, values, values),
         )
         old, kept = self._index >> (self._shift - before), self._kept
-        self._index, self._kept = _merge(
-            np.concatenate([old, index]),
-            Reduced(
-                np.concatenate([kept.first_ns, new.first_ns]),
-                np.concatenate([kept.last_ns, new.last_ns]),
-                np.concatenate([kept.first, new.first], axis=1),
-                np.concatenate([kept.low, new.low], axis=1),
-                np.concatenate([kept.high, new.high], axis=1),
-                np.concatenate([kept.last, new.last], axis=1),
-            ),
+        joined = Reduced(
+            *(
+                np.concatenate([getattr(kept, name), getattr(new, name)], axis=-1)
+                for name in Reduced.__slots__
+            )
         )
+        self._index, self._kept = _merge(np.concatenate([old, index]), joined)
 
 
 def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
 from quatprop.plot.draw import STYLE, Style
 from quatprop.plot.errors import ComparedFile, error_page
 from quatprop.plot.files import view_file
-from quatprop.plot.page import FactTable, Page
+from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
@@ -24,24 +24,6 @@ if TYPE_CHECKING:
     from quatprop.signals.attitude_input import ReadAttitudes
 
 
-class PlotSummary(NamedTuple):
-    """What was drawn.
-
-    Parameters
-    ----------
-    lines
-        What each file shows.
-    warnings
-        What a reader should know.
-    data_lost
-        Whether something of a file could not be read or used.
-    """
-
-    lines: tuple[str, ...]
-    warnings: tuple[str, ...]
-    data_lost: bool
-
-
 def plot(  # noqa: PLR0913  # what the command line gives
     files: Sequence[str],
     output: str,
@@ -51,7 +33,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
     *,
     style: Style = STYLE,
     spell: Spell = str,
-) -> PlotSummary:
+) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
 
     Parameters
@@ -71,6 +53,13 @@ def plot(  # noqa: PLR0913  # what the command line gives
     spell
         Writes a sentence that may mention settings.
 
+    Returns
+    -------
+    lines, warnings
+        What each file shows, and what a reader should know.
+    data_lost
+        Whether something of a file could not be read or used.
+
     Raises
     ------
     LogError
@@ -87,34 +76,35 @@ def plot(  # noqa: PLR0913  # what the command line gives
         if reference is None:
             views = [view_file(path, view) for path in files]
             page = _page(views, spell)
-            lines = tuple(f"{one.name}: {one.samples}" for one in views)
+            named = zip(page.tables, views, strict=True)
+            lines = [f"{name}: {one.samples}" for (name, _), one in named]
             data_lost = any(one.losses for one in views)
         else:
             page, operands = _error_page(files, view, reference, settings, spell)
-            lines = page.lead
+            lines = list(page.lead)
             data_lost = any(operand.data_lost for operand in operands)
         target.commit(page)
-    return PlotSummary(lines, page.warnings, data_lost)
+    return lines, page.warnings, data_lost
 
 
 def _page(views: list[FileView], spell: Spell) -> Page:
     """Return the page on files, each as it is."""
     several = len(views) > 1
-    names = file_names(view.path for view in views)
+    names = file_names(view.plotted.label for view in views)
     files = [replace(view.plotted, label=name) for view, name in zip(views, names, strict=True)]
     meanings = dict.fromkeys(view.meaning for view in views)
     facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
     return Page(
-        title=f"{len(views)} files: {', '.join(names)}" if several else views[0].name,
+        title=f"{len(views)} files: {', '.join(names)}" if several else files[0].name,
         facts=facts,
         lead=facts,
         picture=picture(files),
         warnings=tuple(
-            f"{view.plotted.label}: {remark}" if several else remark
-            for view in views
+            f"{name}: {remark}" if several else remark
+            for name, view in zip(names, views, strict=True)
             for remark in (*map(spell, view.remarks), *loss_lines(view.losses))
         ),
-        tables=tuple(FactTable(view.name, view.facts) for view in views),
+        tables=[(file.name, view.facts) for file, view in zip(files, views, strict=True)],
     )
 
 

@@ -72,15 +72,11 @@ class PictureFile:
             self._output.stream.write(content)
         self._output.commit()
 
-    def discard(self) -> None:
-        """Remove what was not committed; harmless when there is nothing."""
-        self._output.discard()
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self.discard()
+        self._output.discard()
 
 
 def kind_of(target: str) -> str:

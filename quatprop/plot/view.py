@@ -50,10 +50,8 @@ class FileView:
 
     Parameters
     ----------
-    path
-        The file.
     plotted
-        What is drawn of it.
+        What is drawn of it, labelled with its path.
     meaning
         Unit and clock of its numbers, or convention and method.
     samples
@@ -66,15 +64,9 @@ class FileView:
         What could not be read.
     """
 
-    path: str
     plotted: PlottedFile
     meaning: str
     samples: str
     facts: tuple[Row, ...]
     remarks: tuple[str | Text, ...]
     losses: tuple[Loss, ...]
-
-    @property
-    def name(self) -> str:
-        """File, topic and type."""
-        return self.plotted.name
