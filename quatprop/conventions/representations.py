@@ -184,14 +184,6 @@ class Representation(NamedTuple):
         return int(np.count_nonzero(distance < NEAR_LOCK_DEG))
 
 
-def _rotation_vectors(wxyz: Float64) -> Float64:
-    return log(normalize(wxyz))
-
-
-def _matrices(wxyz: Float64) -> Float64:
-    return rotation_matrix(normalize(wxyz)).reshape(-1, 9)
-
-
 def _euler(sequence: str, unit: str) -> Representation:
     """Return the angles of a sequence as columns in a unit."""
     numbered = [f"euler_{sequence}_{place}" for place in (1, 2, 3)]
@@ -211,13 +203,16 @@ def _euler(sequence: str, unit: str) -> Representation:
 
 REPRESENTATIONS: Mapping[str, Representation] = {
     "rotvec": Representation(
-        ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), _rotation_vectors, exp, signed=True
+        ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"),
+        lambda wxyz: log(normalize(wxyz)),
+        exp,
+        signed=True,
     ),
     **{f"euler-{sequence}": _euler(sequence, "rad") for sequence in EULER_SEQUENCES},
     **{f"euler-{sequence}-deg": _euler(sequence, "deg") for sequence in EULER_SEQUENCES},
     "matrix": Representation(
         tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)),
-        _matrices,
+        lambda wxyz: rotation_matrix(normalize(wxyz)).reshape(-1, 9),
         from_matrices,
     ),
 }

@@ -117,18 +117,11 @@ class McapCopy:
             if region.is_chunk:
                 self._copy_chunk(region, file)
             else:
-                self._copy_messages(region, file)
+                # Messages outside chunks go into one.
+                data = self._read(region.start, region.length)
+                if indexes := _indexes(data):
+                    file.append_chunk(compressed_chunk("none", data, indexes))
             self._position = region.end
-
-    def _copy_messages(self, region: Region, file: McapFile) -> None:
-        """Copy messages that are outside chunks into a chunk.
-
-        Readers take a file that has an index to be indexed as a whole: beside the chunks of the
-        attitudes, messages outside chunks would be overlooked.
-        """
-        data = self._read(region.start, region.length)
-        if indexes := _indexes(data):
-            file.append_chunk(compressed_chunk("none", data, indexes))
 
     def _copy_chunk(self, region: Region, file: McapFile) -> None:
         """Copy a chunk and its message index, or make that."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 import apsw
@@ -15,7 +15,7 @@ from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import OutputError, UnsupportedLogError
 from quatprop.into import sqlite
 from quatprop.into.mcap import McapPart
-from quatprop.into.rosbag2_metadata import Added, MetadataError, extended, extended_record
+from quatprop.into.rosbag2_metadata import Added, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
@@ -113,10 +113,9 @@ class Rosbag2CopyWriter(MessageWriter):
         """
         place = self._source / METADATA
         if place.is_file():
-            with suppress(MetadataError):
-                text = place.read_text(encoding="utf-8")
-                text = extended(text, self.encoder.topic, self._added(), custom)
-                (self._output.path / METADATA).write_text(text, encoding="utf-8")
+            text = place.read_text(encoding="utf-8")
+            if copied := extended(text, self.encoder.topic, self._added(), custom):
+                (self._output.path / METADATA).write_text(copied, encoding="utf-8")
 
     def _added(self) -> list[Added]:
         return [part.added for part in self._parts]

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.writers.messages.topics import Topic
@@ -38,24 +38,19 @@ class Added:
     count
         How many.
     first, last
-        Their first and last log time, ns; None where there are none.
+        Their first and last log time, ns; the other way around where there are none.
     """
 
     count: int = 0
-    first: int | None = None
-    last: int | None = None
+    first: int = np.iinfo(np.int64).max
+    last: int = np.iinfo(np.int64).min
 
     def add(self, log_ns: NDArray[np.int64]) -> None:
         """Count messages with these log times."""
         if len(log_ns):
             self.count += len(log_ns)
-            first, last = int(log_ns.min()), int(log_ns.max())
-            self.first = first if self.first is None else min(self.first, first)
-            self.last = last if self.last is None else max(self.last, last)
-
-
-class MetadataError(ValueError):
-    """The metadata of a bag are damaged."""
+            self.first = min(self.first, int(log_ns.min()))
+            self.last = max(self.last, int(log_ns.max()))
 
 
 def extended(
@@ -65,8 +60,8 @@ def extended(
     custom: Mapping[str, str],
     *,
     has_root: bool = True,
-) -> str:
-    """Return metadata to which a topic is added.
+) -> str | None:
+    """Return metadata to which a topic is added; None where they are damaged.
 
     Parameters
     ----------
@@ -80,11 +75,6 @@ def extended(
         Custom data to add.
     has_root
         Whether they are those of metadata.yaml, not of a file of messages.
-
-    Raises
-    ------
-    MetadataError
-        They are damaged.
     """
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
@@ -93,8 +83,8 @@ def extended(
         # Copies by earlier versions have the root inside files of messages, too.
         bag = content[_ROOT] if has_root or _ROOT in content else content
         _extend(bag, topic, parts, custom)
-    except (KeyError, TypeError, AttributeError, ValueError, YAMLError) as error:
-        raise MetadataError(str(error)) from error
+    except (KeyError, TypeError, AttributeError, ValueError, YAMLError):
+        return None
     out = StringIO()
     yaml.dump(content if has_root else bag, out)
     return out.getvalue()
@@ -104,10 +94,7 @@ def extended_record(
     text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[str, str] | None = None
 ) -> str:
     """Return the metadata inside a file of messages, with a topic added; as is where damaged."""
-    try:
-        return extended(text, topic, parts, custom or {}, has_root=False)
-    except MetadataError:
-        return text
+    return extended(text, topic, parts, custom or {}, has_root=False) or text
 
 
 def _extend(
@@ -146,7 +133,6 @@ def _extend_span(entry: YamlMapping, parts: Sequence[Added]) -> None:
     start = entry["starting_time"]["nanoseconds_since_epoch"]
     end = start + entry["duration"]["nanoseconds"]
     for part in parts:
-        if part.first is not None and part.last is not None:
-            start, end = min(start, part.first), max(end, part.last)
+        start, end = min(start, part.first), max(end, part.last)
     entry["starting_time"]["nanoseconds_since_epoch"] = start
     entry["duration"]["nanoseconds"] = end - start

@@ -82,25 +82,19 @@ class McapContents:
         yield Opcode.METADATA_INDEX, self.metadata
 
     def _statistics(self) -> Statistics:
-        spans = [
-            (c.message_start_time, c.message_end_time) for c in self.chunks if _has_messages(c)
-        ]
+        # Without messages the times of a chunk are zero and mean nothing.
+        filled = [chunk for chunk in self.chunks if chunk.message_index_offsets]
         return Statistics(
             attachment_count=len(self.attachments),
             channel_count=len(self.channels),
             channel_message_counts={k: self.counts[k] for k in sorted(self.counts)},
             chunk_count=len(self.chunks),
             message_count=self.counts.total(),
-            message_start_time=min((first for first, _ in spans), default=0),
-            message_end_time=max((last for _, last in spans), default=0),
+            message_start_time=min((chunk.message_start_time for chunk in filled), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in filled), default=0),
             metadata_count=len(self.metadata),
             schema_count=len(self.schemas),
         )
-
-
-def _has_messages(chunk: ChunkIndex) -> bool:
-    """Return whether a chunk has messages: without them its times are zero and mean nothing."""
-    return bool(chunk.message_index_offsets)
 
 
 def encoded(records: Iterable[McapRecord]) -> bytes:

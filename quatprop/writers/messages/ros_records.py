@@ -13,7 +13,7 @@ import numpy as np
 from quatprop.errors import OutputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -45,14 +45,24 @@ class RosRecords:
     ) -> None:
         self._ros1 = ros1
         self._written = 0
-        layout = _FieldLayout(ros1=ros1)
-        for name, form in fields.items():
-            layout.add(name, form)
-        self._dtype = np.dtype(
-            {"names": layout.names, "formats": layout.formats, "offsets": layout.offsets}
+        parts = list(_parts(fields, ros1=ros1))
+        # CDR begins with four bytes that state the encoding. After them it aligns each number to
+        # its size, as C does; ROS 1 packs its fields.
+        begin = b"" if ros1 else _CDR_LITTLE_ENDIAN
+        body = np.dtype([(name, form) for name, form, _ in parts], align=not ros1)
+        names = [name for name, *_ in parts]
+        places = [body.fields[name] for name in names] if body.fields else []
+        self._dtype: np.dtype[np.void] = np.dtype(
+            {
+                "names": names,
+                "formats": [kind for kind, *_ in places],
+                "offsets": [len(begin) + offset for _, offset, *_ in places],
+            }
         )
         template = np.zeros(1, self._dtype)
-        for name, value in {**layout.constants, **constants}.items():
+        template.view("u1")[: len(begin)] = list(begin)
+        strings = {name: value for name, _, value in parts if value is not None}
+        for name, value in {**strings, **constants}.items():
             template[name] = value
         # As bare bytes: NumPy need not copy the padding between fields.
         self._template = template.view(f"V{self._dtype.itemsize}")
@@ -81,47 +91,19 @@ class RosRecords:
         return rows
 
 
-class _FieldLayout:
-    """Where the fields of a message are.
-
-    ROS 1 packs its fields. CDR begins with four bytes that state the encoding, aligns each number
-    to its size counted from after them, and ends strings with a zero that counts.
-    """
-
-    def __init__(self, *, ros1: bool) -> None:
-        self._ros1 = ros1
-        self.names: list[str] = []
-        self.formats: list[str] = []
-        self.offsets: list[int] = []
-        self.constants: dict[str, object] = {}
-        self._end = 0
-        if not ros1:
-            self._place("encapsulation", "V4")
-            self.constants["encapsulation"] = np.void(_CDR_LITTLE_ENDIAN)
-
-    def add(self, name: str, form: str | bytes) -> None:
-        """Add a field: numbers, the parts of a stamp, or a string of constant content."""
+def _parts(
+    fields: Mapping[str, str | bytes], *, ros1: bool
+) -> Iterator[tuple[str, str, object | None]]:
+    """Yield name, format and constant value of numbers, parts of stamps, and parts of strings."""
+    for name, form in fields.items():
         if form == HEADER_TIME:
-            if self._ros1:
-                self._place("seq", "<u4")
-            self._place("sec", "<u4")
-            self._place("nanosec", "<u4")
-            return
-        if isinstance(form, str):
-            self._place(name, form)
-            return
-        content = form if self._ros1 else form + b"\0"
-        self._place(f"{name}_length", "<u4")
-        self.constants[f"{name}_length"] = len(content)
-        if content:
-            self._place(name, f"V{len(content)}")
-            self.constants[name] = np.void(content)
-
-    def _place(self, name: str, form: str) -> None:
-        dtype = np.dtype(form)
-        if not self._ros1:
-            self._end += -(self._end - len(_CDR_LITTLE_ENDIAN)) % dtype.base.alignment
-        self.names.append(name)
-        self.formats.append(form)
-        self.offsets.append(self._end)
-        self._end += dtype.itemsize
+            for part in ("seq", "sec", "nanosec") if ros1 else ("sec", "nanosec"):
+                yield part, "<u4", None
+        elif isinstance(form, str):
+            yield name, form, None
+        else:
+            # In CDR strings end with a zero that counts.
+            content = form if ros1 else form + b"\0"
+            yield f"{name}_length", "<u4", len(content)
+            if content:
+                yield name, f"V{len(content)}", np.void(content)
