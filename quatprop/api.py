@@ -498,7 +498,7 @@ def _path(name: str, path: StrPath) -> str:
     try:
         return parse_path(path)
     except UsageError as error:
-        raise UsageError(Setting(name), ": ", error.text) from None
+        raise UsageError(f"{Setting(name)}: ", error.text) from None
 
 
 def _attitudes(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:

@@ -127,8 +127,10 @@ class LogSearch:
     def _add_folder(self, folder: str, root: str) -> None:
         output = self.output and _real(self.output)
         if _real(folder) == output:
-            raise UsageError(f"outputs in {quoted(folder)} would lie among the logs; choose ",
-                             Setting("output", "another folder"))  # fmt: skip
+            raise UsageError(
+                f"outputs in {quoted(folder)} would lie among the logs; choose "
+                f"{Setting('output', 'another folder')}"
+            )
         search = self._search_store if is_address(folder) else self._search
         for path, kind in search(folder, output):
             if kind in TABLES and self.of_messages:
@@ -181,9 +183,8 @@ class LogSearch:
         self._places.add(place)
         if self.of_messages and _kind_by_suffix(place) in TABLES:
             raise UsageError(
-                f"{quoted(place)} is a table, and ",
-                Setting(self.of_messages),
-                " is for logs of messages; propagate tables by themselves",
+                f"{quoted(place)} is a table, and {Setting(self.of_messages)} is for logs of "
+                "messages; propagate tables by themselves",
             )
         root = _absolute(self.root or root)
         if not place.startswith(os.path.join(root, "")):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from quatprop.batch.logs import FoundLog
 
 OTHER_OUTPUT = Text(
-    "keep their folders in the names with ", Setting("root", "DIR"), ", a folder above both, or "
+    f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
     "write to another folder"
 )  # fmt: skip
 """The way out where two logs have the same output."""
@@ -71,5 +71,5 @@ def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     part, parts = map(int, match.groups()) if match else (0, 0)
     if not 1 <= part <= parts:
-        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for ", Setting("shard"))
+        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
     return sorted(logs, key=lambda log: log.name)[part - 1 :: parts]

@@ -116,7 +116,7 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
             f"the reference frames differ by {degrees_text(mean.reference_rad)}",
             before,
             rms(geodesic_angle(pairs.a, mean.apply(pairs.b))),
-            Text(ALIGN_MEAN, " takes it out"),
+            Text(f"{ALIGN_MEAN} takes it out"),
         )
     if alignment != "mount":
         body = mean_rotation(multiply(conjugate(pairs.b), pairs.a))
@@ -139,7 +139,7 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
             f"{sentence}",
             before,
             rms(geodesic_angle(pairs.a, mean.apply(unbiased))),
-            Text(ALIGN_MEAN, " takes the frames out"),
+            Text(f"{ALIGN_MEAN} takes the frames out"),
         )
     yield from _steady_drifts(pairs, aligned, before)
 

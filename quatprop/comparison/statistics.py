@@ -120,7 +120,7 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
             f"no two pairs are {duration_text(window_ns)} apart: they span "
             f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter {Setting('window')}",
         )
-    error = geodesic_angle(_rotations(a, start, stop), _rotations(b, start, stop))
+    error = geodesic_angle(*(multiply(conjugate(q[start]), q[stop]) for q in (a, b)))
     return WindowStatistics(
         window_ns=window_ns,
         count=len(error),
@@ -130,10 +130,6 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
         begins_ns=t_ns[start],
         errors=error,
     )
-
-
-def _rotations(q: Float64, start: Int64, stop: Int64) -> Float64:
-    return multiply(conjugate(q[start]), q[stop])
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.mounting import mounting
 from quatprop.conditioning.time_range import absolute_range, clipped
 
 if TYPE_CHECKING:
@@ -188,8 +189,6 @@ def condition(
     biases, frames = inputs.biases, inputs.mounting
     mount = None if frames is None else frames.matrix
     if settings.mount is not None and frames is None:
-        from quatprop.conditioning.mounting import mounting
-
         mount = mounting(settings.mount)
     matrix = bias = None
     remarks: tuple[str, ...] = ()

@@ -35,9 +35,8 @@ from quatprop.kinematics.quaternion import conjugate
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64
 
-    Float64 = NDArray[np.float64]
 
 __all__ = [
     "CONVENTIONS",

@@ -21,13 +21,11 @@ from quatprop.writers.targets import is_stdout
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64
     from quatprop.containers.base import Log, MessageLog
     from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter
 
-    Int64 = NDArray[np.int64]
     Stamps = Callable[[MessageLog | TableLog], Iterator[tuple[Int64, Int64]]]
 
 COPIERS: Mapping[str, tuple[str, str]] = {
@@ -62,15 +60,15 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
     if log.kind not in COPIERS:
         raise UsageError(
             f"{plain(log.path)}: attitudes can be added to logs of kind {listed(COPIERS)}, and "
-            f"this one is {quoted(log.kind)}; write them to a file of their own with ",
-            Setting("output"),
+            f"this one is {quoted(log.kind)}; write them to a file of their own with "
+            f"{Setting('output')}",
         )
     kind, _ = COPIERS[log.kind]
     if is_stdout(target):
         raise OutputError(target, "standard output takes text only; name a file for the copy")
     if to is not None:
         raise UsageError(
-            Setting("into"), " copies the log in its own format; leave ", Setting("to"), " out"
+            f"{Setting('into')} copies the log in its own format; leave {Setting('to')} out"
         )
     suffixes = tuple(suffix for form in WRITERS.values() for suffix in form.suffixes if suffix)
     name = target.lower()
@@ -124,15 +122,14 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     kind = copy_kind(log, target)
     layout_of(kind, layout)
     if comment:
-        raise UsageError(f"{kind} has no comments; leave ", Setting("header_comment"), " out")
+        raise UsageError(f"{kind} has no comments; leave {Setting('header_comment')} out")
     refuse_columns(kind, message, sigma, beside)
     message = message or Message()
     channels = cast("MessageLog", log).channels()
     if message.topic_name in {channel.topic for channel in channels}:
         raise UsageError(
-            f"{plain(log.path)}: topic {quoted(message.topic_name)} exists already; choose another "
-            "with ",
-            Setting("out_topic", "NAME"),
+            f"{plain(log.path)}: topic {quoted(message.topic_name)} exists already; choose "
+            f"another with {Setting('out_topic', 'NAME')}",
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
     container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)

@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.arrays import Bool, Int64, Intp
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.placement import Placement
     from quatprop.messages.schema import Type
-
-    Int64 = NDArray[np.int64]
 
 
 class ShortMessageError(Exception):
@@ -48,10 +47,10 @@ class Names(NamedTuple):
         name = bytes(block.data[begin : begin + int(self.length[row])])
         return name.decode(errors="surrogateescape")
 
-    def are(self, name: str, block: MessageBlock, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def are(self, name: str, block: MessageBlock, rows: Intp) -> Bool:
         """Return in which of some messages the name is this one."""
         wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
-        same: NDArray[np.bool_] = self.length[rows] == len(wanted)
+        same: Bool = self.length[rows] == len(wanted)
         text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
         same[same] = (text == wanted).all(axis=1)
         return same
@@ -79,7 +78,7 @@ class Cursor:
         self._at = self._origin.copy()
         self._ends = block.ends[messages]
 
-    def keep(self, chosen: NDArray[np.bool_]) -> None:
+    def keep(self, chosen: Bool) -> None:
         """Continue with some of the messages."""
         if not chosen.all():
             self.messages = self.messages[chosen]

@@ -125,10 +125,8 @@ class Stamp(NamedTuple):
             path,
             Text(
                 f"the time {column[positions[0]]} {self.unit} in {listed(self.fields)} does not "
-                "fit in 64 bits of nanoseconds; choose ",
-                Setting("clock", "log"),
-                " or another ",
-                Setting("time_field"),
+                f"fit in 64 bits of nanoseconds; choose {Setting('clock', 'log')} or another "
+                f"{Setting('time_field')}",
             ),
             positions.tolist(),
         )

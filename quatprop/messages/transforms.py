@@ -22,14 +22,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.cursor import Cursor, Names
     from quatprop.messages.schema import Type
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 SECOND_NS = 1_000_000_000
 

@@ -169,10 +169,9 @@ class AttitudeStream:
             counts = self._timeline.counts
             raise TimelineError(
                 self._path,
-                "none of the times asked for with ",
-                Setting("at"),
-                f" is between its first sample at {counts.first_ns} ns and its last at "
-                f"{counts.last_ns} ns; are both on the same clock?",
+                f"none of the times asked for with {Setting('at')} is between its first sample at "
+                f"{counts.first_ns} ns and its last at {counts.last_ns} ns; are both on the same "
+                "clock?",
             )
 
     def _begin(self, first: GyroSeries) -> Segments:
@@ -274,9 +273,8 @@ class AttitudeStream:
             if self._settings.policy.on_gap == "split" and self._timeline.counts.gaps.count:
                 outside += " or in a gap"
             yield Text(
-                f"{len(times) - self._rows} of the {len(times)} times asked for with ",
-                Setting("at"),
-                f" are {outside}, so they have no attitude",
+                f"{len(times) - self._rows} of the {len(times)} times asked for with "
+                f"{Setting('at')} are {outside}, so they have no attitude",
             )
 
     def _uncertainty(self) -> UncertaintyReport | None:

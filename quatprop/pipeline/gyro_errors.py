@@ -56,7 +56,7 @@ class ErrorSettings:
 
     def __post_init__(self) -> None:
         if self.sigma_axes is not None and not self.sigma:
-            raise UsageError(Setting("sigma_axes"), " goes with ", Setting("sigma"))
+            raise UsageError(f"{Setting('sigma_axes')} goes with {Setting('sigma')}")
 
     def refuse_unknown_errors(self) -> None:
         """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""

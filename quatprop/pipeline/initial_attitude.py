@@ -14,15 +14,13 @@ from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
-    Float64 = NDArray[np.float64]
 
 LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
@@ -71,9 +69,8 @@ class InitialAttitude:
         length = math.hypot(*self.wxyz)
         if abs(length - 1) > UNIT_TOLERANCE:
             raise UsageError(
-                Setting("q0"),
-                f" {','.join(map(repr, self.wxyz))} has the length {length:.6g}, so it is not an "
-                "attitude; scale it to 1",
+                f"{Setting('q0')} {','.join(map(repr, self.wxyz))} has the length {length:.6g}, "
+                "so it is not an attitude; scale it to 1",
             )
 
 
@@ -135,7 +132,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     if wanted.source not in {"level", "log"}:
         return unit_q0(attitude_at(wanted.source, first_ns, log, recording.selection))
     if log is None:
-        raise UsageError(Setting("q0", wanted.source), " needs a log, not rates in memory")
+        raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
     if wanted.source == "log":
         wxyz = unit_q0(first_orientation(log, recording.source, recording.selection, first_ns))
         # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
@@ -182,10 +179,8 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
     if not scatter <= AT_REST:
         raise UsageError(
             f"{quoted(log.path)} does not begin at rest (its rates scatter by {scatter:.3g} rad/s "
-            "in the first second), so gravity does not show the attitude; choose ",
-            Setting("start"),
-            " at rest, or give ",
-            Setting("q0"),
+            "in the first second), so gravity does not show the attitude; choose "
+            f"{Setting('start')} at rest, or give {Setting('q0')}",
         )
 
 
@@ -196,7 +191,7 @@ def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> F
     rows = specific_forces(log, recording.source, recording.selection)
     if rows is None:
         raise LogError(
-            log.path, "it has no accelerations to take roll and pitch from; give ", Setting("q0")
+            log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"
         )
     last_ns = first_ns + LEVEL_NS
     parts = []
@@ -211,10 +206,7 @@ def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> F
     scatter = float(np.sqrt(((forces - mean) ** 2).sum(axis=1).mean())) if len(forces) else 0.0
     if size == 0.0 or scatter > STEADY * size:
         raise UsageError(
-            f"{quoted(log.path)}: the accelerations of the first second do not show gravity alone; "
-            "choose ",
-            Setting("start"),
-            " at rest, or give ",
-            Setting("q0"),
+            f"{quoted(log.path)}: the accelerations of the first second do not show gravity "
+            f"alone; choose {Setting('start')} at rest, or give {Setting('q0')}",
         )
     return mean

@@ -27,15 +27,12 @@ from quatprop.times import utc_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import MessageLog
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import TableLog
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
 
@@ -80,7 +77,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
         return []
     stamped, logged = next(source.stamps(), (_NONE, _NONE))
     zeros = int(np.count_nonzero(stamped == 0))
-    way_out = Text("; for the time of recording choose ", Setting("clock", "log"))
+    way_out = Text(f"; for the time of recording choose {Setting('clock', 'log')}")
     if zeros:
         return [Text(f"{zeros} of the first {len(stamped)} header stamps are zero", way_out)]
     if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
@@ -154,9 +151,8 @@ def against_orientation(
     # An orientation that stands still was never estimated: many drivers leave it at identity.
     if by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
         return Text(
-            f"the rates rotate {by_rates / max(by_orientation, 1e-9):.3g} times as far as the "
-            "log's own orientation: if they are in deg/s, use ",
-            Setting("rate_unit", "deg/s"),
+            f"the rates rotate {by_rates / max(by_orientation, 1e-09):.3g} times as far as the "
+            f"log's own orientation: if they are in deg/s, use {Setting('rate_unit', 'deg/s')}",
         )
     return None
 

@@ -19,12 +19,10 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Bool, Float64
     from quatprop.series import GyroSeries
     from quatprop.timeline.counts import StampCounts
 
-    Float64 = NDArray[np.float64]
 
 WIDEST_RANGE = math.radians(4000.0)
 """rad/s: no common gyroscope measures more."""
@@ -118,7 +116,7 @@ class RateChecks:
             self._sums += sums
             self._neighbours += after.shape[1]
 
-    def _repeats(self, columns: Float64, begin: int) -> NDArray[np.bool_] | None:
+    def _repeats(self, columns: Float64, begin: int) -> Bool | None:
         """Return which rows repeat the row before; None where hardly any does."""
         equal = columns[0, 1:] == columns[0, :-1]
         if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
@@ -155,8 +153,7 @@ class RateChecks:
             remarks.append(
                 Text(
                     f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
-                    "deg/s, use ",
-                    Setting("rate_unit", "deg/s"),
+                    f"deg/s, use {Setting('rate_unit', 'deg/s')}",
                 )
             )
         elif interval is not None:

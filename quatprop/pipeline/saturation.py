@@ -10,10 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Bool, Float64, Int64
 
-    Float64 = NDArray[np.float64]
-    Bools = NDArray[np.bool_]
 
 SMALLEST_RANGE = math.radians(125.0)
 """rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
@@ -60,7 +58,7 @@ class Saturation:
         self._counts = np.zeros((2, 3, 3), dtype=np.int64)
 
     def add(
-        self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bools | None
+        self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bool | None
     ) -> None:
         """Look at samples that follow.
 
@@ -93,7 +91,7 @@ class Saturation:
         old: int,
         place: tuple[int, int],
         reached: float,
-        repeats: Bools | None,
+        repeats: Bool | None,
     ) -> None:
         limit = float(self._limits[place])
         sign = -1.0 if place[0] else 1.0
@@ -113,7 +111,7 @@ class Saturation:
                 self._runs[(kept, *place)] |= _has_run(chosen)
 
     def remarks(
-        self, samples: int, moving: Bools, hold: float, interval: float | None
+        self, samples: int, moving: Bool, hold: float, interval: float | None
     ) -> Iterator[str]:
         """Yield a sentence for each end of an axis that is saturated.
 
@@ -147,9 +145,7 @@ class Saturation:
                     )
 
     @staticmethod
-    def _piles_up(
-        counts: NDArray[np.int64], samples: int, hold: float, interval: float | None
-    ) -> bool:
+    def _piles_up(counts: Int64, samples: int, hold: float, interval: float | None) -> bool:
         at_end, below, stays = (int(count) for count in counts)
         if at_end < MIN_AT_END * hold or stays < MIN_PLATEAUS or interval is None:
             return False
@@ -162,7 +158,7 @@ class Saturation:
         )
 
 
-def _has_run(hit: Bools) -> bool:
+def _has_run(hit: Bool) -> bool:
     """Tell whether :data:`HAS_RUN` neighbouring samples are hits."""
     run = hit
     for shift in range(1, HAS_RUN):

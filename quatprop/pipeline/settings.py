@@ -96,11 +96,8 @@ class PropagationSettings:
             and self.q0.source not in FROM_THE_LOG
         ):
             raise UsageError(
-                "rates resolved in the reference frame are not turned by ",
-                Setting("mount"),
-                "; it turns what ",
-                Setting("q0", "level|log"),
-                " take from the log, or leave it out",
+                f"rates resolved in the reference frame are not turned by {Setting('mount')}; it "
+                f"turns what {Setting('q0', 'level|log')} take from the log, or leave it out",
             )
 
     @property
@@ -233,7 +230,7 @@ def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
         ("q0_layout", "W,X,Y,Z", isinstance(q0, tuple)),
     ):
         if name in values and not fits:
-            raise UsageError(Setting(name), " goes with ", Setting("q0", value))
+            raise UsageError(f"{Setting(name)} goes with {Setting('q0', value)}")
     if q0 is None:
         return InitialAttitude()
     if isinstance(q0, tuple):

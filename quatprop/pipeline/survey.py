@@ -41,9 +41,7 @@ from quatprop.timeline.stamps import OBSERVE, StampChecks
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
@@ -53,7 +51,6 @@ if TYPE_CHECKING:
 
     Log = MessageLog | TableLog
     Seen = dict[tuple[str, str], "_AttitudeReading"]
-    Int64 = NDArray[np.int64]
 
 READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
 

@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.plot.reduction import Reduced
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 TURN = 360.0
 """deg."""

@@ -51,4 +51,4 @@ def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
 
 def unusable(setting: str, path: Path | str, reason: str) -> UsageError:
     """Return the error of a file that a setting names."""
-    return UsageError(Setting(setting), f" {plain(path)}: {reason}")
+    return UsageError(f"{Setting(setting)} {plain(path)}: {reason}")

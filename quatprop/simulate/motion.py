@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
+    from quatprop.arrays import Float64, Int64
 
     # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at ever later times since the first sample.
     Motion = Callable[[Int64], tuple[Float64, Float64]]

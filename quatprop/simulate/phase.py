@@ -19,10 +19,8 @@ from quatprop.errors import UsageError
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64, Int64
 
-    Float64 = NDArray[np.float64]
-    Int64 = NDArray[np.int64]
 
 NS_PER_S = 1_000_000_000
 

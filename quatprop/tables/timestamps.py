@@ -21,9 +21,8 @@ from quatprop.times import NS_PER_S, regular_stamps
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Float64, Int64
 
-    Int64 = NDArray[np.int64]
 
 PLACES = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Decimal places at which a number of each unit counts nanoseconds."""
@@ -184,7 +183,7 @@ def from_integers(values: Int64, unit: str) -> Int64:
     return stamps
 
 
-def from_floats(values: NDArray[np.float64], unit: str) -> Int64:
+def from_floats(values: Float64, unit: str) -> Int64:
     """Return finite floats as nanoseconds: their exact value, rounded half to even.
 
     Whole and fractional part are scaled apart, so that the only rounding is the last one.
@@ -238,4 +237,4 @@ def row_stamps(first: int, count: int, sample_rate: Fraction | float) -> Int64:
     try:
         return regular_stamps(first, first + count, Fraction(str(sample_rate)))
     except UsageError as error:
-        raise UsageError(error.text, "; check ", Setting("sample_rate")) from None
+        raise UsageError(error.text, f"; check {Setting('sample_rate')}") from None

@@ -22,12 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Bool, Float64, Int64
     from quatprop.tables.base import Batches, TimedColumns
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 _LONGEST_LIST = 16
 BATCH_ROWS = 1 << 16
@@ -240,12 +237,12 @@ def _is_number(kind: pa.DataType) -> bool:
     )
 
 
-def _has_value(column: pa.Array) -> NDArray[np.bool_]:
+def _has_value(column: pa.Array) -> Bool:
     """Return which values are neither null nor NaN nor infinite, shape ``(N,)``."""
     valid = column.is_valid()
     if pa.types.is_floating(column.type):
         valid = pc.and_kleene(valid, pc.is_finite(column))
-    values: NDArray[np.bool_] = to_numpy(valid)
+    values: Bool = to_numpy(valid)
     return values
 
 

@@ -105,7 +105,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     kind = kind_of(target, kind)
     chosen = WRITERS[kind]
     if message is not None and not chosen.encodings:
-        raise UsageError(f"{kind} holds no messages; leave ", Setting("message"), " out")
+        raise UsageError(f"{kind} holds no messages; leave {Setting('message')} out")
     order = layout_of(kind, layout)
     refuse_columns(kind, message, sigma, beside)
     if not chosen.encodings:
@@ -163,17 +163,17 @@ def refuse_columns(
     tables = listed(name for name, form in WRITERS.items() if form.columns)
     if beside is not None and beside not in REPRESENTATIONS:
         hint = did_you_mean(beside, REPRESENTATIONS, f"choose one of {listed(REPRESENTATIONS)}")
-        raise UsageError(Setting("beside"), f": there is no {quoted(beside)}{hint}")
+        raise UsageError(f"{Setting('beside')}: there is no {quoted(beside)}{hint}")
     if beside is not None and not chosen.columns:
-        raise UsageError(Setting("beside"), f": {kind} has its own columns; choose {tables}")
+        raise UsageError(f"{Setting('beside')}: {kind} has its own columns; choose {tables}")
     if sigma is None or holds_covariances(kind, message):
         return
     if chosen.encodings:
         message = message or Message()
         able = listed(name for name, one in MESSAGES.items() if one.has_covariance)
         reason = f"{message.type} has no covariance; choose {able} with "
-        raise UsageError(Setting("sigma"), f": {reason}", Setting("message"))
-    raise UsageError(Setting("sigma"), f": {kind} holds poses only; choose {tables}")
+        raise UsageError(f"{Setting('sigma')}: {reason}{Setting('message')}")
+    raise UsageError(f"{Setting('sigma')}: {kind} holds poses only; choose {tables}")
 
 
 def open_table(
@@ -252,4 +252,4 @@ def _refuse_stdout(target: Path | str, kind: str) -> None:
 
 def _refuse_comment(kind: str, *, comment: bool) -> None:
     if comment and not WRITERS[kind].comments:
-        raise UsageError(f"{kind} has no comments; leave ", Setting("header_comment"), " out")
+        raise UsageError(f"{kind} has no comments; leave {Setting('header_comment')} out")

@@ -19,14 +19,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.arrays import Float64, Int64
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.writers.atomic import OutputFile, OutputPath
     from quatprop.writers.messages.encoders import AttitudeEncoder
-
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:

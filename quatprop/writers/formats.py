@@ -146,9 +146,8 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     order = layout_named(layout)
     if prescribed is not None and order.name != prescribed:
         raise UsageError(
-            f"{kind} is {prescribed} by its own definition, not {order.name}; leave ",
-            Setting("layout"),
-            " out",
+            f"{kind} is {prescribed} by its own definition, not {order.name}; leave "
+            f"{Setting('layout')} out",
         )
     return order
 
@@ -180,8 +179,7 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     raise OutputError(
         target,
         f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
-        "folder, or say ",
-        Setting("to", "|".join(WRITERS)),
+        f"folder, or say {Setting('to', '|'.join(WRITERS))}",
     )
 
 

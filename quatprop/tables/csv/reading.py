@@ -18,16 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Losses
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
     from quatprop.tables.csv.rows import ParsedRows
     from quatprop.tables.text_stream import TextBlock
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 _PIECE_BYTES = 1 << 16
 _ENOUGH_ROWS = 100_000

@@ -63,12 +63,8 @@ class ColumnMatcher(TableColumns):
         for name in ("topic", "rate_field", "time_field", "quat_field", "frame"):
             if getattr(selection, name, None) is not None:
                 raise UsageError(
-                    f"{plain(self.path)}: ",
-                    Setting(name),
-                    " is for logs of messages and this is a table; choose columns with ",
-                    Setting(setting),
-                    " and ",
-                    Setting("time_col"),
+                    f"{plain(self.path)}: {Setting(name)} is for logs of messages and this is a "
+                    f"table; choose columns with {Setting(setting)} and {Setting('time_col')}",
                 )
 
     # Sets of columns.
@@ -137,9 +133,7 @@ class ColumnMatcher(TableColumns):
         """Return the columns that the user names."""
         positions = tuple(self.position(name, self.setting) for name in names)
         if len(set(positions)) != len(positions):
-            raise UsageError(
-                f"{plain(self.path)}: ", Setting(self.setting), " names a column twice"
-            )
+            raise UsageError(f"{plain(self.path)}: {Setting(self.setting)} names a column twice")
         return positions
 
     # The time.
@@ -161,10 +155,9 @@ class ColumnMatcher(TableColumns):
         time, sample_rate = self._time(dialect, numbers)
         if both := set(numbers) & set(time):
             raise UsageError(
-                f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of ",
-                Setting(self.setting),
-                "; name other columns, or the time with ",
-                Setting("time_col"),
+                f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of "
+                f"{Setting(self.setting)}; name other columns, or the time with "
+                f"{Setting('time_col')}",
             )
         if any(self.notes.units.get(k) == OTHER_DATES for k in time):
             raise UnsupportedLogError(
@@ -211,14 +204,14 @@ class ColumnMatcher(TableColumns):
         name, sample_rate = self.selection.time_col, self.selection.sample_rate
         if name is not None and sample_rate is not None:
             raise UsageError(
-                Setting("time_col"), " and ", Setting("sample_rate"),
-                " contradict each other; give one",
+                f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give "
+                "one",
             )  # fmt: skip
         if name is not None:
             return self._named_time(name), None
         if sample_rate is not None:
             if not (math.isfinite(sample_rate) and sample_rate > 0):
-                raise UsageError(Setting("sample_rate"), f" {sample_rate} is not a rate above 0 Hz")
+                raise UsageError(f"{Setting('sample_rate')} {sample_rate} is not a rate above 0 Hz")
             return (), sample_rate
         groups = {self.columns[k].key.rpartition(".")[0] for k in numbers} - {""}
         beside = (rf"{re.escape(group)}\.(?:{TIME_NAMES})" for group in groups)
@@ -256,8 +249,8 @@ class ColumnMatcher(TableColumns):
                 return (dialect.log_time,)
             case clock:
                 raise UsageError(
-                    f"{plain(self.path)}: this table has no {clock} time; choose the column with ",
-                    Setting("time_col"),
+                    f"{plain(self.path)}: this table has no {clock} time; choose the column with "
+                    f"{Setting('time_col')}",
                 )
 
     def _ambiguous_time(self, candidates: Sequence[int]) -> UndeclaredError:
@@ -265,8 +258,8 @@ class ColumnMatcher(TableColumns):
         return UndeclaredError(
             self.path,
             f"which column is the time (of {names})",
-            Text(Setting("time_col", "C"), ", or ", Setting("sample_rate", "HZ"),
-                 " for rows at a steady rate"),
+            Text(f"{Setting('time_col', 'C')}, or {Setting('sample_rate', 'HZ')} for rows at a "
+                "steady rate"),
         )  # fmt: skip
 
     def _with_nanoseconds(self, first: int) -> Positions:

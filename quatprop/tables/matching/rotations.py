@@ -89,11 +89,9 @@ def _refuse_other_sequence(log: TableLog, selection: AttitudeSelection, chosen: 
         if representation.startswith("euler-"):
             axes = ", ".join(representation.removeprefix("euler-"))
             raise UsageError(
-                f"{plain(log.path)}: ",
-                Setting("from_euler", chosen),
-                f" contradicts the columns {matcher.names(columns)}, which by their names are "
-                f"angles about {axes}; if it is right, name the columns too, with ",
-                Setting("quat_cols", "A,B,C"),
+                f"{plain(log.path)}: {Setting('from_euler', chosen)} contradicts the columns "
+                f"{matcher.names(columns)}, which by their names are angles about {axes}; if it "
+                f"is right, name the columns too, with {Setting('quat_cols', 'A,B,C')}",
             )
 
 
@@ -114,18 +112,16 @@ def _angle_unit(
     if representation == "matrix":
         if chosen is not None:
             raise UsageError(
-                f"{plain(matcher.path)}: ",
-                Setting("from_angle_unit"),
-                f" is about angles, and {names} are a matrix; leave it out",
+                f"{plain(matcher.path)}: {Setting('from_angle_unit')} is about angles, and "
+                f"{names} are a matrix; leave it out",
             )
         return ""
     declared = matcher.declared(columns)
     matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
     if chosen is not None and declared not in {"", chosen}:
         raise UsageError(
-            f"{plain(matcher.path)}: ",
-            Setting("from_angle_unit"),
-            f" says {chosen}, but by their names {names} are in {declared}; leave the option out",
+            f"{plain(matcher.path)}: {Setting('from_angle_unit')} says {chosen}, but by their "
+            f"names {names} are in {declared}; leave the option out",
         )
     if not (chosen or declared):
         matcher.undeclared(

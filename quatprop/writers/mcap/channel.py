@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Int64 = NDArray[np.int64]
+    from quatprop.arrays import Int64
+
 
 CHUNK_BYTES = 1 << 20
 """About how large a chunk is before it is compressed."""

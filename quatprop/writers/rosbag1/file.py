@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.arrays import Int64
     from quatprop.writers.messages.topics import Topic
 
-    Int64 = NDArray[np.int64]
 
 CHUNK_BYTES = 1 << 20
 """About how large a chunk is before it is compressed."""
@@ -264,7 +264,7 @@ class BagWriter(MessageWriter):
         with self._errors():
             self._bag = BagFile(self._output.stream, topic, compression)
 
-    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
         self._bag.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

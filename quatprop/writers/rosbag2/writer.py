@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rosbags.interfaces import Connection
 
+    from quatprop.arrays import Int64
     from quatprop.writers.mcap.channel import MessageChannel
 
-    Int64 = NDArray[np.int64]
 
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
 _VERSION_OFFSET = 96
