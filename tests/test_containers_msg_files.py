@@ -166,3 +166,24 @@ def test_definitions_are_named_to_every_command(log, tmp_path):
     expected = {str(package / "msg" / f"{name}.msg") for name in ("Gyro", "Triple")}
     assert series.report.files.keys() == expected
     assert {one.bytes for one in series.report.files.values()} == {len(GYRO), len(TRIPLE)}
+
+
+def test_outputs_and_references_depend_on_definitions(log, tmp_path, monkeypatch):
+    """Those in a package below the folder that is named: changed, they give other rates."""
+    monkeypatch.setenv("GITHUB_ACTIONS", "")
+    file = put(tmp_path / "src" / "elsewhere") / "msg" / "Triple.msg"
+    options = ["-t", "/gyro", "--rate-field", "angular", "--rate-unit", "rad/s"]
+    batch = ["batch", str(log), "-o", str(tmp_path / "out"), "-j", "1", "--skip-existing", *options]
+    (tmp_path / "suite.toml").write_text(
+        f'[case.a]\nlog = "{log}"\nreference = "a.parquet"\ntopic = "/gyro"\n'
+        'rate-field = "angular"\nrate-unit = "rad/s"\nmsg-path = "src"\n'
+    )
+    run, check = CliRunner().invoke, ["check", str(tmp_path / "suite.toml")]
+    assert run(cli, [*check, "--update"]).exit_code == 0
+    for text, up_to_date in ((TRIPLE, False), (TRIPLE, True), (f"{TRIPLE}#\n", False)):
+        file.write_text(text) if file.read_text() != text else None
+        done = run(cli, [*batch, "--msg-path", str(tmp_path / "src")])
+        assert ("up to date" in done.stderr) == up_to_date, done.stderr
+    done = run(cli, check)
+    assert done.exit_code == 2
+    assert f"{file}: its content changed since the reference was made" in done.stdout

@@ -212,7 +212,9 @@ def origin_digest(inputs: Iterable[str], options: str) -> str | None:
                 return None
             continue
         place = Path(name)
-        for file in sorted(place.iterdir()) if place.is_dir() else [place]:
+        # Definitions of messages may be in packages below.
+        inside = {*place.iterdir(), *place.rglob("*.msg")} if place.is_dir() else {place}
+        for file in sorted(inside):
             with suppress(OSError):
                 status = file.stat()
                 files.append((file.name, status.st_size, status.st_mtime_ns))

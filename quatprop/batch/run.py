@@ -92,7 +92,9 @@ class BatchSettings:
 
     def origin(self, task: BatchTask) -> str | None:
         """Return the digest of what the output of a log is made from; None if it is not known."""
-        return origin_digest([task.path, *self.job.settings.inputs.values()], self.options)
+        settings = self.job.settings
+        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
+        return origin_digest([task.path, *named], self.options)
 
 
 @dataclass(frozen=True, slots=True)

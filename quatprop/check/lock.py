@@ -163,9 +163,10 @@ def digests_of(path: str) -> dict[str, str]:
     place = Path(path)
     if not place.is_dir():
         return {"": sha256_of(path)}
+    # Definitions of messages may be in packages below.
     return {
-        file.name: sha256_of(str(file))
-        for file in sorted(place.iterdir())
+        file.relative_to(place).as_posix(): sha256_of(str(file))
+        for file in sorted({*place.iterdir(), *place.rglob("*.msg")})
         if file.is_file() and _BAG_FILE.fullmatch(file.name)
     }
 
