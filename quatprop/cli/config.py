@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -78,6 +77,8 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
             f"{path}: it does not say with which options it was made; outputs of propagate do that "
             "in parquet, feather, npz, mcap and bags, and with --header-comment in text"
         )
+    from shlex import quote
+
     lines = [
         f"# quatprop propagate {quote(plain(source['path']))} -o OUT --config THIS_FILE",
         f"# by quatprop {plain(provenance['quatprop'])}; SHA-256 of the log: {source['sha256']}",

@@ -24,6 +24,17 @@ RAD_PER_UNIT = {
 }
 """Radians in each unit of an angle."""
 
+SCALED_RATE_UNITS = {
+    "mrad/s": ("rad/s", 1e-3),
+    "mdeg/s": ("deg/s", 1e-3),
+    "mdps": ("deg/s", 1e-3),
+    "deg/h": ("deg/s", 1 / 3600),
+    "deg/hr": ("deg/s", 1 / 3600),
+    "\u00b0/h": ("deg/s", 1 / 3600),
+    "rpm": ("deg/s", 6.0),
+}
+"""Units that are read as another one, and what they are multiplied by."""
+
 _DEG = math.pi / 180
 
 NOISE_DENSITIES = {

@@ -11,13 +11,13 @@ import numpy as np
 from quatprop.errors import UndeclaredError
 from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
+from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import logged_values, series_of, stamps_of
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
 from quatprop.tables.base import is_table
-from quatprop.tables.matching.column_names import SCALED_RATE_UNITS
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

@@ -11,14 +11,10 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
+from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.csv.notes import declared_notes
-from quatprop.tables.matching.column_names import (
-    RATE_UNITS,
-    SCALED_RATE_UNITS,
-    TIME_UNITS,
-    parse_name,
-)
+from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
 from quatprop.text import listed
 
 if TYPE_CHECKING:

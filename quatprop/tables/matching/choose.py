@@ -10,7 +10,8 @@ from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
 from quatprop.selection import RateSelection
-from quatprop.tables.matching.column_names import RATE_UNITS, SCALED_RATE_UNITS
+from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
     AXIS_FIRST,
     BARE_RATES,

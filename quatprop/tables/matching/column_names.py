@@ -6,6 +6,7 @@ import re
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.matching.dialects import (
     AXIS_FIRST,
     EULER,
@@ -30,17 +31,6 @@ RATE_UNITS = {
     ),
 }
 """How headers spell the units of a rate, in lower case, without spaces and points."""
-
-SCALED_RATE_UNITS = {
-    "mrad/s": ("rad/s", 1e-3),
-    "mdeg/s": ("deg/s", 1e-3),
-    "mdps": ("deg/s", 1e-3),
-    "deg/h": ("deg/s", 1 / 3600),
-    "deg/hr": ("deg/s", 1 / 3600),
-    "\u00b0/h": ("deg/s", 1 / 3600),
-    "rpm": ("deg/s", 6.0),
-}
-"""Units that are read as another one, and what they are multiplied by."""
 
 TIME_UNITS = {
     "s": ("s", "sec", "secs", "second", "seconds"),

@@ -6,7 +6,8 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
-from quatprop.tables.matching.column_names import SCALED_RATE_UNITS, parse_name
+from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.tables.matching.column_names import parse_name
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
