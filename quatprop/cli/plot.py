@@ -102,7 +102,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.selection import RateSelection
 
     reference = chosen["reference"]
-    _refuse_idle(reference)
+    _refuse_idle(chosen)
     if chosen["components"] and chosen["unwrap"]:
         raise click.UsageError("--unwrap does not go with --components, which have no turns")
     refuse_stdin_twice(*files, reference)
@@ -154,18 +154,14 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     return show
 
 
-def _refuse_idle(reference: str | None) -> None:
+def _refuse_idle(chosen: Mapping[str, Any]) -> None:
     """Refuse options that go with others than those that are given."""
-    context = click.get_current_context()
-    given = [
-        parameter.opts[-1]
-        for parameter in context.command.params
-        if context.get_parameter_source(str(parameter.name))
-        is click.core.ParameterSource.COMMANDLINE
-    ]
     of_error = {option(Setting(name)) for name in ERROR}
-    for name in given:
-        if reference is None and (name in of_error or name.endswith("-ref")):
+    for parameter in click.get_current_context().command.params:
+        name, value = parameter.opts[-1], chosen.get(str(parameter.name))
+        if value is None or value is False:
+            continue
+        if chosen["reference"] is None and (name in of_error or name.endswith("-ref")):
             raise click.UsageError(f"{name} goes with --reference")
-        if reference is not None and name in NOT_OF_ERROR:
+        if chosen["reference"] is not None and name in NOT_OF_ERROR:
             raise click.UsageError(f"{name} does not go with --reference, which draws an error")

@@ -85,16 +85,21 @@ def read_biases(
             if is_table(opened):
                 return _of_table(source, opened)
             messages = cast("MessageLog", opened)
-            channels = [c for c in channels_of(messages) if c.type_name in FIELDS]
-            if len(channels) != 1:
-                raise _none_or_several(source, channels)
-            return _of_channel(source, messages, channels[0], RateSelection())
-    if log is None or is_table(log):
-        raise _neither(source)
-    messages = cast("MessageLog", log)
-    channels = channels_of(messages, source)
-    if not channels:
-        raise _neither(source)
+            known = [c for c in channels_of(messages) if c.type_name in FIELDS]
+            if len(known) != 1:
+                topics = listed(channel.topic for channel in known)
+                there = f"several topics with biases: {topics}" if known else "no topic with biases"
+                raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
+            return _of_channel(source, messages, known[0], RateSelection())
+    channels: list[Channel] = []
+    if log is not None and not is_table(log):
+        messages = cast("MessageLog", log)
+        channels = channels_of(messages, source)
+    if log is None or not channels:
+        raise UsageError(
+            f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
+            "no such file is there, and the log has no such topic"
+        )
     known = [channel for channel in channels if channel.type_name in FIELDS]
     if len(known) != 1:
         raise LogError(
@@ -137,17 +142,3 @@ def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> Bi
     if not good.any():
         raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")
     return BiasSeries(source, name, t_ns[good], bias[good])
-
-
-def _none_or_several(source: str, channels: list[Channel]) -> UsageError:
-    there = "has no topic with biases"
-    if channels:
-        there = f"has several topics with biases: {listed(channel.topic for channel in channels)}"
-    return UsageError(f"{Setting('bias')} {plain(source)}: it {there}")
-
-
-def _neither(source: str) -> UsageError:
-    return UsageError(
-        f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], no "
-        "such file is there, and the log has no such topic"
-    )

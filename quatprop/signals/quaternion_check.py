@@ -126,10 +126,9 @@ class QuaternionCheck:
             valid, scaled = self._valid(t_ns, wxyz)
             if self.counts.invalid and not self._drop:
                 continue
-            if valid.all():
-                series = AttitudeSeries(t_ns, scaled, *beside)
-            else:
-                series = AttitudeSeries(t_ns, scaled, *beside)[valid]
+            series = AttitudeSeries(t_ns, scaled, *beside)
+            if not valid.all():
+                series = series[valid]
             self.counts.used += len(series)
             if len(series):
                 yield series
