@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import CompareOptions
     from quatprop.containers.base import Log, Loss
-    from quatprop.conversion.report import ConversionReport
+    from quatprop.conversion.job import ConversionReport
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
     from quatprop.pipeline.settings import PropagationSettings
@@ -470,7 +470,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     """
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import convert as convert_file
-    from quatprop.conversion.settings import Conversion
+    from quatprop.conversion.job import Conversion
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.settings import READ_ATTITUDES, refuse_unknown
     from quatprop.signals.attitude_input import attitude_input

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.conversion.convert import convert
-from quatprop.conversion.settings import Conversion
+from quatprop.conversion.job import Conversion
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries

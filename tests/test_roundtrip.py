@@ -7,7 +7,7 @@ import pytest
 
 from quatprop.conventions.layout import LAYOUTS
 from quatprop.conversion.convert import convert
-from quatprop.conversion.settings import Conversion
+from quatprop.conversion.job import Conversion
 from quatprop.errors import NotRotationsError
 from quatprop.formats import open_log
 from quatprop.log_kinds import READERS

@@ -17,7 +17,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.conversion.report import ConversionReport
+    from quatprop.conversion.job import ConversionReport
 
 
 EXAMPLES = (
@@ -78,7 +78,7 @@ def command(*, quiet: bool, **chosen: Any) -> int:
     from quatprop.cli.summary import show
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import convert
-    from quatprop.conversion.settings import Conversion
+    from quatprop.conversion.job import Conversion
 
     job = Conversion(
         source=input_of(chosen["log"], chosen),
@@ -98,12 +98,12 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
     from quatprop.rendering import loss_lines, source_text
 
-    job, source, stored, counts = report.job, report.source, report.signal, report.counts
+    job, stored, counts = report.job, report.signal, report.counts
     order = stored.layout or stored.representation
     stored_as = f"{stored.meaning.convention} {stored.meaning.direction}, {order}"
     written_as = f"{job.meaning.convention} {job.meaning.direction}"
-    name = source_text(source.name, source.type)
-    yield f"in   {plain(source.path)} ({source.kind}): {name}; {stored_as}, {source.clock} clock"
+    name = source_text(stored.name, stored.type_name)
+    yield f"in   {plain(report.path)} ({report.kind}): {name}; {stored_as}, {stored.clock} clock"
     yield (
         f"out  {plain(job.output.path)}: {counts.used:,} rows of {job.representation}, "
         f"{written_as}, {','.join(report.columns)}"

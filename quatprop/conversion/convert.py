@@ -9,8 +9,8 @@ from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
+from quatprop.conversion.job import ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
-from quatprop.conversion.report import ConversionReport, ConversionSource, written_columns
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.into import copy_kind
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import Any
 
-    from quatprop.conversion.settings import Conversion
+    from quatprop.conversion.job import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
 
@@ -77,7 +77,7 @@ def convert(job: Conversion) -> ConversionReport:
                 write(series)
             if not check.counts.used:
                 raise NoSamplesError(wanted.path, source.name)
-            columns = written_columns(job, sigma)
+            columns = job.columns(sigma)
             remarks = (
                 *(*source.remarks, *log.remarks),
                 *remarks_on(
@@ -90,14 +90,9 @@ def convert(job: Conversion) -> ConversionReport:
             )
             report = ConversionReport(
                 job=job,
-                source=ConversionSource(
-                    path=without_secret(wanted.path),
-                    kind=log.kind,
-                    digest=digest.result(),
-                    name=source.name,
-                    type=source.type_name,
-                    clock=source.clock,
-                ),
+                path=without_secret(wanted.path),
+                kind=log.kind,
+                digest=digest.result(),
                 signal=source,
                 columns=columns,
                 counts=check.counts,

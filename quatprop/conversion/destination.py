@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.containers.base import MessageLog
-    from quatprop.conversion.settings import Conversion
+    from quatprop.conversion.job import Conversion
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
     from quatprop.writers.base import AttitudeWriter, TableWriter

@@ -1,4 +1,4 @@
-"""The report of a conversion, and the provenance of its output: that of the source and a step."""
+"""A conversion: what is to be done; what was done, and the provenance of its output."""
 
 from __future__ import annotations
 
@@ -6,44 +6,78 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
+from quatprop.conventions import HAMILTON, Meaning
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
 from quatprop.series import SIGMA_COLUMNS
-from quatprop.writers import WRITERS
+from quatprop.writers import WRITERS, kind_of, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.containers.base import Loss
-    from quatprop.conversion.settings import Conversion
+    from quatprop.conventions.layout import Layout
+    from quatprop.pipeline.settings import OutputSettings
+    from quatprop.signals.attitude_input import AttitudeInput
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.text import Text
 
 
 @dataclass(frozen=True, slots=True)
-class ConversionSource:
-    """Where the attitudes came from.
+class Conversion:
+    """How to convert one attitude series.
 
     Parameters
     ----------
-    path, kind
-        The file.
-    digest
-        Its size and SHA-256.
-    name, type
-        Topic and message type, or columns and dialect.
-    clock
-        The timestamp source.
+    source
+        Which attitudes.
+    output
+        Where they go, in which format and layout.
+    meaning
+        What the written numbers mean.
+    sign
+        ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
+        short ones, up to half a turn.
+    representation
+        ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
+        :data:`quatprop.conversion.rates.RATES`.
     """
 
-    path: str
-    kind: str
-    digest: Digest
-    name: str
-    type: str
-    clock: str
+    source: AttitudeInput
+    output: OutputSettings
+    meaning: Meaning = HAMILTON
+    sign: str = "keep"
+    representation: str = QUATERNION
+
+    @property
+    def kind(self) -> str:
+        """The format that is written, a key of :data:`quatprop.writers.WRITERS`."""
+        return kind_of(self.output.path, self.output.to)
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of quaternions, where those are written."""
+        return layout_of(self.kind, self.output.layout)
+
+    @property
+    def applied_sign(self) -> str:
+        """The sign that is applied: a rotation vector has none to keep, and is the short one."""
+        if self.representation in REPRESENTATIONS and self.sign == "keep":
+            return "positive"
+        return self.sign
+
+    def columns(self, sigma: str | None) -> tuple[str, ...]:
+        """Return the names of what is written beside timestamps; `sigma` is None without sigmas."""
+        if self.representation in RATES:
+            return RATE_COLUMNS
+        if self.representation != QUATERNION:
+            return REPRESENTATIONS[self.representation].columns
+        columns, beside = self.layout.columns, self.output.beside
+        if beside is not None:
+            columns += REPRESENTATIONS[beside].columns
+        return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.kind].columns else ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +88,10 @@ class ConversionReport:
     ----------
     job
         What was to be done.
-    source
-        Where the attitudes came from.
+    path, kind, digest
+        The file that was read, its size and SHA-256.
     signal
-        How they were stored there, and how they were made.
+        Which attitudes of it, how they were stored there, and how they were made.
     columns
         The names of what is written beside timestamps.
     counts
@@ -69,7 +103,9 @@ class ConversionReport:
     """
 
     job: Conversion
-    source: ConversionSource
+    path: str
+    kind: str
+    digest: Digest
     signal: AttitudeSignal
     columns: tuple[str, ...]
     counts: QuaternionCounts
@@ -84,7 +120,14 @@ class ConversionReport:
     def provenance(self) -> Mapping[str, Any]:
         """Return the provenance of the output, JSON-ready."""
         job, signal, history = self.job, self.signal, self.signal.provenance
-        source = as_json(self.source)
+        source = {
+            "path": self.path,
+            "kind": self.kind,
+            "name": signal.name,
+            "type": signal.type_name,
+            "clock": signal.clock,
+            **self.digest.as_json(),
+        }
         is_quaternion = job.representation == QUATERNION
         terms = {
             "representation": job.representation,
@@ -124,18 +167,6 @@ class ConversionReport:
             "conversions": [*_entry(history, "conversions", list), step],
             "data_lost": bool(history.get("data_lost") or self.data_lost),
         }
-
-
-def written_columns(job: Conversion, sigma: str | None) -> tuple[str, ...]:
-    """Return the names of what is written beside timestamps; `sigma` is None without sigmas."""
-    if job.representation in RATES:
-        return RATE_COLUMNS
-    if job.representation != QUATERNION:
-        return REPRESENTATIONS[job.representation].columns
-    columns, beside = job.layout.columns, job.output.beside
-    if beside is not None:
-        columns += REPRESENTATIONS[beside].columns
-    return columns + (SIGMA_COLUMNS if sigma and WRITERS[job.kind].columns else ())
 
 
 def _entry(provenance: Mapping[str, Any], name: str, kind: type[Any]) -> Any:
