@@ -12,14 +12,14 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 .PHONY: demo test lowest dist fuzz lint format documents bench sample-logs clean help
 
 help:
-	@echo 'make demo         propagate the sample logs and show how close they come to the truth'
+	@echo 'make demo         propagate the sample logs and show how far they are from the truth'
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         read 10,000 damaged logs, by seed, and tell what goes wrong'
+	@echo 'make fuzz         read 10,000 damaged logs and report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
-	@echo 'make documents    write what commands print into the documents'
+	@echo 'make documents    update what commands print in the documents'
 	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
