@@ -16,6 +16,7 @@ from quatprop.containers.file_source import source_of
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.loading import LARGE, Buffers, load_in_groups
 from quatprop.containers.time_range import TimedPart, parts_within, span_of
+from quatprop.errors import UnreadableLogError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,6 +58,21 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
     def __init__(self, log: Path | FileSource) -> None:
         self.source = source_of(log)
         super().__init__(self.source.path)
+        try:
+            self.read_index()
+        except BaseException as error:
+            self.close()
+            if isinstance(error, OSError):
+                raise self.unreadable(error) from error
+            raise
+
+    def unreadable(self, error: OSError) -> UnreadableLogError:
+        """Return the error of a file that the system does not read."""
+        return UnreadableLogError(self.path, f"{error.strerror}; check the path")
+
+    @abstractmethod
+    def read_index(self) -> None:
+        """Read what the file holds and where; also its losses so far."""
 
     @abstractmethod
     def chunks_of(self, channel: Channel) -> list[Chunk]:

@@ -20,7 +20,6 @@ from quatprop.containers.mcap.walk import walk_records
 if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.records import ChannelRecord, SchemaRecord
     from quatprop.containers.mcap.regions import ChunkHead, Region
 
 IDS = 1 << 16
@@ -79,20 +78,10 @@ def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | No
     index = McapIndex()
     index.define(opcode, content, "")
     for channel in index.channels.values():
-        return of_channel(channel)
+        return channel.identity
     for schema in index.schemas.values():
-        return of_schema(schema)
+        return schema.identity
     return None
-
-
-def of_channel(channel: ChannelRecord) -> tuple[str, str, int]:
-    """Return what makes a channel another one: topic, encoding and schema."""
-    return channel.topic, channel.message_encoding, channel.schema_id
-
-
-def of_schema(schema: SchemaRecord) -> tuple[str, str, bytes]:
-    """Return what makes a schema another one: name, encoding and text."""
-    return schema.name, schema.encoding, schema.data
 
 
 def leading_definitions(

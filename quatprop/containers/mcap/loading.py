@@ -94,9 +94,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         if whole is None and not is_read_in_part(chunk, own):
             return None
         try:
-            return selected_messages(
-                self.source, chunk, own, self.definitions, None if whole is None else whole.data
-            )
+            return selected_messages(self.source, chunk, own, self.definitions, whole)
         except (RegionError, OSError):
             return None  # it is read whole, compared with its checksum, and the error noted
 

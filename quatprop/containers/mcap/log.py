@@ -14,13 +14,10 @@ from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Region
 from quatprop.containers.mcap.summary import MAGIC
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
-    from pathlib import Path
-
-    from quatprop.containers.file_source import FileSource
 
 
 class McapLog(ChunkedLog[Region]):
@@ -49,18 +46,12 @@ class McapLog(ChunkedLog[Region]):
     kind = "mcap"
     has_publish_time = True
 
-    def __init__(self, log: Path | FileSource) -> None:
-        super().__init__(log)
-        try:
-            magic = self.source.read(0, len(MAGIC))
-            if magic != MAGIC:
-                self._refuse(magic)
-            self.index = index = build_index(self.source)
-        except BaseException as error:
-            self.close()
-            if isinstance(error, OSError):
-                raise self._unreadable(error) from error
-            raise
+    def read_index(self) -> None:
+        """Read what the file holds and where."""
+        magic = self.source.read(0, len(MAGIC))
+        if magic != MAGIC:
+            self._refuse(magic)
+        self.index = index = build_index(self.source)
         self._regions = index.regions
         self._ids = ids_by_channel(index)
         self._definitions = DefinitionCheck(index)
@@ -130,7 +121,7 @@ class McapLog(ChunkedLog[Region]):
         try:
             return read_provenance(self.source, self.index.metadata)
         except OSError as error:
-            raise self._unreadable(error) from error
+            raise self.unreadable(error) from error
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
         remark = (
@@ -147,6 +138,3 @@ class McapLog(ChunkedLog[Region]):
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
             self.losses.note("summary", reason, missing, topic)
-
-    def _unreadable(self, error: OSError) -> UnreadableLogError:
-        return UnreadableLogError(self.path, f"{error.strerror}; check the path")

@@ -26,6 +26,11 @@ class SchemaRecord(NamedTuple):
     encoding: str
     data: bytes
 
+    @property
+    def identity(self) -> tuple[str, str, bytes]:
+        """What makes it another schema: name, encoding and text."""
+        return self.name, self.encoding, self.data
+
 
 class ChannelRecord(NamedTuple):
     """A channel, with the fields of ``mcap.records.Channel``."""
@@ -35,6 +40,11 @@ class ChannelRecord(NamedTuple):
     topic: str
     message_encoding: str
     metadata: dict[str, str]
+
+    @property
+    def identity(self) -> tuple[str, str, int]:
+        """What makes it another channel: topic, encoding and schema."""
+        return self.topic, self.message_encoding, self.schema_id
 
 
 def read_schema(content: Buffer) -> SchemaRecord:

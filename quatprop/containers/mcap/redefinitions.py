@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.containers.mcap.definitions import IDS, of_channel, of_schema
+from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.regions import MESSAGE, RegionError
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
@@ -99,17 +99,15 @@ class DefinitionCheck:
         """Return which channels a record redefines, its id, and how it differs."""
         index, here = self.index, McapIndex()
         here.define(opcode, content, "", first_id)
-        for id_, channel in here.channels.items():
-            known = index.channels.get(id_)
-            if known and of_channel(known) != of_channel(channel):
-                return [id_], f"channel {id_ % IDS}", _change(known.topic, channel.topic)
-        for id_, schema in here.schemas.items():
-            before = index.schemas.get(id_)
-            if before and of_schema(before) != of_schema(schema):
-                channels = [c.id for c in index.channels.values() if c.schema_id == id_]
-                return channels, f"schema {id_ % IDS}", _change(before.name, schema.name)
+        for kind, earlier, later in (
+            ("channel", index.channels, here.channels),
+            ("schema", index.schemas, here.schemas),
+        ):
+            for id_ in earlier.keys() & later.keys():
+                before, now = earlier[id_].identity, later[id_].identity
+                if before != now:
+                    by_schema = [c.id for c in index.channels.values() if c.schema_id == id_]
+                    channels = [id_] if kind == "channel" else by_schema
+                    change = f"is now {now[0]}" if before[0] != now[0] else "has changed"
+                    return channels, f"{kind} {id_ % IDS}", f"{before[0]} {change}"
         return [], "", ""
-
-
-def _change(before: str, now: str) -> str:
-    return f"{before} is now {now}" if before != now else f"{before} has changed"

@@ -30,7 +30,7 @@ def selected_messages(
     region: Region,
     ids: Sequence[int],
     definitions: DefinitionCheck,
-    records: Buffer | None = None,
+    whole: Loaded | None = None,
 ) -> Loaded | None:
     """Return copies of the messages of selected channels, without what lies between them.
 
@@ -46,9 +46,9 @@ def selected_messages(
         The channels.
     definitions
         Compares the definitions at the beginning of the chunk.
-    records
-        The decompressed records; None to read only those that are selected, one byte range after
-        another. The checksum is that of the whole chunk, so they are not checked against it.
+    whole
+        All records; None to read only those that are selected, one byte range after another. The
+        checksum is that of the whole chunk, so they are not checked against it.
 
     Returns
     -------
@@ -61,7 +61,6 @@ def selected_messages(
     RegionError
         It redefines a selected channel.
     """
-    is_partial = records is None
     index = index_of(source, region)
     selected = indexed_offsets(index, region, ids)
     others = indexed_offsets(index, region, [id_ for id_ in region.holds or () if id_ not in ids])
@@ -71,16 +70,15 @@ def selected_messages(
     order = np.argsort(offsets, kind="stable")
     is_wanted = order < len(selected)
     begins = offsets[order]
-    nexts = np.append(begins[1:], region.size if records is None else len(records))
+    nexts = np.append(begins[1:], len(whole.data) if whole else region.size)
     lengths = nexts - begins
-    if records is None:
-        partial = _read(source, region, begins, nexts, is_wanted)
-        if partial is None:
-            return None
-        records, begins = partial
+    read = (whole.data, begins) if whole else _read(source, region, begins, nexts, is_wanted)
+    if read is None:
+        return None
+    records, begins = read
     leading = definitions.check_leading(records, region, ids)
     # Without a checksum there is nothing gained by reading all of a chunk that begins otherwise.
-    is_unexpected = begins[0] != leading and not is_partial
+    is_unexpected = begins[0] != leading and whole is not None
     if is_unexpected or begins[-1] + RECORD.size > len(records):
         return None
     # A stride of 1 byte lets records begin anywhere.
@@ -92,11 +90,11 @@ def selected_messages(
     if np.count_nonzero(lengths != length):
         ranges = ranges_of(begins, begins + lengths, GAP)
         data = ranges.of(np.frombuffer(records, np.uint8))
-        return Loaded(data.data, offsets=begins - ranges.moved, is_partial=is_partial)
+        return Loaded(data.data, offsets=begins - ranges.moved, is_partial=whole is None)
     # Records of one length are copied in a single call.
     every = np.ndarray((len(records) - length + 1,), f"V{length}", records, 0, (1,))
     data = every[begins].view(np.uint8)
-    return Loaded(data.data, offsets=np.arange(0, len(data), length), is_partial=is_partial)
+    return Loaded(data.data, offsets=np.arange(0, len(data), length), is_partial=whole is None)
 
 
 def _read(

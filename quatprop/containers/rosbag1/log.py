@@ -21,10 +21,8 @@ from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
     from quatprop.containers.base import MessageBlock
-    from quatprop.containers.file_source import FileSource
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
@@ -55,14 +53,10 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
 
     kind = "bag"
 
-    def __init__(self, log: Path | FileSource) -> None:
-        super().__init__(log)
+    def read_index(self) -> None:
+        """Read what the bag holds and where."""
         self._file = RecordFile(self.source)
-        try:
-            self.index = index = self._index()
-        except BaseException:
-            self.close()
-            raise
+        self.index = index = self._index()
         self.losses = index.losses
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.first_ns)
         self._channels = self._channels_of(index)
