@@ -94,7 +94,7 @@ def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[P
         return nullcontext()
     from quatprop.plot.target import PictureFile
 
-    return PictureFile(plot, [a, b], spell=spelled)
+    return PictureFile(plot, [a, b])
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:

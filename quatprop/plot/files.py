@@ -18,7 +18,6 @@ from quatprop.errors import (
     NoSamplesError,
     NoSuchTopicError,
     UndeclaredError,
-    UsageError,
 )
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import log_remarks
@@ -77,14 +76,6 @@ def view_file(path: str, view: View) -> FileView:
     UsageError
         It can be read only once, and would have to be read twice.
     """
-    if path == "-" and view.part.looks_ahead:
-        raise UsageError(
-            "stdin can be read only once; relative ",
-            Setting("start"),
-            " and ",
-            Setting("end"),
-            " need a file",
-        )
     with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
         name, signal = without_secret(path), _choose(log, view)
         if isinstance(signal, RateSignal):

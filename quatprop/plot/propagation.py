@@ -61,7 +61,8 @@ class PropagationPicture(PictureFile):
     def __init__(self, target: str, job: Job, spell: Spell = str) -> None:
         settings, output = job.settings, job.output
         inputs = [job.log, *settings.inputs.values()]
-        super().__init__(target, inputs, [output.path, output.report], spell=spell)
+        super().__init__(target, inputs, [output.path, output.report])
+        self._spell = spell
         self._rates = RateAccumulator("rad/s", 1.0)
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
         # Attitudes at other times than those of the samples have other intervals.
@@ -93,7 +94,7 @@ class PropagationPicture(PictureFile):
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
         band = f" ({SIGMA_BAND})" if self._attitudes.knows_sigmas else ""
-        warnings = tuple(map(self.spell, report.remarks))
+        warnings = tuple(map(self._spell, report.remarks))
         page = Page(
             title=title,
             facts=(f"{method}; Hamilton q, body to reference, as zyx angles{band}", samples),

@@ -72,7 +72,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
         A file cannot be compared with the reference.
     """
     inputs = [*files, None if reference is None else reference.path]
-    with PictureFile(output, inputs, spell=spell, style=style) as target:
+    with PictureFile(output, inputs, style=style) as target:
         if reference is None:
             views = [view_file(path, view) for path in files]
             page = _page(views, spell)

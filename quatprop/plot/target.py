@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from quatprop.plot.draw import Style
     from quatprop.plot.page import Page
-    from quatprop.rendering import Spell
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}
 """Suffix -> kind of picture."""
@@ -32,8 +31,6 @@ class PictureFile:
         The file; the suffix determines the kind.
     inputs, outputs
         What else the run reads and writes: refused as the target.
-    spell
-        Writes a sentence that may mention settings.
     style
         How large the picture is; a page has its own size.
 
@@ -52,10 +49,8 @@ class PictureFile:
         inputs: Iterable[str | None],
         outputs: Iterable[str | None] = (),
         *,
-        spell: Spell = str,
         style: Style = STYLE,
     ) -> None:
-        self.spell = spell
         self._style = style
         self._kind = kind_of(target)
         require_matplotlib()
