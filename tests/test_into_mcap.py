@@ -6,15 +6,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from into_logs import BOOT, RATE, START, moments, write_mcap
+from into_logs import BOOT, RATE, START, moments, run, write_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType
 from mcap_doctor import MAGIC, examine
 from rosbags.highlevel import AnyReader
 
-from quatprop.cli import cli
 from quatprop.into import LogTimes
 from quatprop.writers.mcap.contents import McapContents
 
@@ -32,11 +30,6 @@ FORMS = {
     "one chunk": {"chunk_size": 1 << 20},
     "no profile": {"profile": ""},
 }  # fmt: skip
-
-
-def run(*arguments):
-    """Run the command as a user would."""
-    return CliRunner().invoke(cli, list(map(str, arguments)))
 
 
 def added(log, *options):

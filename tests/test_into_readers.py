@@ -7,8 +7,7 @@ from contextlib import closing
 
 import lz4.frame
 import pytest
-from click.testing import CliRunner
-from into_logs import write_bag, write_mcap, write_rosbag2
+from into_logs import run, write_bag, write_mcap, write_rosbag2
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import IndexType
@@ -18,14 +17,12 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.rosbag2 import StoragePlugin
 from ruamel.yaml import YAML
 
-from quatprop.cli import cli
-
 ADDED = "/attitude"
 
 
 def copy(log, out):
     """Add attitudes to a log, as a user would."""
-    result = CliRunner().invoke(cli, ["propagate", str(log), "--into", str(out), "-q"])
+    result = run("propagate", log, "--into", out, "-q")
     assert (result.exit_code, result.output) == (0, "")
     return out
 

@@ -2,23 +2,16 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from into_logs import IMU, RATE, imu_message, moments, write_bag
+from into_logs import IMU, RATE, imu_message, moments, run, write_bag
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli import cli
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag1.records import RecordFile, index_offsets, walked_records
 from quatprop.formats import open_log
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 Form = Writer.CompressionFormat
-
-
-def run(*arguments):
-    """Run the command as a user would."""
-    return CliRunner().invoke(cli, list(map(str, arguments)))
 
 
 def content(path):
@@ -110,17 +103,6 @@ def test_chunks_stand_in_order_of_time_and_the_index_tells_them(tmp_path):
     assert infos == len(places)
     in_file = [start for _, start in sorted(starts)]
     assert in_file == sorted(in_file)
-
-
-def test_a_topic_that_is_there_is_refused(tmp_path):
-    """With the option that settles it, and nothing is left behind."""
-    log = write_bag(tmp_path / "log.bag")
-    result = run("propagate", log, "--into", tmp_path / "out.bag", "--out-topic", "/shutter")
-    assert result.exit_code == 2
-    assert result.stderr.endswith(
-        "log.bag: topic '/shutter' exists already; choose another with --out-topic NAME\n"
-    )
-    assert list(tmp_path.iterdir()) == [log]
 
 
 def test_messages_of_foxglove_are_refused(tmp_path):

@@ -6,14 +6,12 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from into_logs import BOOT, moments, write_mcap, write_rosbag2
+from into_logs import BOOT, moments, run, write_mcap, write_rosbag2
 from mcap_doctor import examine
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from quatprop.cli import cli
 from quatprop.formats import open_log
 from quatprop.into.rosbag2_metadata import Added, extended
 from quatprop.writers.messages.topics import ros_topic
@@ -23,11 +21,6 @@ STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
 SUFFIXES = {StoragePlugin.SQLITE3: ".db3", StoragePlugin.MCAP: ".mcap"}
 
 TOPIC = ros_topic("/attitude", "geometry_msgs/msg/QuaternionStamped", ros1=False)
-
-
-def run(*arguments):
-    """Run the command as a user would."""
-    return CliRunner().invoke(cli, list(map(str, arguments)))
 
 
 def content(path):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 import zipfile
+from contextlib import suppress
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
@@ -171,14 +172,12 @@ class NpzLog(NumpyTable):
         if member not in self._archive.namelist():
             return {}
         text = b""
-        try:
-            with archive_damage(), self._open_array(member) as stream:
-                dtype = read_header(stream).dtype
-                if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
-                    data = stream.read(dtype.itemsize)
-                    text = str(np.frombuffer(data, dtype)[0]).encode()
-        except (DamageError, ValueError, IndexError):
-            pass
+        is_unusable = suppress(DamageError, ValueError, IndexError)
+        with is_unusable, archive_damage(), self._open_array(member) as stream:
+            dtype = read_header(stream).dtype
+            if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
+                data = stream.read(dtype.itemsize)
+                text = str(np.frombuffer(data, dtype)[0]).encode()
         return provenance_in({METADATA_KEY: text}, self.path)
 
     def close(self) -> None:
