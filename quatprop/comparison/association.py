@@ -201,7 +201,9 @@ def equal_stamps(a: Int64, b: Int64) -> tuple[Intp | slice, Intp | slice]:
 def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
     """Return how many samples lie in the common time, of the series that has fewer there."""
     start, stop = max(a.t_ns[0], b.t_ns[0]), min(a.t_ns[-1], b.t_ns[-1])
-    return min(int(((s.t_ns >= start) & (s.t_ns <= stop)).sum()) for s in (a, b))
+    return min(
+        int(np.searchsorted(s.t_ns, stop, "right") - np.searchsorted(s.t_ns, start)) for s in (a, b)
+    )
 
 
 def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:

@@ -66,6 +66,28 @@ rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, 
 ``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say."""
 
 
+FRAMES: Final = ("body", "inertial")
+"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
+
+
+def is_inertial(rates: str) -> bool:
+    """Tell whether rates are resolved in the inertial frame.
+
+    Parameters
+    ----------
+    rates
+        One of :data:`FRAMES`.
+
+    Raises
+    ------
+    UsageError
+        No such frame.
+    """
+    if rates not in FRAMES:
+        raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
+    return rates == "inertial"
+
+
 def integration_rule(method: str) -> Rule:
     """Return the function of a method.
 

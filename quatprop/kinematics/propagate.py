@@ -11,26 +11,22 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from quatprop.errors import SeriesError, UsageError
-from quatprop.kinematics.increments import integration_rule, rotation_vectors
+from quatprop.errors import SeriesError
+from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
 from quatprop.kinematics.product import product, product_scan, tile_steps, write_rows
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
 from quatprop.series import BLOCK, AttitudeSeries, GyroSeries, reblock
-from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from numpy.typing import ArrayLike, NDArray
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64, Int64
+
     Pairs = NDArray[np.complex128]
 
 Item = TypeVar("Item")
-
-FRAMES: Final = ("body", "inertial")
-"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 
 TILE: Final = BLOCK // 8
 """Steps composed together: few enough for the L2 cache, many enough to make calls cheap."""
@@ -96,11 +92,9 @@ class _Composition:
     """
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
-        if rates not in FRAMES:
-            raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
+        self._inertial = is_inertial(rates)
         integration_rule(method)
         self._method = method
-        self._inertial = rates == "inertial"
         q0 = unit_q0(q0)
         self._attitude: Pairs = (conjugate(q0) if self._inertial else q0).view(np.complex128)
         self._previous: GyroSeries | None = None

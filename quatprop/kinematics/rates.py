@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import UsageError
-from quatprop.kinematics.propagate import FRAMES
+from quatprop.kinematics.increments import is_inertial
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
-from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -71,7 +69,7 @@ def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
     """
     w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
     # Inertial rates multiply on the left: the cross product has the opposite sign.
-    a, b, c = (-x, -y, -z) if _is_inertial(rates) else (x, y, z)
+    a, b, c = (-x, -y, -z) if is_inertial(rates) else (x, y, z)
     rows = [[-x, -y, -z], [w, -c, b], [c, w, -a], [-b, a, w]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2) / 2
 
@@ -95,7 +93,7 @@ def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
     """
     x, y, z = np.moveaxis(np.asarray(rate, dtype=np.float64), -1, 0)
     o = np.zeros_like(x)
-    a, b, c = (-x, -y, -z) if _is_inertial(rates) else (x, y, z)
+    a, b, c = (-x, -y, -z) if is_inertial(rates) else (x, y, z)
     rows = [[o, -x, -y, -z], [x, o, c, -b], [y, -c, o, a], [z, b, -a, o]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
@@ -123,7 +121,7 @@ def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
     array([0., 0., 2.])
     """
     inverse = conjugate(q)
-    turned = multiply(q_rate, inverse) if _is_inertial(rates) else multiply(inverse, q_rate)
+    turned = multiply(q_rate, inverse) if is_inertial(rates) else multiply(inverse, q_rate)
     return 2 * turned[..., 1:]
 
 
@@ -174,12 +172,6 @@ def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64
     """
     q = np.asarray(wxyz, dtype=np.float64)
     before, after = q[:-1], q[1:]
-    inertial = _is_inertial(rates)
+    inertial = is_inertial(rates)
     step = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
     return log(shorter(step))
-
-
-def _is_inertial(rates: str) -> bool:
-    if rates not in FRAMES:
-        raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
-    return rates == "inertial"
