@@ -11,7 +11,7 @@ from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import METHODS, PROPAGATE, PropagateOptions, parse_all
-from quatprop.settings.parsers import StaticBias
+from quatprop.settings.parsers import StaticBias, file_beside
 from quatprop.times import Instant
 
 
@@ -124,3 +124,21 @@ def test_the_methods_are_those_of_the_kinematics():
     from quatprop.kinematics.increments import METHODS as RULES
 
     assert tuple(RULES) == METHODS
+
+
+@pytest.mark.parametrize("name", ["bias", "q0"])
+def test_a_series_may_be_a_folder(tmp_path, name):
+    """A ROS 2 bag is one: it is an input of the run, and beside the file that names it."""
+    (tmp_path / "bag").mkdir()
+    settings = propagation_settings({name: str(tmp_path / "bag")})
+    assert settings.inputs == {name: str(tmp_path / "bag")}
+    assert file_beside(name, "bag", tmp_path) == tmp_path / "bag"
+
+
+def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
+    """Whatever lies there; they mean what they mean without it."""
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("bias", "static"), ("bias", "static:2s"), ("q0", "level"), ("q0", "log")):
+        (tmp_path / text).touch()
+        assert file_beside(name, text, tmp_path) is None
+        assert propagation_settings({name: text}).inputs == {}

@@ -15,7 +15,7 @@ from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 from quatprop.errors import UsageError
 from quatprop.text import did_you_mean, listed, shown
@@ -239,11 +239,12 @@ def moment(value: object) -> Instant:
 def file_beside(name: str, text: str, folder: Path) -> Path | None:
     """Return the file that a setting names, relative to a folder; None where it names none."""
     path = folder / text
-    if name not in FILE_SETTINGS or "://" in text or (name == "q0" and text in FROM_THE_LOG):
+    words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
+    if name not in FILE_SETTINGS or "://" in text or text.partition(":")[0].strip() in words:
         return None
-    if name in {"bias", "q0"}:
-        # It may as well be a topic, static, or numbers.
-        return path if path.is_file() or (name == "q0" and path.exists()) else None
+    if words:
+        # It may as well be a topic or numbers.
+        return path if path.exists() else None
     return None if "," in text and not path.exists() else path
 
 
@@ -251,9 +252,9 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic."""
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
-    if not isinstance(value, PathLike) and not (isinstance(value, str) and not _is_numbers(value)):
+    if not _is_name(value):
         return numbers("W,X,Y,Z")(value)
-    may_be_a_topic = isinstance(value, str) and value and "." not in Path(value).name
+    may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
         raise UsageError(
             f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
@@ -269,17 +270,13 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | BiasSource:
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
         window = value.partition(":")[2]
         return StaticBias(duration_ns(window)) if window else StaticBias()
-    if isinstance(value, PathLike) or (isinstance(value, str) and _names_something(value)):
+    # With commas, it may be an attempt at numbers.
+    if _is_name(value) and ("," not in str(value) or Path(value).exists()):
         return BiasSource(path(value))
     try:
         return numbers("X,Y,Z")(value)
     except UsageError as error:
         raise UsageError(error.text, ", nor static[:DUR]") from None
-
-
-def _names_something(value: str) -> bool:
-    """Tell whether text may be a file or a topic: not numbers, and no attempt at them."""
-    return bool(value) and not _is_numbers(value) and ("," not in value or Path(value).exists())
 
 
 def mounting(value: object) -> str:
@@ -307,8 +304,12 @@ def _whole(value: object) -> int | None:
         return None
 
 
-def _is_numbers(value: str) -> bool:
+def _is_name(value: object) -> TypeGuard[str | PathLike[str]]:
+    """Tell whether a value may be a file or a topic: text that is not numbers."""
+    if not isinstance(value, str) or not value:
+        return isinstance(value, PathLike)
     try:
-        return bool([float(part) for part in value.split(",")])
+        list(map(float, value.split(",")))
     except ValueError:
-        return False
+        return True
+    return False
