@@ -13,7 +13,6 @@ from quatprop.cli.options import (
     JSON,
     PLOT,
     input_of,
-    own_options,
     refuse_stdin_twice,
     setting_options,
     with_options,
@@ -43,7 +42,7 @@ EXAMPLES = (
 @with_options(
     setting_options(COMPARE, log="B"),
     setting_options(CHECK_ATTITUDES),
-    own_options({**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."}),
+    {**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."},
     setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
     setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
 )

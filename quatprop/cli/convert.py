@@ -63,7 +63,7 @@ OPTIONS = own_options(
 @click.argument("log", type=PATH, metavar="IN")
 @click.argument("output", type=PATH, metavar="[OUT]", required=False)
 @with_options(
-    own_options(INTO),
+    INTO,
     setting_options(READ_ATTITUDES, log="IN", signal="attitudes"),
     OUTPUT_OPTIONS,
     OPTIONS,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import own_options, setting_options, with_options
+from quatprop.cli.options import setting_options, with_options
 from quatprop.cli.spelling import sentence, spelled
 from quatprop.cli.types import PATH
 from quatprop.provenance import as_json as to_json
@@ -52,13 +52,11 @@ EXAMPLES = (
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(
-    own_options(
-        {
-            "--json as_json": "JSON on stdout instead of a table.",
-            "--as-config": "Print the options that LOG, an output of propagate, was made with; as "
-            "a file for propagate --config, which makes it again.",
-        }
-    ),
+    {
+        "--json as_json": "JSON on stdout instead of a table.",
+        "--as-config": "Print the options that LOG, an output of propagate, was made with; as a "
+        "file for propagate --config, which makes it again.",
+    },
     setting_options(READ_RATES),
 )
 def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> int:

@@ -7,7 +7,6 @@ table of its own, for :func:`own_options`.
 
 from __future__ import annotations
 
-from itertools import chain
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -18,7 +17,7 @@ from quatprop.settings.parsers import Choice, flag
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from quatprop.settings.parsers import Parser
     from quatprop.signals.attitude_input import AttitudeInput
@@ -240,11 +239,16 @@ QUIET = {"-q --quiet": "No summary; errors only."}
 JSON = {"--json as_json": "JSON on stdout instead of text."}
 
 
-def with_options(*options: Iterable[Option]) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command these options, in this order."""
+def with_options(
+    *options: Sequence[Option] | dict[str, str],
+) -> Callable[[Command], Command]:
+    """Return a decorator that gives a command these options, or those of texts, in this order."""
+    every: list[Option] = []
+    for some in options:
+        every += own_options(some) if isinstance(some, dict) else some
 
     def decorated(command: Command) -> Command:
-        for option in reversed([*chain(*options)]):
+        for option in reversed(every):
             command = option(command)
         return command
 

@@ -82,9 +82,9 @@ REFERENCE = {
 @with_options(
     OPTIONS,
     setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"),
-    own_options(REFERENCE),
+    REFERENCE,
     setting_options(ERROR, log="REF", prefix="(with --reference) "),
-    own_options(QUIET),
+    QUIET,
     setting_options(READ_RATES, log="FILE"),
     setting_options(ATTITUDES, log="FILE", signal="attitudes"),
     setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"),

@@ -9,7 +9,7 @@ import click
 
 from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
-from quatprop.cli.options import PLOT, QUIET, REPORT, own_options, setting_options, with_options
+from quatprop.cli.options import PLOT, QUIET, REPORT, setting_options, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, TEXTS
@@ -32,23 +32,22 @@ EXAMPLES = (
 )
 
 
+OUT = {
+    "-o --output": "PATH|-  Where the attitudes go; - is stdout.  [default: none, required without "
+    "--into]",
+}
 VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", type=PATH)
 @with_options(
-    own_options(
-        {
-            "-o --output": "PATH|-  Where the attitudes go; - is stdout.  [default: none, required "
-            "without --into]",
-            **INTO,
-        }
-    ),
+    OUT,
+    INTO,
     OUTPUT_OPTIONS,
     setting_options(PROPAGATE),
     [config_option],
-    own_options({**REPORT, **PLOT, **QUIET, **VERBOSE}),
+    {**REPORT, **PLOT, **QUIET, **VERBOSE},
 )
 def command(**chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
