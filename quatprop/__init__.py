@@ -43,11 +43,11 @@ References
 
 Examples
 --------
-Half a turn about z in one second, sampled at 4 Hz:
+Half a turn about z in one second, sampled at 8 Hz:
 
 >>> import numpy as np
 >>> import quatprop
->>> rates = quatprop.GyroSeries(np.arange(5) * 250_000_000, np.tile([0, 0, np.pi], (5, 1)))
+>>> rates = quatprop.GyroSeries(np.arange(9) * 125_000_000, [[0, 0, np.pi]] * 9)
 >>> attitudes = quatprop.propagate(rates)
 >>> attitudes.wxyz[-1].round(12).tolist()
 [0.0, 0.0, 0.0, 1.0]

@@ -270,7 +270,7 @@ sample_rate, clock
     --------
     Half a turn about z in one second:
 
-    >>> rates = GyroSeries([0, 500_000_000, 1_000_000_000], [[0, 0, np.pi]] * 3)
+    >>> rates = GyroSeries(np.arange(9) * 125_000_000, [[0, 0, np.pi]] * 9)
     >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
