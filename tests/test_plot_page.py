@@ -293,7 +293,7 @@ def test_a_page_zooms_and_reads_values(series, tmp_path):
 
 def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path):
     """Between the extremes of a bin nothing is known; a short series has all its samples."""
-    for samples, bin_s in ((2000, 0.0), (8 * 2048, 0.007)):
+    for samples, bin_s in ((2000, 0.0), (4000, 0.0), (8 * 2048, 0.007)):
         log = tmp_path / "rates.npy"
         rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
         rows["t_ns"] = np.arange(samples) * 1_000_000

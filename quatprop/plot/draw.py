@@ -219,7 +219,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
     grid = result.add_gridspec(
         len(panels), 1, left=left, right=right, top=1 - head / height, bottom=foot / height,
-        hspace=0.12, height_ratios=heights,
+        hspace=0.14, height_ratios=heights,
     )  # fmt: skip
     label = -LABEL * scale / (style.width * (right - left))
     explained: list[tuple[Artist, str]] = [

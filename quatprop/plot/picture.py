@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.plot.accumulators import Group, Quantity
     from quatprop.plot.lines import Line
+    from quatprop.plot.reduction import Reduced
 
 
 class Band(NamedTuple):
@@ -204,9 +205,16 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
             for one, start in zip(gaps, starts, strict=True)
         ),
         starts=tuple(starts),
-        bin_s=1e-9 * max(float(np.median(part.last_ns - part.first_ns)) for part in reduced),
+        bin_s=1e-9 * max(map(_bin_ns, reduced)),
         legend=tuple(file.name for file in files) if several else (),
     )
+
+
+def _bin_ns(reduced: Reduced) -> float:
+    """Return the usual time that was reduced to its extremes, ns; 0 for one or two samples."""
+    width = float(np.median(reduced.last_ns - reduced.first_ns))
+    between = np.median(reduced.first_ns[1:] - reduced.last_ns[:-1]) if len(reduced) > 1 else 0.0
+    return width if width > 1.5 * between else 0.0
 
 
 def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: int) -> Curve:
