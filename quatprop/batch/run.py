@@ -17,7 +17,7 @@ from quatprop.containers.stores import is_address, without_secret
 from quatprop.containers.transfers import upload
 from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
 from quatprop.pipeline.job import Job, run
-from quatprop.provenance import as_json, digest_of
+from quatprop.provenance import digest_of
 from quatprop.temp_files import temp_folder
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from quatprop.batch.logs import FoundLog
     from quatprop.batch.manifest import Manifest
     from quatprop.containers.base import Loss
-    from quatprop.pipeline.report import RunReport
 
 REQUESTS = 32
 """Logs in an object store about which it is asked at a time."""
@@ -225,20 +224,10 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     job = settings.job
     job = replace(job, log=task.path, output=replace(job.output, path=path))
     report = run(job, summary=False)
-    return BatchResult(
-        _entry_of(task, report, path),
-        remarks=report.remarks,
-        losses=report.losses,
-        report=as_json(report.as_json()) if settings.reports else None,
-    )
-
-
-def _entry_of(task: BatchTask, report: RunReport, path: str) -> ManifestEntry:
-    log, result = report.source.digest, report.result
+    log, output, result = report.source.digest, digest_of(path), report.result
     if log.sha256 is None and not is_address(task.path):
         log = digest_of(task.path)
-    output = digest_of(path)
-    return ManifestEntry(
+    entry = ManifestEntry(
         state="data lost" if report.data_lost else "done",
         log=log_name(task.path),
         output=task.name,
@@ -256,6 +245,8 @@ def _entry_of(task: BatchTask, report: RunReport, path: str) -> ManifestEntry:
         output_bytes=output.bytes,
         output_sha256=output.sha256,
     )
+    json = report.as_json() if settings.reports else None
+    return BatchResult(entry, remarks=report.remarks, losses=report.losses, report=json)
 
 
 def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
