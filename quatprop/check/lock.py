@@ -96,17 +96,15 @@ def read_lock(path: Path) -> dict[str, Pin]:
         The lock is not what an update writes.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise SuiteError(path, f"it cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError:
-        text = ""
     try:
-        return {name: _pin(entry) for name, entry in json.loads(text)["cases"].items()}
+        return {name: _pin(entry) for name, entry in json.loads(content)["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SuiteError(path, _defect(text)) from error
+        raise SuiteError(path, _defect(content.decode(errors="replace"))) from error
 
 
 def _defect(text: str) -> Text:

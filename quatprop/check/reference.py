@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,18 +106,14 @@ def refuse_replacing(target: Path) -> None:
     OutputError
         It is no stored reference.
     """
-    if not target.exists():
-        return
-    try:
-        is_reference = PROVENANCE_KEY in _provenance(str(target))
-    except QuatpropError:
-        is_reference = False
-    if not is_reference:
-        raise OutputError(
-            target,
-            f"this was not written by check {Setting('update')}, which would replace it; move it "
-            "away, or name an independent series as reference-log",
-        )
+    with suppress(QuatpropError):
+        if not target.exists() or PROVENANCE_KEY in _provenance(str(target)):
+            return
+    raise OutputError(
+        target,
+        f"this was not written by check {Setting('update')}, which would replace it; move it "
+        "away, or name an independent series as reference-log",
+    )
 
 
 def describe_provenance(case: Case, pin: Pin) -> str:

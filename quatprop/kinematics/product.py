@@ -24,7 +24,8 @@ from quatprop.kinematics.half_angle import half_angle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64
+
     Pairs = NDArray[np.complex128]
 
 LEVELS: Final = 8
