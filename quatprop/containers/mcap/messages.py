@@ -39,7 +39,7 @@ class LocatedMessages:
         The messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
         clamped to :data:`~quatprop.containers.base.LATEST` in `log_ns`.
     channels
-        Channel ids, shape ``(N,)``.
+        Channel ids, shape ``(N,)``; may be a view of the buffer.
     """
 
     block: MessageBlock
@@ -157,8 +157,7 @@ def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | No
     head = np.ndarray((count,), MESSAGE_HEAD, data, first, (stride,))
     starts = np.arange(first + _HEAD, first + _HEAD + count * stride, stride)
     ends = starts + (length - _FIXED)
-    block = _block(data, starts, ends, head, stride)
-    return LocatedMessages(block, np.broadcast_to(head["channel"][:1].copy(), count))
+    return LocatedMessages(_block(data, starts, ends, head, stride), head["channel"])
 
 
 def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
