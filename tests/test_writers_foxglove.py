@@ -11,9 +11,8 @@ from quatprop.cli import cli
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder, schema_of
+from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder, schema_of, varint
 from quatprop.writers.messages.kinds import MESSAGES, Message
-from quatprop.writers.messages.protobuf import varint
 
 NAMES = [name for name, known in MESSAGES.items() if not known.is_ros]
 FIELD = descriptor_pb2.FieldDescriptorProto
