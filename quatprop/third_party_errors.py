@@ -118,10 +118,11 @@ def as_user_error(error: Exception) -> QuatpropError | None:
 
 def _place(error: Exception) -> str:
     """Return the innermost line of quatprop in the traceback of an error."""
-    trace, place = error.__traceback__, "before its first line"
-    while trace is not None:
-        path = Path(trace.tb_frame.f_code.co_filename)
-        if "quatprop" in path.parts:
-            place = f"{'/'.join(path.parts[-2:])} line {trace.tb_lineno}"
-        trace = trace.tb_next
-    return place
+    from traceback import extract_tb
+
+    ours = [
+        line for line in extract_tb(error.__traceback__) if "quatprop" in Path(line.filename).parts
+    ]
+    if not ours:
+        return "before its first line"
+    return f"{'/'.join(Path(ours[-1].filename).parts[-2:])} line {ours[-1].lineno}"

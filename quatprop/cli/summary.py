@@ -129,14 +129,8 @@ ERRORS = {
 
 def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
-    largest, share = ERRORS[uncertainty.largest][0], uncertainty.largest_share
-    yield (
-        "1 sigma",
-        (
-            f"{sigma} about the body axes of the final attitude, {share:.0%} of the variance by "
-            f"{largest}"
-        ),
-    )
+    share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
+    yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
     known = (
         f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
         f"({plain(uncertainty.origins[key])})"

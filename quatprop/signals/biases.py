@@ -134,10 +134,8 @@ def _of_channel(
 
 
 def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:
-    parts = list(rows)
-    stamps = [t_ns for t_ns, _ in parts] or [np.empty(0, np.int64)]
-    biases = [bias for _, bias in parts] or [np.empty((0, 3))]
-    t_ns, bias = np.concatenate(stamps), np.concatenate(biases)
+    parts = [(np.empty(0, np.int64), np.empty((0, 3))), *rows]
+    t_ns, bias = (np.concatenate(column) for column in zip(*parts, strict=True))
     good = np.isfinite(bias).all(axis=1)
     if not good.any():
         raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")

@@ -49,18 +49,13 @@ def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
     channels = [channel for channel in log.channels() if channel.count != 0]
     if topic is not None:
         named = [channel for channel in channels if channel.topic == topic]
-        channels = named or _only_instance(channels, topic)
+        instances = [
+            channel
+            for channel in channels
+            if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+        ]
+        channels = named or (instances if len(instances) == 1 else [])
     return [_with_sample(log, channel) for channel in channels]
-
-
-def _only_instance(channels: list[Channel], topic: str) -> list[Channel]:
-    """Return the channel of a ULog topic that is named without its instance, if it has one."""
-    instances = [
-        channel
-        for channel in channels
-        if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
-    ]
-    return instances if len(instances) == 1 else []
 
 
 def _with_sample(log: MessageLog, channel: Channel) -> Channel:
