@@ -195,7 +195,7 @@ def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
     _, cases = load_cases(suite)
     assert cases[0].inputs["bias"] == str(tmp_path / "bias.csv")
     assert [case.inputs.keys() & {"bias"} for case in cases[1:]] == [set(), set()]
-    assert PROPAGATE["bias"]("/imu/bias").name == "/imu/bias"
+    assert PROPAGATE["bias"]("/imu/bias") == "/imu/bias"
 
 
 @pytest.mark.filterwarnings("ignore")

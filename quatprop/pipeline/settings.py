@@ -19,7 +19,7 @@ from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
 from quatprop.settings import SELECT_RATES, as_text, parse_all
-from quatprop.settings.parsers import FROM_THE_LOG, BiasSource, StaticBias, file_beside
+from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
 from quatprop.text import Setting
 from quatprop.timeline.stamps import Policy
 
@@ -206,7 +206,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         q0=_initial_attitude(values),
         conditioning=Conditioning(
             bias=bias if isinstance(bias, tuple) else None,
-            bias_from=bias.name if isinstance(bias, BiasSource) else None,
+            bias_from=bias if isinstance(bias, str) else None,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
             rates=values.get("rates", "body"),
             **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},

@@ -33,9 +33,6 @@ FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"}
 STATIC = "static"
 """The bias is the mean rate at rest."""
 
-STATIC_WINDOW_NS = 1_000_000_000
-"""Rest is looked for in windows of this length, ns, unless the user says otherwise."""
-
 MAX_FREQUENCY = 1_000_000_000
 """Hz: stamps are whole nanoseconds."""
 
@@ -53,28 +50,11 @@ class StaticBias:
         Rest is looked for in windows of this length, ns.
     """
 
-    window_ns: int = STATIC_WINDOW_NS
+    window_ns: int = 1_000_000_000
 
     def __str__(self) -> str:
         """Return it as :func:`bias` reads it."""
         return f"{STATIC}:{self.window_ns}ns"
-
-
-@dataclass(frozen=True, slots=True)
-class BiasSource:
-    """Take the bias from a series of them.
-
-    Parameters
-    ----------
-    name
-        A file, or a topic of the log.
-    """
-
-    name: str
-
-    def __str__(self) -> str:
-        """Return it as :func:`bias` reads it."""
-        return self.name
 
 
 def text(value: object) -> str:
@@ -112,12 +92,12 @@ class Choice:
 
     def __call__(self, value: object) -> str:
         """Return the name."""
+        hint = ""
         if isinstance(value, str):
-            value = choice_named(value, self.names)
-        if not isinstance(value, str) or value not in self.names:
-            hint = did_you_mean(value, self.names) if isinstance(value, str) else ""
-            raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")
-        return value
+            if (name := choice_named(value, self.names)) in self.names:
+                return name
+            hint = did_you_mean(value, self.names)
+        raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")
 
 
 def columns(names: str) -> Callable[[object], tuple[str, ...]]:
@@ -242,10 +222,8 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
     if name not in FILE_SETTINGS or "://" in text or text.partition(":")[0].strip() in words:
         return None
-    if words:
-        # It may as well be a topic or numbers.
-        return path if path.exists() else None
-    return None if "," in text and not path.exists() else path
+    # It may as well be a topic or numbers.
+    return path if path.exists() or not (words or "," in text) else None
 
 
 def initial_attitude(value: object) -> tuple[float, ...] | str:
@@ -263,16 +241,16 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias | BiasSource:
-    """Return three rates, or where to take the bias from."""
-    if isinstance(value, StaticBias | BiasSource):
+def bias(value: object) -> tuple[float, ...] | StaticBias | str:
+    """Return three rates, rest, or a series of biases: a path or a topic."""
+    if isinstance(value, StaticBias):
         return value
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
         window = value.partition(":")[2]
         return StaticBias(duration_ns(window)) if window else StaticBias()
     # With commas, it may be an attempt at numbers.
     if _is_name(value) and ("," not in str(value) or Path(value).exists()):
-        return BiasSource(path(value))
+        return path(value)
     try:
         return numbers("X,Y,Z")(value)
     except UsageError as error:

@@ -128,9 +128,7 @@ def picture_size(value: object) -> tuple[float, float | None]:
         unit = PER_INCH[found[3]]
         width = float(found[1]) / unit
         height = float(found[2]) / unit if found[2] else None
-        if all(
-            SMALLEST_IN <= size <= LARGEST_IN
-            for size in (width, width if height is None else height)
-        ):
+        sizes = (width,) if height is None else (width, height)
+        if all(SMALLEST_IN <= size <= LARGEST_IN for size in sizes):
             return width, height
     raise UsageError(f"{shown(value)} is not a size from 1in to 100in; write 90mm or 16x9cm")
