@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from quatprop.containers.byte_ranges import LARGE
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
@@ -13,7 +14,7 @@ from quatprop.containers.mcap.messages import (
     only_messages,
 )
 from quatprop.containers.mcap.regions import PEEK, Loaded, Region, RegionError, index_of, load
-from quatprop.containers.mcap.selected import is_read_in_part, may_be_selected, selected_messages
+from quatprop.containers.mcap.selected import selected_messages
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import UnsupportedLogError
 
@@ -69,7 +70,7 @@ class McapReader(ChunkReader[Region, Loaded]):
     def expected(self, chunk: Region) -> list[tuple[int, int]]:
         """Return the bytes of a region, or head and index of a chunk that is read in part."""
         head_end = chunk.start + PEEK
-        if is_read_in_part(chunk, chunk.own(self.ids)):
+        if self._is_read_in_part(chunk):
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
@@ -79,7 +80,12 @@ class McapReader(ChunkReader[Region, Loaded]):
 
     def is_mixed(self, chunk: Region) -> bool:
         """Return whether a region is a chunk with other channels, by an index of its messages."""
-        return may_be_selected(chunk, chunk.own(self.ids))
+        if not chunk.is_chunk or not chunk.index_length or chunk.holds is None:
+            return False
+        return not set(chunk.holds) <= set(chunk.own(self.ids))
+
+    def _is_read_in_part(self, chunk: Region) -> bool:
+        return chunk.is_uncompressed and chunk.length >= LARGE and self.is_mixed(chunk)
 
     def whole(self, chunk: Region, into: Bytes | None = None) -> Loaded:
         """Return the records of a region."""
@@ -90,9 +96,9 @@ class McapReader(ChunkReader[Region, Loaded]):
 
     def selected(self, chunk: Region, whole: Loaded | None = None) -> Loaded | None:
         """Return copies of the wanted messages of a chunk, if they are all that is needed."""
-        own = chunk.own(self.ids)
-        if whole is None and not is_read_in_part(chunk, own):
+        if whole is None and not self._is_read_in_part(chunk):
             return None
+        own = chunk.own(self.ids)
         try:
             return selected_messages(self.source, chunk, own, self.definitions, whole)
         except (RegionError, OSError):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.byte_ranges import GAP, LARGE, ranges_of, ranges_worth_reading
+from quatprop.containers.byte_ranges import GAP, ranges_of, ranges_worth_reading
 from quatprop.containers.mcap.messages import indexed_offsets
 from quatprop.containers.mcap.regions import RECORD, Loaded, head_of, index_of
 
@@ -123,15 +123,3 @@ def _read(
     at = region.start + chunk.begin
     data = source.read_ranges((at + ranges.begins).tolist(), (at + ranges.ends).tolist())
     return (data, begins - ranges.moved[1:]) if len(data) == ranges.size else None
-
-
-def may_be_selected(region: Region, ids: Sequence[int]) -> bool:
-    """Return whether a region is a chunk with other channels, by an index of its messages."""
-    if not region.is_chunk or not region.index_length or region.holds is None:
-        return False
-    return not set(region.holds) <= set(ids)
-
-
-def is_read_in_part(region: Region, ids: Sequence[int]) -> bool:
-    """Return whether only the selected messages of a region are read."""
-    return region.is_uncompressed and region.length >= LARGE and may_be_selected(region, ids)
