@@ -142,7 +142,8 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
 
 def _as_array(name: str, values: object) -> NDArray[Any]:
     if isinstance(values, np.ndarray):
-        if np.ma.is_masked(values):
+        # Of a masked array, without importing what makes them.
+        if np.any(getattr(values, "mask", False)):
             raise SeriesError(f"`{name}` has missing values")
         return np.asarray(values)
     if hasattr(values, "column_names") and hasattr(values, "columns"):
