@@ -141,6 +141,8 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
 
 
 def _as_array(name: str, values: object) -> NDArray[Any]:
+    if type(values) is np.ndarray:
+        return values
     if isinstance(values, np.ndarray):
         # Of a masked array, without importing what makes them.
         if np.any(getattr(values, "mask", False)):
