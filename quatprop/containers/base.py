@@ -115,9 +115,8 @@ class MessageBlock:
 
     def at(self, chosen: NDArray[np.generic]) -> MessageBlock:
         """Return some of the messages, by their positions or a mask."""
-        starts, ends, log_ns, publish_ns = (
-            column[chosen] for column in (self.starts, self.ends, self.log_ns, self.publish_ns)
-        )
+        starts, ends = self.starts[chosen], self.ends[chosen]
+        log_ns, publish_ns = self.log_ns[chosen], self.publish_ns[chosen]
         return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.not_before_ns)
 
 
@@ -201,13 +200,11 @@ class Log(ABC):
     losses
         What could not be read; grows while the log is read.
     remarks
-        What may be wrong with the log, though it cannot be told for certain; grows while the log
-        is read.
+        What may be wrong with the log, though not for certain; grows while the log is read.
     definition_files
         Files beside the log that message definitions were taken from.
     unchecked_chunks
-        Chunks of which only selected messages were read, so that the checksum of the whole chunk
-        was not compared; grows while the log is read.
+        Chunks that were read in part and so not compared with their checksum; grows likewise.
     """
 
     kind: str
@@ -269,9 +266,7 @@ class MessageLog(Log):
         return None
 
     def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel that were logged in a time range, and some others.
-
-        Only the parts of the log that the index has in the range are read, or checked.
+        """Yield the messages of the parts of the log that the index has in a time range.
 
         Parameters
         ----------

@@ -8,12 +8,13 @@ from quatprop.containers.byte_ranges import LARGE
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
+    index_of,
     indexed_offsets,
     messages_at,
     messages_past_damage,
     only_messages,
 )
-from quatprop.containers.mcap.regions import PEEK, Loaded, Region, RegionError, index_of, load
+from quatprop.containers.mcap.regions import PEEK, Loaded, Region, RegionError, load
 from quatprop.containers.mcap.selected import selected_messages
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import UnsupportedLogError

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.containers.compression import Buffer
+    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.regions import Region
 
 _HEAD = MESSAGE_HEAD.itemsize
@@ -191,6 +192,14 @@ def _block(
         log_ns[log_ns < 0] = LATEST
     buffer = np.frombuffer(data, np.uint8)
     return MessageBlock(buffer, starts, ends, log_ns, head["publish"], stride=stride)
+
+
+def index_of(source: FileSource, region: Region) -> bytes:
+    """Return the message indexes that follow a region; empty where they cannot be read."""
+    try:
+        return source.read(region.start + region.length, region.index_length)
+    except OSError:
+        return b""
 
 
 def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64] | None:

@@ -56,8 +56,8 @@ class Region:
         The chunk record, or the messages, in the file, bytes.
     is_chunk
         Whether it is a chunk.
-    first_ns
-        Its earliest log time, ns.
+    first_ns, last_ns
+        Its earliest and latest log time, ns; the latest is None if it is unknown.
     index_length
         Bytes of message index that follow it.
     holds
@@ -65,12 +65,10 @@ class Region:
         None if it is unknown which channels the region holds.
     counts
         Number of messages of each channel, by channel id, where they were counted.
-    last_ns
-        Its latest log time, ns; None if it is unknown.
     first_id
         What is added to its channel ids to tell them from those defined elsewhere in the file.
     size
-        Bytes of its decompressed records by the index, which may be wrong.
+        Bytes of its decompressed records by the index.
     """
 
     start: int
@@ -123,13 +121,7 @@ class Region:
 
 
 class RegionError(Exception):
-    """A region that cannot be read; the log notes it as a loss.
-
-    Parameters
-    ----------
-    reason
-        Why.
-    """
+    """A region that cannot be read, and why; the log notes it as a loss."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -276,14 +268,6 @@ def head_of(source: FileSource, region: Region) -> ChunkHead | None:
     if not region.is_chunk:
         return None
     return chunk_head(source.read(region.start, PEEK), region.length)
-
-
-def index_of(source: FileSource, region: Region) -> bytes:
-    """Return the message indexes that follow a region; empty where they cannot be read."""
-    try:
-        return source.read(region.start + region.length, region.index_length)
-    except OSError:
-        return b""
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.byte_ranges import GAP, ranges_of, ranges_worth_reading
-from quatprop.containers.mcap.messages import indexed_offsets
-from quatprop.containers.mcap.regions import RECORD, Loaded, head_of, index_of
+from quatprop.containers.mcap.messages import index_of, indexed_offsets
+from quatprop.containers.mcap.regions import RECORD, Loaded, head_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
