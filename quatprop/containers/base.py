@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.time_range import TimeRange
 
-
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
 
