@@ -1,6 +1,7 @@
 """The package as a whole: public names, layering, start-up."""
 
 import ast
+import doctest
 import importlib
 import pkgutil
 import re
@@ -46,10 +47,13 @@ def test_an_unknown_name_is_an_attribute_error():
         _ = quatprop.nonsense
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_every_module_imports_and_says_what_it_is(name):
-    """Each module has a docstring."""
-    assert importlib.import_module(name).__doc__
+@pytest.mark.parametrize("name", ["quatprop", *MODULES])
+def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch):
+    """Each module has a docstring; what examples in it show is what they give."""
+    monkeypatch.chdir(PACKAGE.parent)
+    module = importlib.import_module(name)
+    assert module.__doc__
+    assert not doctest.testmod(module).failed
 
 
 LAYERS = (
