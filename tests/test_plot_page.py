@@ -188,6 +188,26 @@ def test_a_page_says_what_its_picture_means(series, tmp_path):
     assert "400 samples over 19.95 s, 20 Hz" in words
 
 
+@pytest.mark.parametrize("command", ["plot", "compare", "propagate"])
+def test_a_page_says_what_it_was_made_from(series, tmp_path, monkeypatch, command):
+    """The command, and for each file what tells whether it is still the same."""
+    new, truth = series
+    log, target = tmp_path / "log.csv", tmp_path / "a page.html"
+    log.write_text("t_ns,wx [rad/s],wy [rad/s],wz [rad/s]\n0,0,0,1\n10000000,0,0,1\n")
+    arguments = {
+        "plot": ["plot", str(new), "-o", str(target)],
+        "compare": ["compare", str(new), str(truth), "--plot", str(target)],
+        "propagate": ["propagate", str(log), "-o", str(tmp_path / "o.csv"), "--plot", str(target)],
+    }[command]
+    monkeypatch.setattr("sys.argv", ["/usr/bin/quatprop", *arguments])
+    CliRunner().invoke(cli, arguments)
+    words = " ".join(Page(target.read_text()).words)
+    assert f"quatprop {' '.join(arguments[:-1])} '{target}'" in words
+    for file in {"plot": [new], "compare": [new, truth], "propagate": [log]}[command]:
+        content = file.read_bytes()
+        assert f"{len(content):,} bytes, SHA-256 {sha256(content).hexdigest()}" in words
+
+
 def test_a_page_is_light_and_dark_and_fit_for_paper(series, tmp_path):
     """A dark page inverts the picture, whose styles are not those of the page."""
     text, page = page_of("plot", series[0], "-o", tmp_path / "page.html")

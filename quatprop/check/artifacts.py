@@ -56,7 +56,7 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
     try:
         a, b = load_attitudes(AttitudeInput(str(series), "parquet")), load_attitudes(reference)
         comparison = compare(a.series, b.series, case.comparison)
-        with PictureFile(str(page), [reference.path]) as picture:
+        with PictureFile(str(page), [str(series), reference.path]) as picture:
             picture.commit(pair_page(a, b, comparison, spelled))
     except QuatpropError as error:
         # No matplotlib, or nothing to compare: a page of this says so.

@@ -17,7 +17,7 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
-from quatprop.cli.spelling import spelled
+from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import CHECK_ATTITUDES, ONE_SERIES
@@ -93,7 +93,7 @@ def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[P
         return nullcontext()
     from quatprop.plot.target import PictureFile
 
-    return PictureFile(plot, [a, b])
+    return PictureFile(plot, [a, b], command=command_line())
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:

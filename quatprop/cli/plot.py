@@ -16,7 +16,7 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
-from quatprop.cli.spelling import option, spelled
+from quatprop.cli.spelling import command_line, option, spelled
 from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
@@ -127,6 +127,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             settings_of(chosen),
             style=_style(chosen),
             spell=spelled,
+            command=command_line(),
         )
     if not quiet:
         said = [*lines, *(f"warning: {warning}" for warning in warnings)]

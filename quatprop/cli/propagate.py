@@ -11,7 +11,7 @@ from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
 from quatprop.cli.options import PLOT, QUIET, REPORT, setting_options, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
-from quatprop.cli.spelling import spelled
+from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import file_beside
@@ -78,7 +78,7 @@ def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPi
         return nullcontext()
     from quatprop.plot.propagation import PropagationPicture
 
-    return PropagationPicture(plot, job, spelled)
+    return PropagationPicture(plot, job, spelled, command=command_line())
 
 
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -44,3 +46,10 @@ def sentence(error: QuatpropError) -> str:
 def spelled(text: str | Text) -> str:
     """Return a remark on one line, with options in place of the settings it mentions."""
     return plain(text.spelled(option) if isinstance(text, Text) else text)
+
+
+def command_line() -> str:
+    """Return the command that runs, as a shell takes it."""
+    from quatprop.containers.stores import without_secret
+
+    return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])

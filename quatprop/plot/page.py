@@ -56,11 +56,20 @@ class Page(NamedTuple):
     tables: Sequence[tuple[str, Iterable[Row]]]
 
 
-def html(page: Page) -> str:
+def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
     """Return a report as the text of an HTML file.
 
     Everything that comes from files is text in it, never markup. Browsers run its own script, and
     load nothing.
+
+    Parameters
+    ----------
+    page
+        What it shows.
+    made_by
+        The command, or the program.
+    inputs
+        Name and content of each file that it is made from.
     """
     svg, numbers = inline_svg(page)
     limits = f'data-limits="{escape(numbers)}"'
@@ -86,9 +95,9 @@ def html(page: Page) -> str:
         svg,
         "</figure>",
         f'<p class="hint" hidden>{HINT}{REDUCED if page.picture.bin_s else ""}</p>',
-        *(line for table in page.tables for line in _table(*table)),
+        *(line for table in (*page.tables, ("Made from", inputs)) for line in _table(*table)),
         "</main>",
-        f"<footer>quatprop {__version__}</footer>",
+        f"<footer>{_text(made_by)}<br>quatprop {__version__}</footer>",
         f'<script type="module">{script}</script>',
         "</body>",
         "</html>",

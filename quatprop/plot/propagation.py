@@ -49,6 +49,8 @@ class PropagationPicture(PictureFile):
         What is run.
     spell
         Writes a sentence that may mention settings.
+    command
+        As for :class:`quatprop.plot.target.PictureFile`.
 
     Raises
     ------
@@ -58,10 +60,10 @@ class PropagationPicture(PictureFile):
         matplotlib is not installed.
     """
 
-    def __init__(self, target: str, job: Job, spell: Spell = str) -> None:
+    def __init__(self, target: str, job: Job, spell: Spell = str, *, command: str = "") -> None:
         settings, output = job.settings, job.output
         inputs = [job.log, *settings.inputs.values()]
-        super().__init__(target, inputs, [output.path, output.report])
+        super().__init__(target, inputs, [output.path, output.report], command=command)
         self._spell = spell
         self._rates = RateAccumulator("rad/s", 1.0)
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)

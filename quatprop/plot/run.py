@@ -33,6 +33,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
     *,
     style: Style = STYLE,
     spell: Spell = str,
+    command: str = "",
 ) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
 
@@ -52,6 +53,8 @@ def plot(  # noqa: PLR0913  # what the command line gives
         How large the picture is.
     spell
         Writes a sentence that may mention settings.
+    command
+        As for :class:`quatprop.plot.target.PictureFile`.
 
     Returns
     -------
@@ -72,7 +75,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
         A file cannot be compared with the reference.
     """
     inputs = [*files, None if reference is None else reference.path]
-    with PictureFile(output, inputs, style=style) as target:
+    with PictureFile(output, inputs, style=style, command=command) as target:
         if reference is None:
             views = [view_file(path, view) for path in files]
             page = _page(views, spell)

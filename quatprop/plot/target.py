@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop.containers.stores import without_secret
 from quatprop.errors import OutputError
+from quatprop.pipeline.report import digest_of_input
 from quatprop.plot.draw import STYLE, render, require_matplotlib
 from quatprop.plot.page import html
+from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
 
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 
     from quatprop.plot.draw import Style
     from quatprop.plot.page import Page
+    from quatprop.rendering import Row
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}
 """Suffix -> kind of picture."""
@@ -33,6 +37,8 @@ class PictureFile:
         What else the run reads and writes: refused as the target.
     style
         How large the picture is; a page has its own size.
+    command
+        What a page says that it was made by.
 
     Raises
     ------
@@ -50,17 +56,19 @@ class PictureFile:
         outputs: Iterable[str | None] = (),
         *,
         style: Style = STYLE,
+        command: str = "",
     ) -> None:
-        self._style = style
+        self._style, self._command = style, command
+        self._inputs = [name for name in dict.fromkeys(inputs) if name]
         self._kind = kind_of(target)
         require_matplotlib()
-        refuse_overlap(inputs, [*outputs, target])
+        refuse_overlap(self._inputs, [*outputs, target])
         self._output = OutputFile(target)
 
     def commit(self, page: Page) -> None:
         """Draw the picture, or the page around it, and put it in its place."""
         if self._kind == "html":
-            content = html(page).encode()
+            content = html(page, self._command, map(_contents, self._inputs)).encode()
         else:
             content = render(page, self._kind, self._style)
         with output_errors(self._output.target):
@@ -72,6 +80,15 @@ class PictureFile:
 
     def __exit__(self, *_error: object) -> None:
         self._output.discard()
+
+
+def _contents(path: str) -> Row:
+    """Return the name of a file, and what tells whether it has changed since."""
+    facts = as_json(digest_of_input(path))
+    named = (("sha256", "SHA-256"), ("etag", "ETag"))
+    known = [f"{name} {facts[key]}" for key, name in named if facts.get(key)]
+    size = "not recorded" if facts["bytes"] is None else f"{facts['bytes']:,} bytes"
+    return "stdin" if path == "-" else without_secret(path), ", ".join([size, *known])
 
 
 def kind_of(target: str) -> str:
