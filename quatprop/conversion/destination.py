@@ -18,7 +18,7 @@ from quatprop.writers import (
     keeps_provenance,
     open_table,
 )
-from quatprop.writers.base import ColumnTable
+from quatprop.writers.attitudes import ColumnTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from quatprop.conversion.job import Conversion
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import AttitudeWriter, TableWriter
+    from quatprop.writers.attitudes import AttitudeWriter
+    from quatprop.writers.base import TableWriter
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:

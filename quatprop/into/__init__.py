@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import WRITERS, kind_of, layout_of, refuse_columns
-from quatprop.writers.base import AttitudeMessages
+from quatprop.writers.attitudes import AttitudeMessages
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64
     from quatprop.containers.base import Log, MessageLog
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import AttitudeWriter
+    from quatprop.writers.attitudes import AttitudeWriter
 
     Stamps = Callable[[MessageLog | TableLog], Iterator[tuple[Int64, Int64]]]
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.pipeline.report import RunReport
     from quatprop.tables.base import TableLog
-    from quatprop.writers.base import AttitudeWriter
+    from quatprop.writers.attitudes import AttitudeWriter
 
     Stamps = Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]
 

@@ -20,7 +20,7 @@ from quatprop.simulate.gyroscope import record
 from quatprop.simulate.motion import motion_named
 from quatprop.text import listed, quoted
 from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table, open_writer
-from quatprop.writers.base import AttitudeMessages, ColumnTable
+from quatprop.writers.attitudes import AttitudeMessages, ColumnTable
 from quatprop.writers.messages.encoders import ABSENT, RosEncoder
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout, refuse_overlap
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
     from quatprop.simulate.gyroscope import Gyroscope
     from quatprop.simulate.motion import Shape
-    from quatprop.writers.base import AttitudeWriter
+    from quatprop.writers.attitudes import AttitudeWriter
 
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from quatprop.writers.base import AttitudeWriter, MessageWriter, TableWriter
+    from quatprop.writers.attitudes import AttitudeWriter
+    from quatprop.writers.base import MessageWriter, TableWriter
     from quatprop.writers.messages.kinds import Message
     from quatprop.writers.messages.topics import Topic
 
@@ -100,7 +101,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     """
     from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.series import SIGMA_COLUMNS
-    from quatprop.writers.base import AttitudeMessages, AttitudeTable
+    from quatprop.writers.attitudes import AttitudeMessages, AttitudeTable
 
     kind = kind_of(target, kind)
     chosen = WRITERS[kind]
