@@ -117,7 +117,7 @@ def test_a_rate_that_is_not_finite_is_an_error_by_default(bad):
     rate[2, 0] = bad
     with pytest.raises(
         TimelineError,
-        match=r"^log\.csv: the rate of sample 5 \(t = 20000000 ns\) is not finite; "
+        match=r"^log\.csv: the rate of sample 5 \(t = 20000000 ns\) is absent or not finite; "
         r"choose on_nonfinite='drop' or 'hold'$",
     ):
         applied(Policy(), gyro([-20, -10, 0]), gyro([0, 10, 20], rate))

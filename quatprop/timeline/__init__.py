@@ -126,8 +126,8 @@ class Timeline(StampChecks):
         if self.policy.on_nonfinite == "error" and event.count:
             raise TimelineError(
                 self.path,
-                f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is not finite; "
-                f"choose {Setting('on_nonfinite', 'drop|hold')}",
+                f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is absent or "
+                f"not finite; choose {Setting('on_nonfinite', 'drop|hold')}",
             )
         if self.policy.on_nonfinite == "drop":
             return batch[good], np.flatnonzero(good)
