@@ -338,13 +338,18 @@ def test_no_error_shows_a_table():
         quatprop.propagate(GyroSeries(T_NS, RATE), q0=Rotation.identity())
 
 
-def test_series_are_shown_in_a_line_and_sliced():
+def test_series_and_comparisons_are_shown_in_a_line():
     """A notebook shows what they hold, not all of it."""
     rates = GyroSeries(T_NS, RATE)
     assert repr(rates) == "<GyroSeries: 3 samples over 20 ms from t = 1700000000000000000 ns>"
     result = quatprop.propagate(rates)
     assert repr(result).startswith("<PropagatedSeries: 3 attitudes over 20 ms")
     assert result[1:].wxyz.tolist() == result.wxyz[1:].tolist()
+    turned = AttitudeSeries([0, 1], [[1, 0, 0, 0], [0.5**0.5, 0, 0, 0.5**0.5]])
+    still = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+    assert repr(quatprop.compare(turned, still, tol="1deg")) == (
+        "<Comparison: 2 pairs, max 90 deg, RMS 63.6396 deg, failed>"
+    )
     empty = AttitudeSeries(T_NS[:0], result.wxyz[:0])
     assert repr(empty) == "<AttitudeSeries: no attitudes>"
 

@@ -14,6 +14,7 @@ from quatprop.comparison.settings import Sigmas
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
+from quatprop.rendering import degrees_text
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
@@ -153,7 +154,7 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
             yield Criterion(setting, label, value, limit, unit, passed)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Comparison:
     """The geodesic error between two attitude series A and B.
 
@@ -213,6 +214,13 @@ class Comparison:
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None
     remarks: tuple[str | Text, ...]
+
+    def __repr__(self) -> str:
+        largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)
+        verdict = "passed" if self.passed else "failed"
+        return (
+            f"<Comparison: {self.association.matched:,} pairs, max {largest}, RMS {rms}, {verdict}>"
+        )
 
     @property
     def t_ns(self) -> Int64:
