@@ -145,6 +145,11 @@ def test_lost_data_of_any_log_is_code_3(tmp_path):
     done = run(torn, log(tmp_path / "whole.csv"), "-o", tmp_path / "out", "-j", "1")
     assert done.exit_code == 3
     assert "lost: line 7: it has 2 columns instead of 4" in done.stderr
+    done = run(torn, tmp_path / "whole.csv", "-o", tmp_path / "out", "--skip-existing")
+    assert done.exit_code == 3
+    assert done.stderr == (
+        "nothing to do: all 2 outputs are up to date; data was lost in 1 of them\n"
+    )
 
 
 # Which logs there are, and the names of their outputs.
@@ -197,7 +202,10 @@ def test_a_root_keeps_folders_in_names(tmp_path):
     assert names(first, second) == ["imu", "imu"]
     assert names(first, second, root=tmp_path) == ["mon/imu", "tue/imu"]
     assert names(tmp_path / "mon", root=tmp_path) == ["mon/imu"]
-    with pytest.raises(UsageError, match=r"does not lie in '.*mon'; choose another root"):
+    said = (
+        r"does not lie in '.*mon'; choose another root \(names are relative to the current folder\)"
+    )
+    with pytest.raises(UsageError, match=said):
         names(first, second, root=tmp_path / "mon")
 
 

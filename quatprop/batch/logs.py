@@ -188,8 +188,11 @@ class LogSearch:
             )
         root = _absolute(self.root or root)
         if not place.startswith(os.path.join(root, "")):
-            reason = f"{quoted(place)} does not lie in {quoted(root)}; choose another "
-            raise UsageError(reason, Setting("root"))
+            raise UsageError(
+                f"{quoted(place)} does not lie in {quoted(root)}; choose another ",
+                Setting("root"),
+                " (names are relative to the current folder)",
+            )
         name = place[len(os.path.join(root, "")) :]
         self.logs.append(FoundLog(path, name if folder else _stem(name), maybe))
 

@@ -185,6 +185,12 @@ def outdated(
         return [task for task, is_done in zip(tasks, current, strict=True) if not is_done]
 
 
+def with_data_lost(tasks: Iterable[BatchTask], manifest: Manifest) -> int:
+    """Return in how many logs that are done data was lost."""
+    entries = manifest.entries()
+    return sum(entries[task.name]["state"] == "data lost" for task in tasks)
+
+
 def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
     began = time.perf_counter()

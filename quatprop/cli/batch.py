@@ -44,8 +44,8 @@ EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 OPTIONS = own_options(
     {
         "--to": f"FORMAT  {', '.join(WRITERS)}.",
-        "--list list_file": "FILE|-  Also take names from FILE or stdin, one a line.  [default: "
-        "none]",
+        "--list list_file": "FILE|-  Also take names from FILE or stdin, one a line, relative to "
+        "the current folder.  [default: none]",
         "--root": "DIR  Outputs keep the path of their log below DIR.  [default: the folder that "
         "is searched, the fixed part of a GLOB, and for a LOG its own folder]",
         "--shard": "I/N  Only the I-th of N parts of the logs, I from 1, as for array jobs; every "
@@ -90,7 +90,7 @@ def command(names: tuple[str, ...], **options: Any) -> int:
     DIR/manifest.jsonl lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.run import BatchSettings, outdated, plan
+    from quatprop.batch.run import BatchSettings, outdated, plan, with_data_lost
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
     from quatprop.cli.progress import bar, on_terminal
 
@@ -112,6 +112,8 @@ def command(names: tuple[str, ...], **options: Any) -> int:
     planned = plan(search.logs, job, folder, suffix, manifest)
     settings = BatchSettings.of(job, reports=as_json)
     tasks = outdated(planned, settings, manifest) if batch["skip_existing"] else planned
+    skipped = set(planned).difference(tasks)
+    lost = with_data_lost(skipped, manifest) if skipped else 0
     if tasks:
         manifest.prepare()
     with closing(_results(tasks, settings, batch, manifest)) as results:
@@ -125,10 +127,10 @@ def command(names: tuple[str, ...], **options: Any) -> int:
     if as_json:
         click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     if not quiet:
-        shown.finish(skipped=len(planned) - len(tasks), other_files=search.other_files)
+        shown.finish(skipped=len(skipped), lost=lost, other_files=search.other_files)
     if shown.states["failed"]:
         return 2
-    return 3 if shown.states["data lost"] else 0
+    return 3 if shown.states["data lost"] or lost else 0
 
 
 command.params += SHARED
@@ -204,21 +206,22 @@ class _Shown:
         self._meter.clear()
         click.echo(text, err=True)
 
-    def finish(self, skipped: int, other_files: int) -> None:
+    def finish(self, skipped: int, lost: int, other_files: int) -> None:
         """Show the errors again, which may have scrolled away, and the totals."""
         if self._errors and len(self._tasks) > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
+        before = f"; data was lost in {lost} of them" * bool(lost)
         if not self._tasks:
             what = "its output is" if skipped == 1 else f"all {skipped} outputs are"
-            click.echo(f"nothing to do: {what} up to date", err=True)
+            click.echo(f"nothing to do: {what} up to date{before}", err=True)
             return
         tables = self.states["no rates"]
         logs = len(self._tasks) - tables
         text = f"{logs - self.states['failed']} of {logs} logs done, {self._samples:,} samples"
         if skipped:
-            text += f"; {skipped} skipped, as their outputs are up to date"
+            text += f"; {skipped} skipped, as their outputs are up to date{before}"
         counts = ((tables, "table", " without body rates"), (other_files, "other file", ""))
         ignored = [f"{n} {what}{'s' * (n > 1)}{which}" for n, what, which in counts if n]
         click.echo(text + "; ignored " * bool(ignored) + " and ".join(ignored), err=True)
