@@ -318,6 +318,24 @@ def test_naming_the_columns_and_the_unit_overrules_the_header():
     assert found.unit == "rad/s"
 
 
+def test_columns_in_different_units_are_refused():
+    """One unit read for all would be wrong for some, whether the user says it or not."""
+    header = "t_s,wx_rad_s,wy_rad_s,wz_deg_s"
+    facts = "by header or convention 'wx_rad_s', 'wy_rad_s' are in rad/s and 'wz_deg_s' is in deg/s"
+    with pytest.raises(UsageError, match=f": {facts}; convert them to one unit$"):
+        chosen(header)
+    with pytest.raises(UsageError, match=f" says rad/s, but {facts}; convert them to one unit or"):
+        chosen(header, rate_unit="rad/s")
+    named = chosen(header, rate_unit="rad/s", rate_cols=("1", "2", "3"))
+    assert f" says rad/s, but {facts}; read in rad/s" in str(named.remarks[0])
+
+
+def test_a_unit_against_that_of_one_column_is_refused():
+    """A unit that the header declares of one column alone counts too."""
+    with pytest.raises(UsageError, match="convention 'wx_rad_s' is in rad/s; leave the option"):
+        chosen("t_s,wx_rad_s,wy,wz", rate_unit="deg/s")
+
+
 def test_a_unit_of_another_kind_is_refused_by_name():
     """A header that declares a unit this version does not know is not read as another."""
     with pytest.raises(

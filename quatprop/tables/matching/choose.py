@@ -155,8 +155,7 @@ def match_bias(log: TableLog) -> ColumnMatch:
             f"b_w_RS_S_x or gyro_bias_x; there are {listed(log.columns())}",
         )
     bias = matcher.only_set(sets, "set of biases", "x")
-    unit = matcher.declared(bias) or dialect.rate_unit
-    matcher.refuse_unknown(bias, unit, RATE_UNITS)
+    unit = matcher.unit("rate", bias, RATE_UNITS, dialect.rate_unit)
     if not unit:
         raise UsageError(
             Setting("bias"),

@@ -98,25 +98,32 @@ class TableColumns:
         """
         columns = "rate_cols" if quantity == "rate" else "time_col"
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
-        declared = self.declared(positions) or convention
+        stated = {k: self.declared((k,)) or convention for k in positions}
+        found = [unit for unit in dict.fromkeys(stated.values()) if unit in units]
+        facts = []
+        for unit in found:
+            these = [k for k in positions if stated[k] == unit]
+            facts.append(f"{self.names(these)} {'is' if len(these) == 1 else 'are'} in {unit}")
+        by_header = f"by header or convention {' and '.join(facts)}"
         if chosen is not None:
-            if declared in units and declared != chosen:
-                verb = "is" if len(positions) == 1 else "are"
+            if {*found} - {chosen}:
                 contradiction = Text(
-                    Setting(f"{quantity}_unit"),
-                    f" says {chosen}, but by header or convention {self.names(positions)} {verb} "
-                    f"in {declared}",
+                    Setting(f"{quantity}_unit"), f" says {chosen}, but {by_header}"
                 )
                 # Who names the columns and the unit knows better than the header.
                 if getattr(self.selection, columns) is None:
+                    instead = "convert them to one unit" if facts[1:] else "leave the option out"
                     raise UsageError(
                         f"{plain(self.path)}: ",
                         contradiction,
-                        "; leave the option out or, if it is right, name the columns too, with ",
+                        f"; {instead} or, if the option is right, name the columns too, with ",
                         Setting(columns),
                     )
                 self.overruled.append(Text(contradiction, f"; read in {chosen}, as asked for"))
             return chosen
+        if facts[1:]:
+            raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
+        declared = self.declared(positions) or convention
         self.refuse_unknown(positions, declared, units)
         if not declared:
             what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
