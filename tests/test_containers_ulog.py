@@ -188,12 +188,13 @@ def test_a_file_that_was_cut_gives_what_is_whole(tmp_path):
     assert len(read(path)[1]) == 1
 
 
-def test_damage_is_passed_over_up_to_the_next_mark(tmp_path):
-    """Records that only serve to be found again are used for that."""
+@pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])
+def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks):
+    """That is behind one that only serves to be found again, or a message like earlier ones."""
     messages = gyro(1, range(0, 100, 10))
     path = write(
         tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:4], b"\xff\xff\xff garbage",
-        messages[4][3:], record(b"S", SYNC), *messages[5:],
+        messages[4][3:], *marks, *messages[5:],
     )  # fmt: skip
     series, losses = read(path)
     assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]

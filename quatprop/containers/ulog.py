@@ -43,7 +43,7 @@ _WINDOW = 1 << 22
 """Bytes that are read at a time; a record has less than 65,539."""
 
 SYNC = bytes.fromhex("2f731320250cbb12")
-"""Content of the synchronisation records from which reading resumes after damage."""
+"""Content of synchronisation records, behind which reading resumes after damage."""
 
 _HEAD = struct.Struct("<HB")
 _FLAGS = struct.Struct("<8s8s3Q")
@@ -216,14 +216,14 @@ def _ids_by_channel(records: _Records) -> dict[Channel, list[int]]:
 
 
 def _walk(source: FileSource, position: int, end: int, records: _Records) -> None:
-    """Follow records by their lengths; after damage resume at the next synchronisation record."""
+    """Follow records by their lengths; after damage resume at the next that is recognised."""
     while position + _HEAD.size <= end:
         data = source.read(position, min(_WINDOW, end - position))
         if len(data) < _HEAD.size:
             break
         size = _add_records(data, position, records)
         if not size:
-            after = _after_sync(source, position, end)
+            after = _after_damage(source, position + 1, end, records)
             reason = f"its records cannot be followed for {after - position} bytes"
             records.losses.note(f"byte {position}", reason)
             size = after - position
@@ -260,17 +260,34 @@ def _add_records(data: bytes, base: int, records: _Records) -> int:
     return position
 
 
-def _after_sync(source: FileSource, position: int, end: int) -> int:
-    """Return where the next synchronisation record ends; `end` if there is none."""
+def _after_damage(source: FileSource, position: int, end: int, records: _Records) -> int:
+    """Return where records can be followed again; `end` if nowhere.
+
+    That is behind a synchronisation record, of which many files have none, or at a message of a
+    topic that came before the damage, with the same length.
+    """
+    sizes = np.full(1 << 16, -1)
+    sizes[np.array(records.ids, np.int64)] = records.sizes
     while position < end:
         data = source.read(position, min(_WINDOW, end - position))
-        at = data.find(SYNC)
-        if at >= 0:
-            return position + at + len(SYNC)
+        sync, message = data.find(SYNC), _first_message(data, sizes)
+        if message is not None and not 0 <= sync < message:
+            return position + message
+        if sync >= 0:
+            return position + sync + len(SYNC)
         if len(data) < _WINDOW:
             break
         position += len(data) - len(SYNC) + 1  # it may lie across the border
     return end
+
+
+def _first_message(data: bytes, sizes: NDArray[np.int64]) -> int | None:
+    """Return where the first message begins whose length is that of its subscription id."""
+    numbers = np.frombuffer(data, np.uint8).astype(np.uint16)
+    pairs = numbers[:-1] | numbers[1:] << 8
+    (kinds,) = np.nonzero(numbers[2:-2] == _DATA)
+    found = kinds[sizes[pairs[kinds + 3]] == pairs[kinds]]
+    return int(found[0]) if len(found) else None
 
 
 def _definition(name: str, formats: dict[str, str]) -> bytes:
