@@ -312,7 +312,7 @@ def compare(
     window_tol, window_rms_tol : str or float
         Limits on the worst and the RMS error of rotations over windows.
     drift_tol : str
-        Limit on the drift of the error, such as ``"10deg/h"``.
+        Limit on the drift of the error, such as ``"10deg/h"``; with `align` none or first.
     min_coverage : float
         Percentage of B, of its samples and of its time, that must be compared.
     max_sigma : float

@@ -907,6 +907,11 @@ def test_a_file_that_a_key_names_is_beside_the_suite_and_pinned(tmp_path, key):
             "(exact) and at least 2 must",
         ),
         ('tol = "1deg"\ndrift-tol = "1deg/h"', 2, "one pair of attitudes shows no drift"),
+        (
+            'tol = "1deg"\ndrift-tol = "1deg/h"\nalign = "mean"',
+            2,
+            'drift-tol needs align = "none" or',
+        ),
         ('tol = "1deg"\nwindow = "1s"', 2, "no two pairs are 1 s apart: they span 0 ns"),
     ],
 )

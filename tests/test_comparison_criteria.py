@@ -139,6 +139,34 @@ def test_window_criteria_need_a_window():
         comparison_settings(window_tol="1deg")
 
 
+@pytest.mark.parametrize("align", ["mean", "mount"])
+def test_a_drift_is_not_judged_after_an_alignment_by_all_pairs(tmp_path, align):
+    """The error of RAMP falls to its middle and then rises, so its slope says nothing."""
+    with pytest.raises(UsageError) as error:
+        comparison_settings(drift_tol="10deg/h", align=align)
+    assert str(error.value) == (
+        f"drift_tol needs align='none' or 'first': an alignment by all pairs (align={align!r}) "
+        "takes out part of the drift"
+    )
+    files = [write(tmp_path / "a.csv", RAMP), write(tmp_path / "b.csv", REST)]
+    limits = ["--align", align, "--drift-tol", "10deg/h"]
+    result = CliRunner().invoke(cli, ["compare", *files, *limits])
+    assert result.exit_code == 2
+    assert result.output.endswith(
+        f"--drift-tol needs --align none|first: an alignment by all pairs (--align {align}) "
+        "takes out part of the drift\n"
+    )
+
+
+def test_an_alignment_by_all_pairs_leaves_no_drift_to_show(tmp_path):
+    """Neither the text nor the JSON has one."""
+    files = [write(tmp_path / "a.csv", RAMP), write(tmp_path / "b.csv", REST)]
+    result = CliRunner().invoke(cli, ["compare", *files, "--align", "mean"])
+    assert "\nerror " in result.stdout
+    assert "\ndrift " not in result.stdout
+    assert compare(RAMP, REST, ComparisonSettings(align="mean")).drift_deg_h is None
+
+
 def write(path, attitudes):
     """Write a table of attitudes."""
     rows = zip(attitudes.t_ns.tolist(), attitudes.wxyz.tolist(), strict=True)

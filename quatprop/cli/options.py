@@ -123,8 +123,8 @@ HELP = {
     "window_tol": "ANGLE  Largest error over windows that passes; with --window.  [default: none]",
     "window_rms_tol": "ANGLE  Largest RMS error over windows that passes; with --window.  "
     "[default: none]",
-    "drift_tol": "DRIFT  Largest drift that passes, in either direction, such as 10deg/h.  "
-    "[default: none]",
+    "drift_tol": "DRIFT  Largest drift that passes, in either direction, such as 10deg/h; "
+    "with --align none or first.  [default: none]",
     "min_coverage": "PERCENT  Least part of {log}, of its time and of its samples, that must be "
     "compared.  [default: none]",
     "max_sigma": "N  Largest error that passes, in standard deviations (Mahalanobis distance), "

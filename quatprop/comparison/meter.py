@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.settings import BY_ALL
 from quatprop.comparison.statistics import S_PER_H, ErrorStatistics
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW
@@ -216,6 +217,8 @@ class ErrorMeter:
 
     @property
     def drift_deg_h(self) -> float | None:
-        """Least squares slope of the errors in time, deg/h; None if all stamps are equal."""
+        """Least squares slope of the errors in time, deg/h; None where there is none to tell."""
         power, shared = self._moments.tolist()
-        return None if power == 0.0 else math.degrees(shared / power)
+        if power == 0.0 or self.alignment.name in BY_ALL:
+            return None
+        return math.degrees(shared / power)

@@ -174,7 +174,8 @@ class Comparison:
     error_rad
         Statistics of the errors, rad.
     drift_deg_h
-        Slope of the errors in time, deg/h; None where all stamps are equal.
+        Slope of the errors in time, deg/h; None where all stamps are equal, or B was aligned by
+        all pairs.
     worst
         The pair with the largest error.
     window

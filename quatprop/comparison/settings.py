@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Which frames of B are rotated before the comparison."""
 
+BY_ALL = {"mean", "mount"}
+"""Alignments by all pairs: the error of a steady drift falls to its middle, and then rises."""
+
 MATCHES = ("exact", "nearest", "interpolate")
 """How attitudes are matched in time: equal stamps, the nearest sample, slerp."""
 
@@ -49,7 +52,7 @@ class ComparisonSettings:
     window_tol, window_rms_tol
         The same for the worst and the RMS error of the rotations over windows, rad.
     drift_tol
-        Largest drift in either direction that passes, deg/h.
+        Largest drift in either direction that passes, deg/h; not with an alignment by all pairs.
     min_coverage
         Least percentage of the reference, B, that must be compared: of its time and its samples.
     max_sigma
@@ -71,7 +74,8 @@ class ComparisonSettings:
     Raises
     ------
     UsageError
-        A limit on errors over windows is given, and no window.
+        A limit on errors over windows is given, and no window; or one on the drift, and an
+        alignment of :data:`BY_ALL`.
     """
 
     tol: Annotated[float | Sigmas | None, error_limit] = None
@@ -96,6 +100,11 @@ class ComparisonSettings:
                 raise UsageError(
                     f"{Setting(name)} needs windows; give their length with {Setting('window')}"
                 )
+        if self.drift_tol is not None and self.align in BY_ALL:
+            raise UsageError(
+                f"{Setting('drift_tol')} needs {Setting('align', 'none|first')}: an alignment by "
+                f"all pairs ({Setting('align', self.align)}) takes out part of the drift"
+            )
 
     @property
     def limit_rad(self) -> float:
