@@ -267,19 +267,19 @@ def test_a_pointer_of_git_lfs_in_place_of_a_log_is_named(suite):
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("tumbling", 'method = "coning"', 'method = "end"', "method is 'end', not 'coning'"),
-        ("rest", 'start = "+1s"\n', "", "start is the default, not '+1s'"),
-        ("rest", '"static"', '"0,0,0.001"', "bias is '0,0,0.001', not 'static'"),
+        ("tumbling", 'method = "coning"', 'method = "end"', "method was 'coning' and is now 'end'"),
+        ("rest", 'start = "+1s"\n', "", "start was '+1s' and is now the default"),
+        ("rest", '"static"', '"0,0,0.001"', "bias was 'static' and is now '0,0,0.001'"),
         (
             "spin",
             'spin.csv"',
             'spin.csv"\nmount = "x,-y,-z"',
-            "mount is 'x,-y,-z', not the default",
+            "mount was the default and is now 'x,-y,-z'",
         ),
     ],
 )
 def test_a_changed_option_is_an_error(suite, name, old, new, words):
-    """An option that is not that of the reference is named, with both values."""
+    """An option that is not the pinned one is named, with both values."""
     edit(suite, old, new)
     assert verdicts(suite) == (2, only(name, "error"))
     assert words in outcomes(suite)[1][name]["reason"]
@@ -292,7 +292,7 @@ def test_an_option_written_in_another_way_is_the_same(suite):
     code, cases = outcomes(suite, "-k", "spin")
     assert (code, cases["spin"]["reason"].split(": ")[-1]) == (
         2,
-        "q0 is '1,0,0,0', not the default; restore it, or accept it with --update",
+        "q0 was the default and is now '1,0,0,0'; restore it, or accept it with --update",
     )
 
 

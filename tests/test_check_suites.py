@@ -574,7 +574,7 @@ def test_pinned_options_are_compared_by_value(folder):
     write(folder, stored("spin", "spin.csv", "rate = 50.0", 'max-gap = "1000ms"', "bias=[0,0,1.0]"))
     assert check(suite).exit_code == 0
     write(folder, stored("spin", "spin.csv", "rate = 51", 'max-gap = "1s"', "bias=[0,0,1]"))
-    assert "rate is '51', not '50'; restore it" in check(suite).stdout
+    assert "rate was '50' and is now '51'; restore it" in check(suite).stdout
 
 
 def test_of_many_cases_those_that_pass_are_counted(folder):

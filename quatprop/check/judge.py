@@ -168,9 +168,10 @@ def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
         raise LogError(file, f"{describe_change(file, old, new)}{accept}")
     if options := option_differences(pin, case):
         changes = ", ".join(
-            f"{key} is {option_text(new)}, not {option_text(old)}" for key, old, new in options
+            f"{key} was {option_text(old)} and is now {option_text(new)}"
+            for key, old, new in options
         )
-        _refuse(case, f"the reference was made with other options: {changes}{accept}")
+        _refuse(case, f"the case has changed since it was pinned: {changes}{accept}")
     if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
         _refuse(case, f"the case was pinned with another kind of reference{accept}")
     if case.reference is None:

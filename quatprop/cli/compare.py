@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --tol 0.05deg",
-    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --align first --json",
+    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --json",
 )
 
 

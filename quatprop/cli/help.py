@@ -109,10 +109,8 @@ class Command(click.Command):
         self._grouped = grouped
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Add ``--help-all`` where help leaves something out."""
-        params = super().get_params(ctx)
-        whole = not self._grouped or all(is_common(str(option.name)) for option in params)
-        return params if whole else [*params, _HELP_ALL]
+        """Add ``--help-all``, also where help leaves nothing out: nobody knows beforehand."""
+        return [*super().get_params(ctx), _HELP_ALL]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Name the option that was meant where there is no such option."""

@@ -39,7 +39,7 @@ ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt
 EXAMPLES = (
     "quatprop plot sample_logs/tumbling.bag -o rates.png",
     "quatprop plot attitude.csv sample_logs/tumbling.truth.csv -o attitudes.svg",
-    "quatprop plot attitude.csv -o report.html --reference sample_logs/tumbling.truth.csv",
+    "quatprop plot attitude.csv --reference sample_logs/tumbling.truth.csv -o e.png",
 )
 
 

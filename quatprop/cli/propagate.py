@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "quatprop propagate sample_logs/tumbling.bag -o attitude.csv --method coning",
-    "quatprop propagate sample_logs/coning.mcap -o attitude.mcap -t /imu --start +1s",
+    "quatprop propagate sample_logs/coning.mcap -o attitude.mcap --start +1s",
     "quatprop propagate sample_logs/spin.csv -o - --rate 10",
 )
 
