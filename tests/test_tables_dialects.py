@@ -251,6 +251,19 @@ def test_several_sets_of_rates_are_refused():
 
 
 @pytest.mark.parametrize(
+    "names", [("wx (rad/s)", "gx (deg/s)"), ("wx", "gx_dps"), ("wx", "x_gyro")]
+)
+def test_a_second_gyroscope_under_other_names_is_not_passed_over(names):
+    """What is one by name is not preferred to what is one by unit; the one named is taken."""
+    axes = [name.replace("x", axis) for name in names for axis in "xyz"]
+    with pytest.raises(UndeclaredError) as error:
+        chosen(",".join(("t_ns", *axes)))
+    assert f"their x columns are '{names[0]}', '{names[1]}') is not" in str(error.value)
+    second = chosen(",".join(("t_ns", *axes)), rate_cols=("4", "5", "6"), rate_unit="deg/s")
+    assert matched(second) == ((4, 5, 6), "deg/s", (0,), "ns", "")
+
+
+@pytest.mark.parametrize(
     ("header", "sets"),
     [
         ("t_ns,wx,wy,wz,wx,wy,wz", "1-2-3, 4-5-6"),

@@ -101,14 +101,17 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     """
     matcher = ColumnMatcher(log, selection, "rate_cols", RATE_PARTS)
     dialect = matcher.dialect("rate")
-    sets = matcher.sets(dialect.rate) or matcher.sets(AXIS_FIRST) or _sets_with_rate_unit(matcher)
+    by_convention = matcher.sets(dialect.rate)
+    # Axes whose unit says that they are rates are no less a gyroscope than those that are named so.
+    named_or_declared = (*by_convention, *matcher.sets(AXIS_FIRST), *_sets_with_rate_unit(matcher))
+    sets = [*dict.fromkeys(named_or_declared)] or _bare_sets(matcher)
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
         raise NoRatesError(log.path, log.columns(), "columns")
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
-    convention = dialect if rate in sets else GENERIC
+    convention = dialect if rate in by_convention else GENERIC
     declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, convention.rate_unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
     return ColumnMatch(
@@ -122,15 +125,19 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
 
 
 def _sets_with_rate_unit(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
-    """Return sets of axes that are rates by their unit, whatever their names say.
-
-    Where the user declares it, gx and p are rates unless the table has axes of something else:
-    beside those, gx may be gravity.
-    """
+    """Return sets of axes that are rates by their unit, whatever their names say."""
     sets = matcher.sets(*WITH_RATE_UNIT)
-    with_unit = [k for k in sets if matcher.declared(k) in {*RATE_UNITS, *SCALED_RATE_UNITS}]
-    if with_unit or not getattr(matcher.selection, "rate_unit", None):
-        return with_unit
+    return [k for k in sets if matcher.declared(k) in {*RATE_UNITS, *SCALED_RATE_UNITS}]
+
+
+def _bare_sets(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
+    """Return gx or p and the like where the user declares the unit of rates.
+
+    They are rates unless the table has axes of something else: beside those, gx may be gravity.
+    """
+    if not getattr(matcher.selection, "rate_unit", None):
+        return []
+    sets = matcher.sets(*WITH_RATE_UNIT)
     others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
     return [columns for columns in matcher.sets(*BARE_RATES) if others == {*columns}]
 
