@@ -202,6 +202,19 @@ def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, mar
     assert "cannot be followed" in loss.reason
 
 
+@pytest.mark.parametrize("missing", [0, 5])
+def test_messages_of_a_file_that_follows_are_not_those_of_the_first(tmp_path, missing):
+    """The same number may stand for another topic there."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
+    content = path.read_bytes()
+    first = content[: len(content) - missing]
+    path.write_bytes(first + content)
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10)][: 10 - bool(missing)]
+    (loss,) = losses
+    assert loss.reason.startswith("its records cannot be followed for ")
+
+
 def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):
     """The flags say where it begins."""
     messages = gyro(1, range(0, 100, 10))

@@ -45,6 +45,7 @@ _WINDOW = 1 << 22
 SYNC = bytes.fromhex("2f731320250cbb12")
 """Content of synchronisation records, behind which reading resumes after damage."""
 
+_MAGIC = b"ULog\x01\x12\x35"
 _HEAD = struct.Struct("<HB")
 _FLAGS = struct.Struct("<8s8s3Q")
 _FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
@@ -223,7 +224,8 @@ def _walk(source: FileSource, position: int, end: int, records: _Records) -> Non
             break
         size = _add_records(data, position, records)
         if not size:
-            after = _after_damage(source, position + 1, end, records)
+            position = _without_swallowed(source, position, records)
+            after = _after_damage(source, position, end, records)
             reason = f"its records cannot be followed for {after - position} bytes"
             records.losses.note(f"byte {position}", reason)
             size = after - position
@@ -260,34 +262,48 @@ def _add_records(data: bytes, base: int, records: _Records) -> int:
     return position
 
 
+def _without_swallowed(source: FileSource, position: int, records: _Records) -> int:
+    """Drop the last message if it was cut off where another file begins; return where it began."""
+    begin = records.offsets[-1] if records.offsets else position
+    if _MAGIC not in source.read(begin, position - begin + len(_MAGIC) - 1):
+        return position
+    for values in (records.offsets, records.sizes, records.ids):
+        values.pop()
+    return begin
+
+
 def _after_damage(source: FileSource, position: int, end: int, records: _Records) -> int:
     """Return where records can be followed again; `end` if nowhere.
 
     That is behind a synchronisation record, of which many files have none, or at a message of a
-    topic that came before the damage, with the same length.
+    topic that came before the damage, with the same length; but not in another file that follows,
+    which has subscriptions of its own.
     """
     sizes = np.full(1 << 16, -1)
     sizes[np.array(records.ids, np.int64)] = records.sizes
     while position < end:
         data = source.read(position, min(_WINDOW, end - position))
         sync, message = data.find(SYNC), _first_message(data, sizes)
-        if message is not None and not 0 <= sync < message:
-            return position + message
-        if sync >= 0:
-            return position + sync + len(SYNC)
+        places = {
+            data.find(_MAGIC): end,
+            sync: position + sync + len(SYNC),
+            message: position + message,
+        }
+        if found := [place for place in places if place >= 0]:
+            return places[min(found)]
         if len(data) < _WINDOW:
             break
         position += len(data) - len(SYNC) + 1  # it may lie across the border
     return end
 
 
-def _first_message(data: bytes, sizes: NDArray[np.int64]) -> int | None:
-    """Return where the first message begins whose length is that of its subscription id."""
+def _first_message(data: bytes, sizes: NDArray[np.int64]) -> int:
+    """Return where a message begins, behind the first byte, with the length of its id; or -1."""
     numbers = np.frombuffer(data, np.uint8).astype(np.uint16)
     pairs = numbers[:-1] | numbers[1:] << 8
-    (kinds,) = np.nonzero(numbers[2:-2] == _DATA)
+    kinds = 1 + np.flatnonzero(numbers[3:-2] == _DATA)
     found = kinds[sizes[pairs[kinds + 3]] == pairs[kinds]]
-    return int(found[0]) if len(found) else None
+    return int(found[0]) if len(found) else -1
 
 
 def _definition(name: str, formats: dict[str, str]) -> bytes:
