@@ -274,8 +274,8 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
     assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
 
 
-def test_a_damaged_message_index_hides_no_channel(tmp_path):
-    """Where the index of one of two channels is damaged, the chunk is asked for both."""
+def two_topics():
+    """Return a log of two topics whose messages alternate."""
     buffer = io.BytesIO()
     writer = Writer(buffer, chunk_size=1500)
     writer.start("ros2", "test")
@@ -283,7 +283,12 @@ def test_a_damaged_message_index_hides_no_channel(tmp_path):
     for number in range(MESSAGES):
         writer.add_message(ids[number % 2], number, number.to_bytes(8, "little") * 5, number)
     writer.finish()
-    content = bytearray(unclosed(buffer.getvalue()))
+    return buffer.getvalue()
+
+
+def test_a_damaged_message_index_hides_no_channel(tmp_path):
+    """Where the index of one of two channels is damaged, the chunk is asked for both."""
+    content = bytearray(unclosed(two_topics()))
     begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
     content[begin + 1 : begin + 9] = b"\xff" * 8
     numbers, losses = read(tmp_path, bytes(content))
@@ -339,3 +344,51 @@ def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compressi
     content[-12:-8] = crc.to_bytes(4, "little")
     assert len(ends) > 6
     assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
+    tmp_path, monkeypatch, compression, layout
+):
+    """Without a checksum, they show that what was decompressed is not what was recorded."""
+    options = BARE if layout == "bare" else {}
+    intact = written(compression=compression, enable_crcs=False, **options)
+    begin, _ = chunks(intact)[4]
+    content = bytearray(intact)
+    lost = numbers_of_chunks(intact)[4]
+    stated = struct.pack("<QQ", lost[0], lost[-1])
+    at = content.index(stated, begin)
+    while at > 0:  # in the chunk and in its index
+        content[at : at + 16] = struct.pack("<QQ", lost[0], lost[-1] - 1)
+        at = content.find(stated, at)
+    content = unclosed(bytes(content)) if layout == "unclosed" else bytes(content)
+    numbers, losses = read(tmp_path, content)
+    assert numbers == without(lost)
+    reason = (
+        "its log times are outside the range that it states, so it is not what was recorded; "
+        "with QUATPROP_CHECKSUMS=ignore it is read all the same"
+    )
+    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+    assert read(tmp_path, content)[0] == list(range(MESSAGES))
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_times_that_a_chunk_does_not_state_or_that_its_checksum_refutes(tmp_path, checked):
+    """A right checksum counts for more than the stated times; times of 0 state nothing."""
+    content = bytearray(written(enable_crcs=checked, **BARE))
+    for begin, _ in chunks(content):
+        content[begin + 9 : begin + 25] = struct.pack("<QQ", 0, 1 if checked else 0)
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+
+
+def test_a_message_index_that_lists_too_few_is_not_used(tmp_path):
+    """Where the next one begins shows how many it had."""
+    content = bytearray(two_topics())
+    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
+    size = int.from_bytes(content[begin + 11 : begin + 15], "little")
+    content[begin + 11 : begin + 15] = (size - 16 * 5).to_bytes(4, "little")
+    numbers, losses = read(tmp_path, bytes(content))
+    assert sorted(numbers) == list(range(MESSAGES))
+    assert losses == []

@@ -202,8 +202,11 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """
 
     @abstractmethod
-    def may_have(self, chunk: Chunk, count: int, id_: int) -> bool:
-        """Return whether an id is wanted, and a chunk has so many messages of it by the index."""
+    def may_have(self, chunk: Chunk, log_ns: NDArray[np.int64], id_: int) -> bool:
+        """Return whether an id is wanted, and a chunk has messages of it with these log times.
+
+        That is, as many by the index, and within the range of log times that it states.
+        """
 
     @abstractmethod
     def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
@@ -283,10 +286,10 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         if found is None:
             return None
         block, id_ = found
-        begin = int(block.ends[0]) - block.stride
+        begin, done = int(block.ends[0]) - block.stride, 0
         for chunk, end in zip(group.chunks, accumulate(group.sizes), strict=True):
             count, rest = divmod(end - begin, block.stride)
-            if rest or not self.may_have(chunk, count, id_):
+            if rest or not self.may_have(chunk, block.log_ns[done : done + count], id_):
                 return None
-            begin = end
+            begin, done = end, done + count
         return block

@@ -252,7 +252,8 @@ class _Scan:
             self.losses.note("data section", reason)
 
     def _chunk(self, position: int, length: int, chunk: ChunkHead) -> None:
-        region = Region(position, length, True, min(chunk.first_ns, LATEST), size=chunk.size)
+        first, last = min(chunk.first_ns, LATEST), min(chunk.last_ns, LATEST)
+        region = Region(position, length, True, first, last_ns=last, size=chunk.size)
         for opcode, content in leading_definitions(self.source, position, chunk):
             self.definitions.add(opcode, content, f"in the {region.place}")
         region.first_id = self.definitions.first_id

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.byte_ranges import LARGE
 from quatprop.containers.chunks import ChunkReader
+from quatprop.containers.limits import CHECKSUMS, checksums_matter
 from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
     index_of,
@@ -109,7 +110,11 @@ class McapReader(ChunkReader[Region, Loaded]):
         """Return the messages that were selected; None where they are others."""
         offsets = content.offsets
         messages = None if offsets is None else messages_at(content.data, offsets)
-        if messages is None or not messages.are_all_of(chunk.own(self.ids)):
+        if (
+            messages is None
+            or not messages.are_all_of(chunk.own(self.ids))
+            or not chunk.may_have_logged(messages.block.log_ns)
+        ):
             self.unchecked.discard(chunk.start)
             return None
         return messages.block
@@ -131,9 +136,10 @@ class McapReader(ChunkReader[Region, Loaded]):
         messages = only_messages(data.data, begin)
         return None if messages is None else (messages.block, int(messages.channels[0]))
 
-    def may_have(self, chunk: Region, count: int, id_: int) -> bool:
-        """Return whether an id is wanted, and a region has so many messages of it by the index."""
-        return id_ in chunk.own(self.ids) and chunk.count(id_) in {count, None}
+    def may_have(self, chunk: Region, log_ns: NDArray[np.int64], id_: int) -> bool:
+        """Return whether an id is wanted, and a region may have messages with these log times."""
+        is_counted = id_ in chunk.own(self.ids) and chunk.count(id_) in {len(log_ns), None}
+        return is_counted and chunk.may_have_logged(log_ns)
 
     def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
         """Return the messages of one region, and note what is lost of them.
@@ -163,9 +169,10 @@ class McapReader(ChunkReader[Region, Loaded]):
         ids = region.own(self.ids)
         index = index_of(self.source, region)
         offsets = indexed_offsets(index, region, ids)
-        if offsets is not None:
+        if offsets is not None and len(offsets) == message_count([region], self.ids):
             messages = messages_at(data, offsets)
             if messages and messages.are_all_of(ids):  # an empty index may be a damaged one
+                _check_times(loaded, region, messages)
                 self.definitions.check_beside(data, region, ids, messages)
                 return messages
         walked = walk_records(data)
@@ -177,6 +184,8 @@ class McapReader(ChunkReader[Region, Loaded]):
             messages = messages_past_damage(data, walked.offsets, indexed)
         else:
             messages = messages_at(data, walked.offsets)
+        if messages:
+            _check_times(loaded, region, messages)
         if offsets is None and messages:
             self._note_undefined(region, messages)
         messages = messages.of(ids) if messages else None
@@ -208,6 +217,23 @@ class McapReader(ChunkReader[Region, Loaded]):
         for id_, count in messages.counts().items():
             if region.first_id + id_ not in self.index.channels:
                 self.losses.note(f"channel {id_}", UNDEFINED, count, region.start)
+
+
+def _check_times(loaded: Loaded, region: Region, messages: LocatedMessages) -> None:
+    """Refuse a chunk that no checksum shows to be whole, and whose times are not as stated.
+
+    Raises
+    ------
+    RegionError
+        Log times are outside the range that the chunk states.
+    """
+    if loaded.has_checksum or region.may_have_logged(messages.block.log_ns):
+        return
+    if checksums_matter():
+        raise RegionError(
+            "its log times are outside the range that it states, so it is not what was recorded; "
+            f"with {CHECKSUMS}=ignore it is read all the same"
+        )
 
 
 def message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:

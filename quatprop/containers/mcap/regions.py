@@ -102,6 +102,12 @@ class Region:
         """Ids in the index of the channels that it holds, where that is known."""
         return [self.first_id + id_ for id_ in self.holds or ()]
 
+    def may_have_logged(self, log_ns: NDArray[np.int64]) -> bool:
+        """Return whether log times are in the range that it states; True if it states none."""
+        if not self.last_ns or not len(log_ns):
+            return True
+        return bool(self.first_ns <= log_ns.min() and log_ns.max() <= self.last_ns)
+
     def own(self, ids: Sequence[int]) -> list[int]:
         """Return the ids in its own records of channels of the index."""
         own = (id_ - self.first_id for id_ in ids)

@@ -107,9 +107,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         begin = begin_of_messages(data)
         return None if begin is None else only_messages(data, begin)
 
-    def may_have(self, chunk: BagChunk, count: int, id_: int) -> bool:
+    def may_have(self, chunk: BagChunk, log_ns: NDArray[np.int64], id_: int) -> bool:
         """Return whether a connection is wanted, and a chunk has so many messages of it."""
-        return id_ in chunk.inside(self.connections) and chunk.counts.get(id_) == count
+        return id_ in chunk.inside(self.connections) and chunk.counts.get(id_) == len(log_ns)
 
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of one chunk, and note what is lost of them."""
