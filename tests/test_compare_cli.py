@@ -155,6 +155,29 @@ def test_what_is_no_rotation_is_refused_or_left_out(files, tmp_path):
     assert "lost      1 rows of B are invalid quaternions" in dropped.stdout
 
 
+@pytest.mark.parametrize(
+    ("rows", "back", "lost"), [((40, 41), 0, 1), ((40, 40), 0, 0), ((1, 41), 1, 1)]
+)
+def test_an_attitude_at_the_stamp_of_another_is_lost(files, tmp_path, rows, back, lost):
+    """It is left out: exit code 3; the same attitude twice is no loss."""
+    a, _ = files
+    lines = a.read_text().splitlines()
+    stamp, attitude = (lines[row].split(",", 1) for row in rows)
+    lines[41] = f"{stamp[0]},{attitude[1]}"
+    repeated = tmp_path / "repeated.csv"
+    repeated.write_text("\n".join(lines) + "\n")
+    result = run("compare", repeated, a, "--tol", "1e-9rad")
+    code = 3 if lost else 0
+    assert result.exit_code == code
+    assert result.stdout.splitlines()[-1] == (
+        f"remark    A was sorted by time: its timestamps step back {back} times, and 1 repeated "
+        f"ones were left out, {lost} of them with another attitude"
+    )
+    assert run("compare", repeated, a, "-q").exit_code == code
+    picture = run("plot", repeated, "--reference", a, "-o", tmp_path / "error.svg")
+    assert picture.exit_code == code, picture.output
+
+
 # Real recordings.
 
 

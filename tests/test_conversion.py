@@ -328,3 +328,16 @@ def test_a_file_that_forgets_what_its_numbers_mean_is_remarked_on(tmp_path):
         told = run(path, tmp_path / out, "--convention", "jpl", *more).stderr
         assert "cannot say" not in told
     assert "cannot say" not in run(path, tmp_path / "d.csv").stderr
+
+
+def test_rows_out_of_order_are_written_as_they_are_and_said(tmp_path):
+    """Nothing is lost: exit code 0, and a remark."""
+    rows = "t_ns,qw,qx,qy,qz\n5,1,0,0,0\n5,0.8,0.6,0,0\n3,0.6,0.8,0,0\n9,1,0,0,0\n"
+    out = tmp_path / "out.csv"
+    result = run(table(tmp_path, rows), out)
+    assert series(out)[0] == [5, 5, 3, 9]
+    assert (
+        "the timestamps step back 1 times and repeat the one before 1 times; all rows are written, "
+        "in the order in which they are read" in result.stderr
+    )
+    assert "timestamps step back" not in run(table(tmp_path, PLAIN), tmp_path / "other.csv").stderr

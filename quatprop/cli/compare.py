@@ -84,7 +84,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
         show(lines_of(rows), indent=10, err=False)
     if not comparison.passed:
         return 1
-    return 3 if first.data_lost or second.data_lost else 0
+    return 3 if first.data_lost or second.data_lost or comparison.left_out else 0
 
 
 def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[PictureFile | None]:

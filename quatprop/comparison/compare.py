@@ -11,13 +11,13 @@ import numpy as np
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, associate, shifted
 from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.diagnosis import likely_cause
+from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import normalize
+from quatprop.kinematics.quaternion import geodesic_angle, normalize
 from quatprop.series import AttitudeSeries, blocks
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def compare(
     """
     settings = settings or ComparisonSettings()
     remarks: list[str] = []
-    a, b = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
+    (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
@@ -91,6 +91,7 @@ def compare(
         pairs=pairs,
         window=window,
         sigmas=sigma_statistics(a, b, pairs, alignment),
+        left_out=lost_of_a + lost_of_b,
         remarks=remarks,
     )
 
@@ -106,6 +107,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
     pairs: Pairs | None = None,
     window: WindowStatistics | None = None,
     sigmas: SigmaStatistics | None = None,
+    left_out: int = 0,
     remarks: Iterable[str] = (),
 ) -> Comparison:
     """Return the result of a comparison, once all errors are measured.
@@ -116,7 +118,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         How to compare.
     meter
         The errors.
-    matching, offset, covered, window, sigmas, remarks
+    matching, offset, covered, window, sigmas, left_out, remarks
         As for :class:`quatprop.comparison.result.Comparison`.
     explain
         Returns the likely cause, given the errors in rising order.
@@ -153,6 +155,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         window=window,
         sigmas=sigmas,
         coverage=covered,
+        left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         criteria=criteria,
         passed=passed,
@@ -171,8 +174,11 @@ def unit(wxyz: Float64) -> Float64:
     return wxyz
 
 
-def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSeries:
-    """Return a series of unit quaternions at rising stamps; add remarks on what was changed."""
+def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[AttitudeSeries, int]:
+    """Return unit quaternions at rising stamps, and how many attitudes are left out; add remarks.
+
+    Only those count that differ from the attitude that is kept at the same stamp.
+    """
     if not len(series):
         raise ComparisonError(f"{name} has no attitudes; check what was selected")
     deviation, invalid, first_invalid = 0.0, 0, 0
@@ -193,11 +199,12 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> AttitudeSe
     t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
-        return replace(series, wxyz=wxyz)
-    _, first = np.unique(t_ns, return_index=True)
+        return replace(series, wxyz=wxyz), 0
+    _, first, stamp = np.unique(t_ns, return_index=True, return_inverse=True)
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
+    others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
     remarks.append(
         f"{name} was sorted by time: its timestamps step back {backwards} times, and {repeated} "
-        "repeated ones were left out"
+        f"repeated ones were left out, {others} of them with another attitude"
     )
-    return replace(series, wxyz=wxyz)[first]
+    return replace(series, wxyz=wxyz)[first], others

@@ -184,6 +184,8 @@ class Comparison:
         The errors in standard deviations; None where neither series has any.
     coverage
         How much of B was compared.
+    left_out
+        Attitudes of A and B that were left out, since another one has the same stamp.
     tolerance_rad
         The largest error that passes, rad; None: every error does.
     criteria
@@ -209,6 +211,7 @@ class Comparison:
     window: WindowStatistics | None
     sigmas: SigmaStatistics | None
     coverage: Coverage
+    left_out: int
     tolerance_rad: float | None
     criteria: tuple[Criterion, ...]
     passed: bool

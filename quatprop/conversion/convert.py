@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
@@ -73,13 +75,14 @@ def convert(job: Conversion) -> ConversionReport:
                 positions=keeps and source.has_positions, covariances=sigma is not None
             )
             write: Callable[[Any], None] = target.write
-            for series in _as_written(job, check.apply(rows), signs):
+            order = _Order()
+            for series in _as_written(job, order.watched(check.apply(rows)), signs):
                 write(series)
             if not check.counts.used:
                 raise NoSamplesError(wanted.path, source.name)
             columns = job.columns(sigma)
             remarks = (
-                *(*source.remarks, *log.remarks),
+                *(*source.remarks, *log.remarks, *order.remarks()),
                 *remarks_on(
                     job,
                     getattr(target, "locked_rows", 0),
@@ -105,6 +108,32 @@ def convert(job: Conversion) -> ConversionReport:
             target.publish()
             report_file.publish()
     return report
+
+
+class _Order:
+    """Counts where stamps of a series step back or are repeated."""
+
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+        self._back = self._repeated = 0
+
+    def watched(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the batches as they are."""
+        for series in batches:
+            before = series.t_ns[:0] if self._last_ns is None else self._last_ns
+            steps = np.diff(series.t_ns, prepend=before)
+            self._back += int(np.count_nonzero(steps < 0))
+            self._repeated += int(np.count_nonzero(steps == 0))
+            self._last_ns = int(series.t_ns[-1])
+            yield series
+
+    def remarks(self) -> Iterator[str]:
+        """Yield what was counted, if anything."""
+        if self._back or self._repeated:
+            yield (
+                f"the timestamps step back {self._back} times and repeat the one before "
+                f"{self._repeated} times; all rows are written, in the order in which they are read"
+            )
 
 
 def _covariances(source: AttitudeSignal) -> bool:

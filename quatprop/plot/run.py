@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.plot.view import FileView, View
     from quatprop.rendering import Spell
-    from quatprop.signals.attitude_input import ReadAttitudes
 
 
 def plot(  # noqa: PLR0913  # what the command line gives
@@ -83,9 +82,8 @@ def plot(  # noqa: PLR0913  # what the command line gives
             lines = [f"{name}: {one.samples}" for (name, _), one in named]
             data_lost = any(one.losses for one in views)
         else:
-            page, operands = _error_page(files, view, reference, settings, spell)
+            page, data_lost = _error_page(files, view, reference, settings, spell)
             lines = list(page.lead)
-            data_lost = any(operand.data_lost for operand in operands)
         target.commit(page)
     return lines, page.warnings, data_lost
 
@@ -117,8 +115,8 @@ def _error_page(
     wanted: AttitudeInput,
     settings: ComparisonSettings,
     spell: Spell,
-) -> tuple[Page, list[ReadAttitudes]]:
-    """Return the page on the errors of files against a reference, and all series."""
+) -> tuple[Page, bool]:
+    """Return the page on the errors of files against a reference, and whether data was lost."""
     reference = load_attitudes(wanted)
     names = file_names([*paths, wanted.path])
     files = []
@@ -127,4 +125,5 @@ def _error_page(
         comparison = compare(operand.series, reference.series, settings)
         files.append(ComparedFile(name, operand, comparison))
     page = error_page(files, names[-1], reference, spell)
-    return page, [*(file.operand for file in files), reference]
+    left_out = any(file.operand.data_lost or file.comparison.left_out for file in files)
+    return page, reference.data_lost or left_out
