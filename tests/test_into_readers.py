@@ -32,6 +32,14 @@ def others(messages):
     return sorted(message for message in messages if message[0] != ADDED)
 
 
+def test_a_copy_has_one_attitude(tmp_path):
+    """Gyroscopes whose messages all mark the orientation as absent do not compete with it."""
+    log = tmp_path / "spin.bag"
+    assert run("simulate", log, "--samples", "20").exit_code == 0
+    compared = run("compare", copy(log, tmp_path / "copy.bag"), tmp_path / "spin.truth.csv")
+    assert "copy.bag (bag): /attitude " in compared.stdout, compared.stderr
+
+
 # MCAP
 
 

@@ -64,15 +64,19 @@ def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -
     """
     candidates = attitude_candidates(log, selection)
     if len(candidates) > 1:
-        # A placeholder does not compete with an attitude.
+        # Neither a placeholder nor what is absent in every message competes with an attitude.
         attitudes = [candidate for candidate in candidates if not _is_placeholder(candidate)]
         candidates = attitudes or candidates
     return choose(log, candidates, ATTITUDES)
 
 
 def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
+    if candidate.field == "transforms":
+        return False
     try:
-        return candidate.field != "transforms" and candidate.signal().placeholder
+        signal = candidate.signal()
+        present = (np.isfinite(wxyz) for _, wxyz, *_ in signal.read())
+        return signal.placeholder or are_all(present, value=False)
     except (LogError, UsageError):
         return False
 
