@@ -372,3 +372,14 @@ class OutputError(QuatpropError):
     def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
         super().__init__(f"{plain(path)}: ", *reason)
         self.path = path
+
+
+def os_reason(error: OSError) -> str:
+    """Return why a file cannot be read, as the end of a sentence about it."""
+    match error:
+        case FileNotFoundError():
+            return "no such file or folder; check the path"
+        case PermissionError():
+            return "no permission to read it; check its owner and mode"
+        case _:
+            return f"it cannot be read: {quoted(error.strerror or error)}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from quatprop.containers.base import MessageLog
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.file_source import FileSource, os_reason
+from quatprop.containers.file_source import FileSource
 from quatprop.containers.msg_files import MsgFiles
 from quatprop.containers.stores import below, find, is_address, without_secret
 from quatprop.errors import (
@@ -21,6 +21,7 @@ from quatprop.errors import (
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
+    os_reason,
 )
 from quatprop.log_kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.temp_files import temp_folder

@@ -9,8 +9,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.file_source import os_reason
-from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError, os_reason
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -136,7 +136,7 @@ def test_what_is_no_calibration_is_refused(text, reason, tmp_path):
 
 def test_a_missing_file_is_refused(tmp_path):
     """The sentence names the file."""
-    with pytest.raises(UsageError, match=r"nowhere.yaml: it cannot be read: No such file"):
+    with pytest.raises(UsageError, match=r"nowhere.yaml: no such file or folder; check"):
         propagate(GyroSeries([0, 10], np.zeros((2, 3))), calibration=tmp_path / "nowhere.yaml")
 
 

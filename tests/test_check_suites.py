@@ -162,7 +162,7 @@ def test_a_missing_suite_is_named(folder):
     """It is named."""
     result = check(folder / "none.toml")
     assert (result.exit_code, result.stderr) == (
-        2, f"Error: {folder / 'none.toml'}: it cannot be read: No such file or directory\n",
+        2, f"Error: {folder / 'none.toml'}: no such file or folder; check the path\n",
     )  # fmt: skip
 
 

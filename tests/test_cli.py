@@ -385,7 +385,10 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--with", "euler-zyx,rotvec"], "'euler-zyx,rotvec' names several, and only one is poss"),
         (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),
-        (["--q0", "0,0,0,0"], "to have a direction"),
+        (
+            ["--q0", "0,0,0,0"],
+            "--q0 0.0,0.0,0.0,0.0 has the length 0, so it is not an attitude; no turn is 1,0,0,0",
+        ),
         (
             ["--q0", "1,0,0,0.1"],
             "--q0 1.0,0.0,0.0,0.1 has the length 1.00499, so it is not an attitude; scale it to 1",

@@ -66,7 +66,7 @@ def test_a_file_gives_the_options_of_a_run(tmp_path):
         ("method = 'rk4'", "Invalid value for '--method': 'rk4' is not one of"),
         ("max-gap = 5", "Invalid value for '--max-gap': "),
         ("method", "it is not TOML: "),
-        (None, "it cannot be read: No such file"),
+        (None, "no such file or folder; check the path"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_one_sentence(tmp_path, text, sentence):

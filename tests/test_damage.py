@@ -382,8 +382,8 @@ def test_rates_near_the_largest_number_are_refused_without_a_warning(tmp_path):
     result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "out.csv")])
     assert result.exit_code == 2
     assert result.output == (
-        "Error: The attitude of sample 1 is not finite; rates must be finite, and their squares "
-        "too\n"
+        f"Error: {log}: the attitude of sample 1 is not finite; rates must be finite, and their "
+        "squares too; leave others out with --start and --end\n"
     )
 
 

@@ -106,7 +106,7 @@ def test_files_of_kalibr_and_of_allan_variance_tools(tmp_path, text):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "it cannot be read: No such file or directory"),
+        (None, "no such file or folder; check the path"),
         (b"\xff\xfe", "it is neither YAML nor JSON"),
         (b"a: [1", "it is neither YAML nor JSON"),
         (b"- 1", "it holds no names with values"),

@@ -144,7 +144,7 @@ def test_what_is_no_table_is_refused(tmp_path):
     whole = json.dumps([{"t_ns": 1}], indent=1)[1:]
     with pytest.raises(UnsupportedLogError, match="its first lines are no JSON objects; write eac"):
         read(written(tmp_path, "{\n" + whole))
-    with pytest.raises(UnsupportedLogError, match="column 'wx' holds text, not numbers"):
+    with pytest.raises(UnsupportedLogError, match="'wx' holds text, not numbers; convert it"):
         read(written(tmp_path, '{"t_ns":1,"wx":"0.5","wy":"1","wz":"2"}\n'))
     lines = ROW % (1, 1, 2, 3) + '{"t_ns":1,"wx":[],"wy":1,"wz":2}\n' * 5000
     with pytest.raises(UnsupportedLogError, match=r"of its first \d+ rows do not fit \(such as l"):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import LogError, SuiteError, UnreadableLogError
+from quatprop.errors import LogError, SuiteError, UnreadableLogError, os_reason
 from quatprop.provenance import JsonObject, as_json, digest_of
 from quatprop.text import Setting, Text
 from quatprop.writers.atomic import open_atomic
@@ -100,7 +100,7 @@ def read_lock(path: Path) -> dict[str, Pin]:
     except FileNotFoundError:
         return {}
     except OSError as error:
-        raise SuiteError(path, f"it cannot be read: {error.strerror or error}") from error
+        raise SuiteError(path, os_reason(error)) from error
     try:
         return {name: _pin(entry) for name, entry in json.loads(content)["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -11,7 +11,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import SuiteError
+from quatprop.errors import SuiteError, os_reason
 from quatprop.text import listed, quoted
 from quatprop.writers.atomic import open_atomic
 
@@ -77,7 +77,7 @@ def read_suite(path: Path | str) -> Suite:
         text = path.read_bytes().decode()
         tables = tomllib.loads(text)
     except OSError as error:
-        raise SuiteError(path, f"it cannot be read: {error.strerror or error}") from error
+        raise SuiteError(path, os_reason(error)) from error
     except UnicodeDecodeError as error:
         raise SuiteError(path, f"it is not UTF-8 text: byte {error.start}") from error
     except tomllib.TOMLDecodeError as error:

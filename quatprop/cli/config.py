@@ -10,6 +10,7 @@ import click
 
 from quatprop.cli.spelling import option
 from quatprop.cli.types import PATH
+from quatprop.errors import os_reason
 from quatprop.provenance import as_json
 from quatprop.settings.parsers import file_beside
 from quatprop.text import Setting, did_you_mean, plain, quoted
@@ -29,7 +30,7 @@ def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> 
     try:
         table = tomllib.loads(Path(name).read_bytes().decode())
     except OSError as error:
-        raise click.UsageError(f"{name}: it cannot be read: {error.strerror or error}") from error
+        raise click.UsageError(f"{name}: {os_reason(error)}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise click.UsageError(f"{name}: it is not TOML: {error}") from error
     ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx, name, table)}

@@ -8,8 +8,7 @@ import threading
 import weakref
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UnreadableLogError
-from quatprop.text import quoted
+from quatprop.errors import UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -142,14 +141,3 @@ class FileSource:
 def source_of(log: Path | FileSource) -> FileSource:
     """Return a file opened for reading, or the open file that it is already."""
     return log if isinstance(log, FileSource) else FileSource(log)
-
-
-def os_reason(error: OSError) -> str:
-    """Return why a file cannot be read, as the end of a sentence about it."""
-    match error:
-        case FileNotFoundError():
-            return "no such file or folder; check the path"
-        case PermissionError():
-            return "no permission to read it; check its owner and mode"
-        case _:
-            return f"it cannot be read: {quoted(error.strerror or error)}"

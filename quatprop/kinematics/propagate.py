@@ -207,7 +207,7 @@ class Propagation(_Composition):
         if not np.isfinite(rows[-1, 0]):
             first = self._count + int(np.isfinite(rows[:, 0]).argmin())
             raise SeriesError(
-                f"The attitude of sample {first} is not finite; rates must be finite, and their "
+                f"the attitude of sample {first} is not finite; rates must be finite, and their "
                 "squares too"
             )
         self._count += len(rows)

@@ -10,7 +10,7 @@ from quatprop.concurrency.threads import in_background
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
-from quatprop.errors import NoSamplesError, TimelineError
+from quatprop.errors import NoSamplesError, SeriesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, every
 from quatprop.pipeline.gyro_errors import known_errors, uncertainty_report
@@ -162,9 +162,15 @@ class AttitudeStream:
         )
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
-        for series in every(attitudes, self._settings.every or 1):
-            self._rows += len(series)
-            yield series
+        try:
+            for series in every(attitudes, self._settings.every or 1):
+                self._rows += len(series)
+                yield series
+        except SeriesError as error:
+            if self._log is None:
+                raise
+            way_out = Text("; leave others out with ", Setting("start"), " and ", Setting("end"))
+            raise TimelineError(self._path, error.text, way_out) from error
         if not self._rows:
             counts = self._timeline.counts
             raise TimelineError(

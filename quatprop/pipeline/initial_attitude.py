@@ -65,12 +65,13 @@ class InitialAttitude:
         return self.source or ("identity" if self == InitialAttitude() else "given")
 
     def __post_init__(self) -> None:
-        unit_q0(self.wxyz)
         length = math.hypot(*self.wxyz)
+        if length:
+            unit_q0(self.wxyz)
         if abs(length - 1) > UNIT_TOLERANCE:
             raise UsageError(
                 f"{Setting('q0')} {','.join(map(repr, self.wxyz))} has the length {length:.6g}, "
-                "so it is not an attitude; scale it to 1",
+                f"so it is not an attitude; {'scale it to 1' if length else 'no turn is 1,0,0,0'}",
             )
 
 

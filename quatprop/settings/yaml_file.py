@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UsageError
+from quatprop.errors import UsageError, os_reason
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
         # The safe loader creates plain values only, whatever the tags ask for.
         content = YAML(typ="safe").load(text)
     except OSError as error:
-        raise unusable(setting, path, f"it cannot be read: {error.strerror}") from error
+        raise unusable(setting, path, os_reason(error)) from error
     except (YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise unusable(setting, path, "it is neither YAML nor JSON") from error
     if not isinstance(content, dict):

@@ -74,7 +74,8 @@ class JsonLinesLog(TypedTable):
         for leaf in (self._leaves[k] for k in columns.numbers):
             if leaf.type != pa.float64():
                 raise UnsupportedLogError(
-                    self.path, f"column {quoted(leaf.name)} holds text, not numbers"
+                    self.path,
+                    f"column {quoted(leaf.name)} holds text, not numbers; convert it to numbers",
                 )
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:

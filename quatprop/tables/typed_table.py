@@ -179,7 +179,8 @@ class TypedTable(TableLog):
             if not is_stamp and not _is_number(leaf.type):
                 held = "lists" if pa.types.is_list(leaf.type) else leaf.type
                 raise UnsupportedLogError(
-                    self.path, f"column {quoted(leaf.name)} holds {held}, not numbers"
+                    self.path,
+                    f"column {quoted(leaf.name)} holds {held}, not numbers; convert it to numbers",
                 )
 
     def _values(
