@@ -178,6 +178,24 @@ def test_an_attitude_at_the_stamp_of_another_is_lost(files, tmp_path, rows, back
     assert picture.exit_code == code, picture.output
 
 
+def test_what_hardly_changes_the_error_is_no_likely_cause(tmp_path):
+    """B is 30 ms late, which shows over short windows; A wanders by some 70 deg."""
+    t_ns = FIRST_NS + 10_000_000 * np.arange(6000)
+    seconds = np.arange(6000)[:, None] * 0.01
+    motion = Rotation.from_rotvec(np.sin(seconds * [1.3, 2.1, 0.7]))
+    wander = Rotation.from_rotvec(np.sin(seconds * [0.05, 0.04, 0.06] + [0, 1, 2]))
+    a = write(tmp_path / "a.csv", wander * motion, t_ns)
+    b = write(tmp_path / "b.csv", motion, t_ns + 30_000_000)
+    found = report(a, b)["likely_cause"]
+    assert found["name"] == "time offset"
+    assert 0.9 < found["total_after"] / found["total_before"] < 1.1
+    result = run("compare", a, b)
+    assert "remark    explains little of the error (time offset): B is " in result.stdout
+    assert "likely" not in result.stdout
+    late = run("compare", write(tmp_path / "c.csv", motion, t_ns), b)
+    assert "cause     likely (time offset): B is 30 ms late" in late.stdout
+
+
 # Real recordings.
 
 

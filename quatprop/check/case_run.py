@@ -147,7 +147,11 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         where=where,
         summary=f"{' of '.join(sizes)} {where}{also}",
         failure="; ".join(failures),
-        cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes if one),
+        cause="; ".join(
+            f"{named(one.sentence)} ({one.name})"
+            for one in causes
+            if one and not one.explains_little
+        ),
         report=result.report(),
     )
 

@@ -41,6 +41,9 @@ EXACT = 1e-12
 MAX_RAMP = 2.0
 """Error, rad, up to which its rotation vector is proportional to the drift."""
 
+NOTICEABLE = 0.9
+"""Share of an error that may remain without what is called its likely cause."""
+
 ISOLATED = 0.01
 """Share of the samples that may be isolated errors."""
 
@@ -81,6 +84,13 @@ class Cause:
     also: Cause | None = None
     total_before: float | None = None
     total_after: float | None = None
+
+    @property
+    def explains_little(self) -> bool:
+        """Whether the error of the attitudes is known to be nearly the same without it."""
+        if self.total_before is None or self.total_after is None:
+            return False
+        return self.total_after > NOTICEABLE * self.total_before
 
     @property
     def advice(self) -> Text:

@@ -195,7 +195,9 @@ class Comparison:
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
-        What explains the error, where something does and a criterion failed or none was given.
+        What explains the error, where something does and a criterion failed or none was given; or
+        a mistake that was found and explains little of it
+        (:attr:`~quatprop.comparison.hypotheses.Cause.explains_little`).
     remarks
         What else a reader should know.
     """

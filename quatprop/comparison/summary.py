@@ -54,7 +54,10 @@ def comparison_rows(
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
         for each in filter(None, (cause, cause.also)):
-            yield "cause", f"likely ({each.name}): {spell(each.advice)}"
+            label, how = "cause", "likely"
+            if each.explains_little:
+                label, how = "remark", "explains little of the error"
+            yield label, f"{how} ({each.name}): {spell(each.advice)}"
             yield "", _evidence(each)
     yield from _remarks("A", a, spell)
     yield from _remarks("B", b, spell)

@@ -205,7 +205,8 @@ def _warnings(
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):
-                yield f"{name}: likely cause ({each.name}): {named(spell(each.advice))}"
+                how = "explains little of the error" if each.explains_little else "likely cause"
+                yield f"{name}: {how} ({each.name}): {named(spell(each.advice))}"
         yield from (f"{name}: {named(spell(remark))}" for remark in comparison.remarks)
         yield from _operand_warnings(operand, spell)
     yield from _operand_warnings(reference, spell)
