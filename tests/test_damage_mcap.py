@@ -392,3 +392,11 @@ def test_a_message_index_that_lists_too_few_is_not_used(tmp_path):
     numbers, losses = read(tmp_path, bytes(content))
     assert sorted(numbers) == list(range(MESSAGES))
     assert losses == []
+
+
+def test_no_part_of_an_unclosed_log_is_left_unread_for_the_times_in_heads_of_chunks(tmp_path):
+    """A head has no checksum: a wrong time in it would hide the messages of its chunk."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(unclosed(written()))
+    log = McapLog(path)
+    assert [log.recorded_span(channel) for channel in log.channels()] == [None]

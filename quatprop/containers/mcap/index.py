@@ -253,7 +253,7 @@ class _Scan:
 
     def _chunk(self, position: int, length: int, chunk: ChunkHead) -> None:
         first, last = min(chunk.first_ns, LATEST), min(chunk.last_ns, LATEST)
-        region = Region(position, length, True, first, last_ns=last, size=chunk.size)
+        region = Region(position, length, True, first, size=chunk.size, head_last_ns=last)
         for opcode, content in leading_definitions(self.source, position, chunk):
             self.definitions.add(opcode, content, f"in the {region.place}")
         region.first_id = self.definitions.first_id

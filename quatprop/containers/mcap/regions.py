@@ -57,7 +57,7 @@ class Region:
     is_chunk
         Whether it is a chunk.
     first_ns, last_ns
-        Its earliest and latest log time, ns; the latest is None if it is unknown.
+        Its earliest and latest log time, ns; the latest is None where no index states it.
     index_length
         Bytes of message index that follow it.
     holds
@@ -69,6 +69,9 @@ class Region:
         What is added to its channel ids to tell them from those defined elsewhere in the file.
     size
         Bytes of its decompressed records by the index.
+    head_last_ns
+        Its latest log time by its head, ns, where no index states it; 0 if unknown. The head has
+        no checksum, so no chunk is skipped because of this time.
     """
 
     start: int
@@ -81,6 +84,7 @@ class Region:
     first_id: int = 0
     last_ns: int | None = None
     size: int = 0
+    head_last_ns: int = 0
 
     @property
     def end(self) -> int:
@@ -104,9 +108,10 @@ class Region:
 
     def may_have_logged(self, log_ns: NDArray[np.int64]) -> bool:
         """Return whether log times are in the range that it states; True if it states none."""
-        if not self.last_ns or not len(log_ns):
+        last_ns = self.last_ns or self.head_last_ns
+        if not last_ns or not len(log_ns):
             return True
-        return bool(self.first_ns <= log_ns.min() and log_ns.max() <= self.last_ns)
+        return bool(self.first_ns <= log_ns.min() and log_ns.max() <= last_ns)
 
     def own(self, ids: Sequence[int]) -> list[int]:
         """Return the ids in its own records of channels of the index."""
