@@ -287,7 +287,7 @@ sample_rate, clock
             raise SeriesError("Expected a series with samples, got an empty one")
         in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
         return _propagated("series", in_memory, settings, None)
-    path = _path("log", log)
+    path = _path("log", log, "a GyroSeries")
     with (
         use_threads(settings.threads),
         open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
@@ -492,20 +492,22 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     return report
 
 
-def _path(name: str, path: StrPath) -> str:
+def _path(name: str, path: StrPath, series: str = "") -> str:
+    """Return a path as text; `series` is what arrays are made, where that is taken as well."""
     from quatprop.settings.parsers import path as parse_path
 
     try:
         return parse_path(path)
     except UsageError as error:
-        raise UsageError(f"{Setting(name)}: ", error.text) from None
+        hint = f"; make {series} of arrays" if series and not isinstance(path, str) else ""
+        raise UsageError(f"{Setting(name)}: ", error.text, hint) from None
 
 
 def _attitudes(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    return read_attitudes(_path(name, source))
+    return read_attitudes(_path(name, source, "an AttitudeSeries"))
 
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:

@@ -326,12 +326,13 @@ def test_wrong_settings_of_a_comparison_are_named(keywords, sentence):
 def test_no_error_shows_a_table():
     """Of what is no path the type is named, and the parameter."""
     series = quatprop.propagate(GyroSeries(T_NS, RATE))
-    for call, name in (
-        (lambda: quatprop.propagate(FRAME), "log"),
-        (lambda: quatprop.convert(series, "a.csv"), "source"),
-        (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=series), "at"),
+    for call, name, way_out in (
+        (lambda: quatprop.propagate(FRAME), "log", "; make a GyroSeries of arrays"),
+        (lambda: quatprop.compare(series, series.wxyz), "b", "; make an AttitudeSeries of arrays"),
+        (lambda: quatprop.convert(series, "a.csv"), "source", ""),
+        (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=series), "at", ""),
     ):
-        with pytest.raises(UsageError, match=rf"^{name}: .* is not a path$") as caught:
+        with pytest.raises(UsageError, match=rf"^{name}: .* is not a path{way_out}$") as caught:
             call()
         assert len(str(caught.value)) < 100
     with pytest.raises(UsageError, match=r"^q0: "):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries
 from quatprop.cli import cli
-from quatprop.errors import UsageError
+from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.rates import (
@@ -71,6 +71,14 @@ def test_the_rate_is_the_derivative():
     step = 1e-5
     ahead, behind = multiply(Q, exp(RATE * step)), multiply(Q, exp(-RATE * step))
     np.testing.assert_allclose((ahead - behind) / (2 * step), quaternion_rate(Q, RATE), atol=1e-8)
+
+
+def test_stamps_and_attitudes_in_the_wrong_order_are_refused():
+    """In a sentence that names the argument."""
+    with pytest.raises(SeriesError, match=r"^Expected `t_ns` to have shape \(N,\), got \(2, 4\)$"):
+        rates_between([[1, 0, 0, 0], [0, 0, 0, 1]], [0, 10])
+    with pytest.raises(SeriesError, match=r"^Expected `wxyz` to have shape \(3, 4\), got"):
+        rates_between([0, 10, 20], [[1, 0, 0, 0], [0, 0, 0, 1]])
 
 
 def test_an_unknown_frame_is_refused():

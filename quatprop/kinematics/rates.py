@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.columns import rows_of, stamps_of
 from quatprop.kinematics.increments import is_inertial
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.times import NS_PER_S
@@ -144,6 +145,11 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
     ndarray
         Shape ``(N - 1, 3)``, rad/s: row k holds from sample k to sample k + 1.
 
+    Raises
+    ------
+    SeriesError
+        They are not stamps and as many quaternions.
+
     References
     ----------
     Eqs. 33 and 36 solved for the rate.
@@ -153,8 +159,10 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
     >>> rates_between(np.array([0, 500_000_000]), [[1, 0, 0, 0], [0, 0, 0, 1]]).round(6)
     array([[0.      , 0.      , 6.283185]])
     """
+    t_ns = stamps_of("t_ns", t_ns)
+    q = rows_of("wxyz", wxyz, len(t_ns), 4)
     seconds = np.diff(t_ns)[:, None] / NS_PER_S
-    return np.asarray(rotation_vectors_between(wxyz, rates=rates) / seconds)
+    return np.asarray(rotation_vectors_between(q, rates=rates) / seconds)
 
 
 def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64:
