@@ -247,6 +247,31 @@ def test_a_size_that_cannot_be_is_one_sentence(turning, tmp_path, size):
     assert not (tmp_path / "a.png").exists()
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--size=40x30mm"], ["--size=2x1in"], ["--size=2x1in", "--no-title"], ["--size=1in"],
+        ["--size=50x40mm"], ["--size=90x30mm"], ["--font-size=72"],
+    ],
+)  # fmt: skip
+def test_a_picture_without_room_for_its_panels_names_the_size_that_does(turning, tmp_path, options):
+    """One millimetre less would not do; a picture of that size is drawn."""
+    picture = tmp_path / "a.png"
+    code, _, said = run("plot", turning, "-o", picture, *options)
+    assert (code, picture.exists()) == (2, False)
+    sentence = re.fullmatch(
+        r"Error: the panels and their letters do not fit into this picture; give at least "
+        r"--size (\d+(?:x\d+)?)mm, or a smaller --font-size",
+        said.splitlines()[-1],
+    )
+    width, *height = map(int, sentence[1].split("x"))
+    more = ["--dpi=10", *options]
+    least = "x".join(map(str, [width, *height]))
+    assert run("plot", turning, "-o", picture, *more, f"--size={least}mm")[0] == 0
+    less = f"{width}x{height[0] - 1}" if height else f"{width - 1}"
+    assert run("plot", turning, "-o", picture, *more, f"--size={less}mm")[0] == 2
+
+
 def test_components_are_the_quaternion_with_a_continuous_sign(tmp_path):
     """Of q and -q the one nearer to the row before is drawn: no leaps where a file has them."""
     t_ns, wxyz = spin(1000)

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
 from json import dumps
+from math import ceil
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ import numpy as np
 from quatprop.errors import UsageError
 from quatprop.plot.axes import draw_panel
 from quatprop.plot.palette import GRID, INK, colour_of, stroke_of
-from quatprop.text import plain
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -71,6 +72,9 @@ LEAST_BINS = 150
 
 NARROW = 0.8
 """Least share of its usual height that a panel has, for letters of the usual size."""
+
+CRAMPED, SLIM = 0.375, 0.75
+"""Inches: least height of one of several panels, and least width, for letters of the usual size."""
 
 MAX_NOTES = 3
 """Notes below a picture."""
@@ -200,14 +204,21 @@ def _drawn(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figur
 
 
 def figure(page: Page, style: Style = STYLE) -> Figure:
-    """Return the figure of a page, in the style of matplotlib's current settings."""
+    """Return the figure of a page, in the style of matplotlib's current settings.
+
+    Raises
+    ------
+    UsageError
+        The panels and their letters have no room in that size.
+    """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
     panels, scale = picture.panels, style.font / FONT
     heights = [panel.quantity.height for panel in panels]
-    room = style.width / WIDTH / scale
+    slim = (LEFT + SLIM + RIGHT) * scale
+    room = max(style.width, slim) / WIDTH / scale
     time = wrap(picture.time, round(LONGEST_LABEL * room))
     body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
@@ -215,6 +226,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
     foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
     height = style.height or head + body * max(style.width / WIDTH, NARROW * scale) + foot
+    _require_room(style, slim, head + CRAMPED * sum(heights) * scale + foot)
     result = Figure(figsize=(style.width, height))
     left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
     grid = result.add_gridspec(
@@ -241,6 +253,18 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
         top = 1 - (head - GAP * scale) / height
         _write_legend(result, explained, top, columns, round(2 * LONGEST_NAME * room / columns))
     return result
+
+
+def _require_room(style: Style, width: float, height: float) -> None:
+    """Refuse a size below these, in inches; the height is that which the width of it needs."""
+    if style.width >= width and (style.height is None or style.height >= height):
+        return
+    sides = (max(style.width, width), *([] if style.height is None else [height]))
+    least = "x".join(f"{ceil(round(25.4 * side, 6))}" for side in sides)
+    raise UsageError(
+        "the panels and their letters do not fit into this picture; give at least "
+        f"{Setting('size', f'{least}mm')}, or a smaller {Setting('font_size')}"
+    )
 
 
 def _set_time(axes: Axes, picture: Picture) -> None:
