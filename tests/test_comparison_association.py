@@ -128,9 +128,11 @@ def test_other_clocks_are_refused():
     with pytest.raises(
         ComparisonError,
         match=r"^A and B have no time in common: A is from 0 to 90 ns and B from 1000 to 1090 ns; "
-        r"see time_offset$",
+        r"if they begin at the same moment, give time_offset='-1000ns'$",
     ):
         associate(a, b)
+    with pytest.raises(ComparisonError, match=r", give time_offset='-1000ns'$"):
+        associate(a, shifted(b, 500), time_offset=500)
     assert associate(a, shifted(b, -1000)).match == "exact"
 
 
