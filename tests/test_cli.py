@@ -387,7 +387,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--mount", "x,y,-z"], "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),
         (
             ["--q0", "0,0,0,0"],
-            "--q0 0.0,0.0,0.0,0.0 has the length 0, so it is not an attitude; no turn is 1,0,0,0",
+            "0,0.0 has the length 0, so it is not an attitude; the identity is 1,0,0,0",
         ),
         (
             ["--q0", "1,0,0,0.1"],

@@ -69,9 +69,10 @@ class InitialAttitude:
         if length:
             unit_q0(self.wxyz)
         if abs(length - 1) > UNIT_TOLERANCE:
+            way_out = "scale it to 1" if length else "the identity is 1,0,0,0"
             raise UsageError(
                 f"{Setting('q0')} {','.join(map(repr, self.wxyz))} has the length {length:.6g}, "
-                f"so it is not an attitude; {'scale it to 1' if length else 'no turn is 1,0,0,0'}",
+                f"so it is not an attitude; {way_out}",
             )
 
 
