@@ -73,7 +73,7 @@ LEAST_BINS = 150
 NARROW = 0.8
 """Least share of its usual height that a panel has, for letters of the usual size."""
 
-CRAMPED, SLIM = 0.375, 0.75
+CRAMPED, SLIM = 0.4, 1.15
 """Inches: least height of one of several panels, and least width, for letters of the usual size."""
 
 MAX_NOTES = 3
