@@ -77,6 +77,13 @@ def test_a_backward_step_is_an_error_by_default(batches):
         applied(Policy(), *map(gyro, batches))
 
 
+def test_a_stamp_far_ahead_is_named_where_time_steps_back():
+    """Not the sample that the clock steps back to is wrong, but the one before it."""
+    sentence = r"at sample 3 \(t = 20000000 ns\) because the stamp before it, 300000000000 ns, is "
+    with pytest.raises(TimelineError, match=sentence + "299.99 s ahead; choose"):
+        applied(Policy(), gyro([0, 10, 300_000, 20, 30]))
+
+
 def test_drop_waits_until_the_clock_has_caught_up():
     """Every sample earlier than the latest stamp reached is dropped, and counted."""
     stamps, _, counts = applied(

@@ -25,6 +25,9 @@ Result = TypeVar("Result")
 GAP_FACTOR = 10
 """Intervals longer than this many median intervals count as gaps, unless the policy says so."""
 
+_FAR = 10
+"""A stamp so many times as far ahead as the one after it is taken for the wrong one of the two."""
+
 LONGEST_NS = int(np.iinfo(np.int64).max)
 """The longest interval that fits in 64 bits."""
 
@@ -147,10 +150,11 @@ class StampChecks:
         event.add(np.flatnonzero(back), self.counts.read, t_ns, kept)
         if self.policy.on_backwards == "error":
             first = int(np.flatnonzero(back)[0])
+            step = duration_text(int(reached[first]) - int(t_ns[first]))
             raise TimelineError(
                 self.path,
-                f"time steps back by {duration_text(int(reached[first]) - int(t_ns[first]))} at "
-                f"sample {event.first_index} (t = {event.first_ns} ns); choose "
+                f"time steps back by {step} at sample {event.first_index} (t = {event.first_ns} "
+                f"ns){_outlier(t_ns[max(first - 2, 0) : first + 1])}; choose "
                 f"{Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}",
             )
         return back
@@ -234,3 +238,13 @@ class StampChecks:
                 f"longer than {duration_text(limit)}; choose "
                 f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
+
+
+def _outlier(t_ns: Int64) -> str:
+    """Return a remark where, of three stamps, that in the middle is far ahead of the others."""
+    if len(t_ns) < 3:  # noqa: PLR2004  # a stamp and its neighbours
+        return ""
+    before, middle, after = t_ns.tolist()
+    if not 0 <= _FAR * (after - before) < middle - before:
+        return ""
+    return f" because the stamp before it, {middle} ns, is {duration_text(middle - before)} ahead"
