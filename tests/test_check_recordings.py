@@ -107,7 +107,7 @@ def test_all_recordings_pass_and_what_is_broken_is_found(suite):
     words = {
         "husky/test1_husky.bag": "test1_husky.bag: its content changed since the reference was",
         "csv/rostopic_echo.csv": "case 'auk/auk.bag' instead of 'csv/rostopic_echo.csv'",
-        "two_imus/test1_2014_xsens.bag": "method is 'end', not the default",
+        "two_imus/test1_2014_xsens.bag": "method was the default and is now 'end'",
         "truth": "above the tolerance, first at +",
     }
     assert found.keys() == words.keys()

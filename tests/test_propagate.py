@@ -382,7 +382,7 @@ def test_rates_that_are_no_numbers_are_refused(bad):
     """The first attitude that cannot be computed is named, counted over blocks."""
     t_ns, rate = noisy(9, BLOCK + 50)
     rate[BLOCK + 20, 1] = bad
-    message = f"^The attitude of sample {BLOCK + 21} is not finite; "
+    message = f"^the attitude of sample {BLOCK + 21} is not finite; "
     with pytest.raises(SeriesError, match=message):
         list(propagated([GyroSeries(t_ns, rate)]))
 
