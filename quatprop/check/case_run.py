@@ -190,7 +190,7 @@ def angle_text(angle: float, *, in_degrees: bool) -> str:
 
 
 def _also(criterion: Criterion) -> str:
-    """Return what is said of a criterion beside the worst error; a failure says more itself."""
+    """Return the summary of a criterion other than the worst error; a failure says more itself."""
     if criterion.unit == "%":
         return f", {criterion.value:.4g} % of the reference covered"
     if criterion.unit == "sigma" and criterion.passed:

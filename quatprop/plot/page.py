@@ -30,7 +30,7 @@ REDUCED = " Only extremes of short times are drawn of it: draw a part of it to z
 
 
 class Page(NamedTuple):
-    """A picture, and what is said around it.
+    """A picture, and the text around it.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ class StampChecks:
 
 
 def _outlier(t_ns: Int64) -> str:
-    """Return a remark where, of three stamps, that in the middle is far ahead of the others."""
+    """Return a remark if the middle one of three stamps is far ahead of its neighbours."""
     if len(t_ns) < 3:  # noqa: PLR2004  # a stamp and its neighbours
         return ""
     before, middle, after = t_ns.tolist()
