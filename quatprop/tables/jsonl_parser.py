@@ -10,6 +10,7 @@ import pyarrow as pa
 from pyarrow import json as arrow_json
 
 from quatprop.arrow_arrays import readable, struct_fields
+from quatprop.concurrency.threads import thread_count
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.text import plain
@@ -125,7 +126,7 @@ class LineParser:
         table = arrow_json.read_json(
             readable(data),
             read_options=arrow_json.ReadOptions(
-                use_threads=len(data) > _TASK_BYTES, block_size=_TASK_BYTES
+                use_threads=len(data) > _TASK_BYTES and thread_count() > 1, block_size=_TASK_BYTES
             ),
             parse_options=self._options,
         )

@@ -13,6 +13,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from quatprop.arrow_arrays import readable, to_numpy
+from quatprop.concurrency.threads import thread_count
 from quatprop.tables import timestamps
 
 if TYPE_CHECKING:
@@ -122,7 +123,9 @@ class BlockParser:
             arrow_csv.read_csv,
             readable(data),
             read_options=arrow_csv.ReadOptions(
-                column_names=self._names, block_size=task, use_threads=len(data) > task
+                column_names=self._names,
+                block_size=task,
+                use_threads=len(data) > task and thread_count() > 1,
             ),
             parse_options=arrow_csv.ParseOptions(
                 delimiter=self.layout.delimiter, newlines_in_values=line_breaks
