@@ -8,16 +8,27 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeAlias
+from inspect import cleandoc
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 import numpy as np
 
 from quatprop.errors import DataLossWarning, RemarkWarning, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.settings import (
+    READ_ATTITUDES,
+    READ_RATES,
+    AttitudeOptions,
+    PropagateOptions,
+    RateOptions,
+    SelectOptions,
+    SeriesOptions,
+)
+from quatprop.settings.values import parse_all, refuse_unknown
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from os import PathLike
     from typing import Unpack
 
@@ -30,9 +41,24 @@ if TYPE_CHECKING:
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
     from quatprop.pipeline.settings import PropagationSettings
-    from quatprop.settings import AttitudeOptions, PropagateOptions, RateOptions
 
     StrPath: TypeAlias = str | PathLike[str]
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+
+
+def with_keywords_of(*classes: type) -> Callable[[Function], Function]:
+    """Return a decorator that adds the keywords of classes to the parameters in a docstring."""
+
+    def documented(function: Function) -> Function:
+        # Without docstrings, as by python -OO, there is nothing to add to.
+        if function.__doc__:
+            added = [cleandoc(one.__doc__ or "").partition("---\n")[2] for one in classes]
+            head, returns, rest = cleandoc(function.__doc__).partition("\n\nReturns\n")
+            function.__doc__ = "\n".join([head, *added]) + returns + rest
+        return function
+
+    return documented
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -56,6 +82,7 @@ class PropagatedSeries(AttitudeSeries):
         return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
 
 
+@with_keywords_of(SelectOptions, RateOptions)
 def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     """Read the body rates of a log.
 
@@ -63,22 +90,8 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     ----------
     log
         A file, a ROS 2 bag folder, or the address of one in an object store.
-    kind : str
-        Kind of the log; by default told by its content, then by its suffix.
-    topic : str
-        Which topic; by default the only one that has rates.
-    msg_path : str or path
-        Message definitions for a log that carries none: a ``.msg`` file, or a folder of them.
-    rate_field, time_field : str
-        Fields of a message, such as ``"imu.angular_velocity"``.
-    rate_cols, time_col : str or sequence
-        Columns of a table, by name or number from 0.
-    rate_unit, time_unit : str
-        ``"rad/s"`` or ``"deg/s"``; ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
-    sample_rate : float
-        Rows a second of a table without a time, Hz.
-    clock : str
-        Timestamp source: ``"header"``, ``"log"`` or ``"publish"``.
+    **options
+        What to read of it, and what its numbers mean.
 
     Returns
     -------
@@ -100,7 +113,6 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     """
     from quatprop.formats import open_log
     from quatprop.pipeline.settings import propagation_settings
-    from quatprop.settings import READ_RATES, parse_all
     from quatprop.signals.rates import choose_rates
 
     path = _path("log", log)
@@ -112,36 +124,16 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
 
 
+@with_keywords_of(SelectOptions, SeriesOptions, AttitudeOptions)
 def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
     """Read an attitude series, of a log or of a table.
 
     Parameters
     ----------
-    log, kind, topic, msg_path, time_field, time_col, time_unit, sample_rate, clock
+    log
         As for :func:`read_rates`.
-    quat_field : str
-        Field of a message that is the quaternion.
-    quat_cols : str or sequence
-        The four columns of a table as stored, by name or number from 0; with `from_euler` the
-        three angles in the order of its letters.
-    frame : str
-        Of a list of transforms, ``"child"`` or ``"parent:child"``.
-    from_layout : str
-        ``"scalar-first"`` or ``"scalar-last"``; needed where names and metadata do not say it.
-    from_convention : str
-        ``"hamilton"`` (the default) or ``"jpl"``.
-    from_direction : str
-        ``"body-to-ref"`` (the default) or ``"ref-to-body"``.
-    from_angle_unit : str
-        ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
-    from_euler : str
-        Sequence of Euler angles, such as ``"xyz"``: intrinsic rotations about x, the new y and the
-        newest z. Columns yaw, pitch and roll are ``"zyx"`` by default, and with another sequence
-        the angles about z, y and x.
-    normalize : bool
-        Scale quaternions to unit length; by default those off by more than 0.001 are refused.
-    on_invalid : str
-        ``"error"`` (the default) or ``"drop"``: invalid quaternions.
+    **options
+        What to read of it, and what its numbers mean.
 
     Returns
     -------
@@ -169,6 +161,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     return loaded.series
 
 
+@with_keywords_of(SelectOptions, RateOptions, PropagateOptions)
 def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
     """Turn body rates into attitudes.
 
@@ -179,74 +172,8 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     ----------
     log
         A path as for :func:`read_rates`, or rates in memory.
-    kind, topic, msg_path, rate_field, time_field, rate_cols, time_col, rate_unit, time_unit, \
-sample_rate, clock
-        Which samples of a log, as for :func:`read_rates`.
-    method : str
-        Integration rule: ``"start"``, ``"end"``, ``"mean"``, ``"coning"`` or ``"cubic"``; see
-        :func:`quatprop.kinematics.increments.rotation_vectors`. By default ``"end"`` where samples
-        are averages or increments, else ``"start"``.
-    rates : str
-        Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
-        or ``"inertial"`` (on the left).
-    q0 : sequence of float, str or path
-        Attitude body to reference at the first sample: four numbers in the order of `q0_layout`;
-        ``"level"``, roll and pitch from the accelerometer at rest; ``"log"``, the log's own
-        orientation; or an attitude series, a path or a topic of the log. By default the identity.
-    heading : float
-        For ``q0="level"``: rotation about the reference's z axis, deg.
-    reference_z : str
-        For ``q0="level"``: where that axis points, ``"up"`` (the default) or ``"down"``.
-    q0_layout : str
-        ``"scalar-first"`` (the default) or ``"scalar-last"``.
-    bias : sequence of float, str or path
-        Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
-        mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
-        whole log; or a series of biases, a file (EuRoC's ground truth, PX4's estimator_sensor_bias)
-        or a topic of the log, interpolated in time.
-    calibration : path
-        Scale, misalignment and bias of the gyroscope: YAML or JSON with ``matrix``, 3x3, and
-        ``bias``, rad/s, applied as matrix (w - bias), or kalibr's file of an IMU. A bias given
-        beside it takes the place of its own.
-    mount : str or sequence
-        Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
-        with v_body = m v_sensor m*; or ``"tf:FRAME"``, the axes of a frame by the log's own
-        ``/tf_static``, from the frame in the header of the rates.
-    start, end : str, int or datetime
-        The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
-        first (``"+10s"``) or the last sample (``"-30s"``).
-    on_backwards : str
-        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``.
-    on_nonfinite : str
-        Rates that are NaN or infinite: ``"error"`` (the default), ``"drop"`` or ``"hold"``.
-    max_gap : str, int or timedelta
-        Intervals longer than this count as gaps (text such as ``"20ms"``, or ns); by default 10
-        median intervals.
-    on_gap : str
-        ``"hold"`` (the default) propagates across a gap like over any interval, by the method,
-        ``"zero"`` takes the rate across as zero, ``"split"`` begins again at q0, ``"error"``
-        refuses gaps.
-    every : int
-        Keep every N-th attitude.
-    rate : float, Fraction or str
-        Attitudes at this rate, Hz, exact at those times under the method.
-    at : path
-        Attitudes at the stamps of this series, exact at those times.
-    threads : int
-        How many threads compute at a time, by default as many as there are cores; the result is
-        the same.
-    noise_density, bias_sigma, random_walk, scale_sigma : str or float
-        Standard deviations of the gyroscope's errors: its noise density (``"0.2deg/sqrt(h)"``, or
-        rad/s/sqrt(Hz)), constant bias (``"20deg/h"``, or rad/s), rate random walk
-        (``"3deg/h/sqrt(h)"``, or rad/s^2/sqrt(Hz)) and scale factors (``"1000ppm"``, or a ratio).
-        From them follows the uncertainty of the result, in its report.
-    imu : path
-        A file of Kalibr or of an Allan variance tool that states the first and the third.
-    sigma : bool
-        Give every attitude its covariance.
-    sigma_axes : str
-        For tables, the axes of the columns of standard deviations: ``"body"`` (the default) or
-        ``"reference"``.
+    **options
+        Which samples of a log, and how they are propagated.
 
     Returns
     -------
@@ -395,7 +322,6 @@ def write(
         The series has positions, and the format has no place for them.
     """
     from quatprop.pipeline.report import convention_of
-    from quatprop.settings import refuse_unknown
     from quatprop.writers import WRITERS, kind_of, layout_of, open_writer
 
     refuse_unknown(unknown, ("to", "layout", "beside"))
@@ -472,7 +398,6 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.conversion.convert import convert as convert_file
     from quatprop.conversion.job import Conversion
     from quatprop.pipeline.settings import OutputSettings
-    from quatprop.settings import READ_ATTITUDES, refuse_unknown
     from quatprop.signals.attitude_input import attitude_input
 
     own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
@@ -531,8 +456,6 @@ def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
 
 def _refuse_log_settings(options: Mapping[str, object]) -> None:
     """Refuse settings that say what to read of a log, for rates in memory."""
-    from quatprop.settings import READ_RATES
-
     for name, value in options.items():
         if name in READ_RATES and value is not None:
             hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""

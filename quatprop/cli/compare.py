@@ -20,7 +20,7 @@ from quatprop.cli.options import (
 from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import CHECK_ATTITUDES, ONE_SERIES
+from quatprop.settings import ONE_SERIES, READ_ATTITUDES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.plot.target import PictureFile
 
+
+CHECKS = ("normalize", "on_invalid")
+"""Settings that A and B share."""
 
 EXAMPLES = (
     "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --tol 0.05deg",
@@ -41,7 +44,7 @@ EXAMPLES = (
 @click.argument("b", type=PATH, metavar="B")
 @with_options(
     setting_options(COMPARE, log="B"),
-    setting_options(CHECK_ATTITUDES),
+    setting_options({name: READ_ATTITUDES[name] for name in CHECKS}),
     {**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."},
     setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
     setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),

@@ -19,7 +19,7 @@ from quatprop.cli.options import (
 from quatprop.cli.spelling import command_line, option, spelled
 from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES, SELECT_RATES
+from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES
 from quatprop.settings.quantities import picture_size
 from quatprop.text import Setting, plain
 
@@ -112,7 +112,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     view = View(
         kind=chosen["kind"],
         show=_show(chosen),
-        rates=RateSelection(**{name: chosen[name] for name in SELECT_RATES}),
+        rates=RateSelection.of(chosen),
         attitudes=input_of("", chosen).selection,
         components=chosen["components"],
         unwrap=chosen["unwrap"],

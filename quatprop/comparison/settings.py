@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, TypedDict, Unpack, get_type_hints
 
 from quatprop.errors import UsageError
-from quatprop.settings import parse_all
 from quatprop.settings.parsers import Choice, duration, length, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
+from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
 
 if TYPE_CHECKING:

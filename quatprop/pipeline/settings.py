@@ -18,8 +18,8 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
 from quatprop.selection import RateSelection
-from quatprop.settings import SELECT_RATES, as_text, parse_all
 from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
+from quatprop.settings.values import as_text, parse_all
 from quatprop.text import Setting
 from quatprop.timeline.stamps import Policy
 
@@ -198,7 +198,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
     bias = values.get("bias")
     return PropagationSettings(
         kind=values.get("kind"),
-        selection=RateSelection(**{name: values.get(name) for name in SELECT_RATES}),
+        selection=RateSelection.of(values),
         policy=Policy(
             max_gap_ns=values.get("max_gap"),
             **_some_of(values, ("on_backwards", "on_nonfinite", "on_gap")),

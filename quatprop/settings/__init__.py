@@ -1,18 +1,20 @@
-"""What a user may set about a propagation: every name, and how its value is read.
+"""What a user may set about reading and propagating a log: every name, and how its value is read.
 
 The names are those of the library's keywords. The command line spells them as options
-(``on_gap`` is ``--on-gap``), a suite as keys (``on-gap``). Each has one parser here, which takes a
-value as text, as TOML has it, or as Python has it. Nothing heavy is imported, so that
-``quatprop --help`` is quick.
+(``on_gap`` is ``--on-gap``), a suite as keys (``on-gap``). Each has one row in a class of keywords
+here: the types that the library takes, and the parser, which takes a value as text, as TOML has it,
+or as Python has it. Nothing heavy is imported, so that ``quatprop --help`` is quick.
 """
 
-from __future__ import annotations
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timedelta
+from fractions import Fraction
+from os import PathLike
+from typing import Annotated, TypedDict
 
-from typing import TYPE_CHECKING, Any, TypedDict
-
-from quatprop.errors import UsageError
 from quatprop.settings.parsers import (
     Choice,
+    Parser,
     bias,
     columns,
     count,
@@ -27,15 +29,6 @@ from quatprop.settings.parsers import (
     text,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
-from quatprop.text import Setting, did_you_mean, listed, quoted
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-    from datetime import datetime, timedelta
-    from fractions import Fraction
-    from os import PathLike
-
-    from quatprop.settings.parsers import Parser
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
@@ -60,241 +53,225 @@ DIRECTIONS = ("body-to-ref", "ref-to-body")
 
 
 class SelectOptions(TypedDict, total=False):
-    """Keywords that choose a topic and its time base."""
+    """Keywords that choose a topic and its time base.
 
-    kind: str
-    topic: str
-    msg_path: str | PathLike[str]
-    clock: str
-    time_field: str
-    time_col: str | int
-    time_unit: str
-    sample_rate: float | Fraction | str
+    Parameters
+    ----------
+    kind : str
+        Kind of the log; by default told by its content, then by its suffix.
+    topic : str
+        Which topic; by default the only one that has what is read.
+    msg_path : str or path
+        Message definitions for a log that carries none: a ``.msg`` file, or a folder of them.
+    clock : str
+        Timestamp source: ``"header"``, ``"log"`` or ``"publish"``.
+    time_field : str
+        Field of a message that is the time, such as ``"header.stamp"``.
+    time_col : str or int
+        Column of a table that is the time, by name or number from 0.
+    time_unit : str
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+    sample_rate : float
+        Rows a second of a table without a time, Hz.
+    """
+
+    kind: Annotated[str, Choice(*KINDS)]
+    topic: Annotated[str, text]
+    msg_path: Annotated[str | PathLike[str], path]
+    clock: Annotated[str, Choice(*CLOCKS)]
+    time_field: Annotated[str, text]
+    time_col: Annotated[str | int, lambda value: text(str(value))]
+    time_unit: Annotated[str, Choice(*TIME_UNITS)]
+    sample_rate: Annotated[float | Fraction | str, frequency]
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`."""
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`.
 
-    rate_field: str
-    rate_cols: str | Sequence[str | int]
-    rate_unit: str
+    Parameters
+    ----------
+    rate_field : str
+        Field of a message, such as ``"imu.angular_velocity"``.
+    rate_cols : str or sequence
+        Columns of a table, by name or number from 0.
+    rate_unit : str
+        ``"rad/s"`` or ``"deg/s"``.
+    """
+
+    rate_field: Annotated[str, text]
+    rate_cols: Annotated[str | Sequence[str | int], columns("X,Y,Z")]
+    rate_unit: Annotated[str, Choice(*RATE_UNITS)]
 
 
-class AttitudeOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_attitudes`."""
+class SeriesOptions(SelectOptions, total=False):
+    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`.
 
-    quat_field: str
-    quat_cols: str | Sequence[str | int]
-    frame: str
-    from_layout: str
-    from_convention: str
-    from_direction: str
-    from_angle_unit: str
-    from_euler: str
-    normalize: bool
-    on_invalid: str
+    Parameters
+    ----------
+    quat_field : str
+        Field of a message that is the quaternion.
+    quat_cols : str or sequence
+        The four columns of a table as stored, by name or number from 0; with `from_euler` the
+        three angles in the order of its letters.
+    frame : str
+        Of a list of transforms, ``"child"`` or ``"parent:child"``.
+    from_layout : str
+        ``"scalar-first"`` or ``"scalar-last"``; needed where names and metadata do not say it.
+    from_convention : str
+        ``"hamilton"`` (the default) or ``"jpl"``.
+    from_direction : str
+        ``"body-to-ref"`` (the default) or ``"ref-to-body"``.
+    from_angle_unit : str
+        ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
+    from_euler : str
+        Sequence of Euler angles, such as ``"xyz"``: intrinsic rotations about x, the new y and the
+        newest z. Columns yaw, pitch and roll are ``"zyx"`` by default, and with another sequence
+        the angles about z, y and x.
+    """
+
+    quat_field: Annotated[str, text]
+    quat_cols: Annotated[str | Sequence[str | int], columns("A,B,C[,D]")]
+    frame: Annotated[str, text]
+    from_layout: Annotated[str, Choice(*LAYOUTS)]
+    from_convention: Annotated[str, Choice(*CONVENTIONS)]
+    from_direction: Annotated[str, Choice(*DIRECTIONS)]
+    from_angle_unit: Annotated[str, Choice("rad", "deg")]
+    from_euler: Annotated[str, Choice(*EULER_SEQUENCES)]
+
+
+class AttitudeOptions(SeriesOptions, total=False):
+    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`.
+
+    Parameters
+    ----------
+    normalize : bool
+        Scale quaternions to unit length; by default those off by more than 0.001 are refused.
+    on_invalid : str
+        ``"error"`` (the default) or ``"drop"``: invalid quaternions.
+    """
+
+    normalize: Annotated[bool, flag]
+    on_invalid: Annotated[str, Choice("error", "drop")]
 
 
 class PropagateOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.propagate`; each is documented there."""
-
-    method: str
-    rates: str
-    q0: str | PathLike[str] | Sequence[float]
-    heading: float
-    reference_z: str
-    q0_layout: str
-    bias: str | PathLike[str] | Sequence[float]
-    calibration: str | PathLike[str]
-    mount: str | Sequence[float]
-    start: str | int | datetime
-    end: str | int | datetime
-    on_backwards: str
-    on_nonfinite: str
-    max_gap: str | int | timedelta
-    on_gap: str
-    every: int
-    rate: float | Fraction | str
-    at: str | PathLike[str]
-    threads: int
-    noise_density: str | float
-    bias_sigma: str | float
-    random_walk: str | float
-    scale_sigma: str | float
-    imu: str | PathLike[str]
-    sigma: bool
-    sigma_axes: str
-
-
-def parse_all(
-    options: Mapping[str, object], parsers: Mapping[str, Parser] | None = None
-) -> dict[str, Any]:
-    """Return settings by name with their parsed values; None counts as not given.
+    """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`.
 
     Parameters
     ----------
-    options
-        Names and values.
-    parsers
-        The settings there are; None for :data:`PROPAGATE`.
-
-    Raises
-    ------
-    UsageError
-        There is no such setting, or a value cannot be used; the sentence names the setting.
+    method : str
+        Integration rule: ``"start"``, ``"end"``, ``"mean"``, ``"coning"`` or ``"cubic"``; see
+        :func:`quatprop.kinematics.increments.rotation_vectors`. By default ``"end"`` where samples
+        are averages or increments, else ``"start"``.
+    rates : str
+        Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
+        or ``"inertial"`` (on the left).
+    q0 : sequence of float, str or path
+        Attitude body to reference at the first sample: four numbers in the order of `q0_layout`;
+        ``"level"``, roll and pitch from the accelerometer at rest; ``"log"``, the log's own
+        orientation; or an attitude series, a path or a topic of the log. By default the identity.
+    heading : float
+        For ``q0="level"``: rotation about the reference's z axis, deg.
+    reference_z : str
+        For ``q0="level"``: where that axis points, ``"up"`` (the default) or ``"down"``.
+    q0_layout : str
+        ``"scalar-first"`` (the default) or ``"scalar-last"``.
+    bias : sequence of float, str or path
+        Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
+        mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
+        whole log; or a series of biases, a file (EuRoC's ground truth, PX4's estimator_sensor_bias)
+        or a topic of the log, interpolated in time.
+    calibration : path
+        Scale, misalignment and bias of the gyroscope: YAML or JSON with ``matrix``, 3x3, and
+        ``bias``, rad/s, applied as matrix (w - bias), or kalibr's file of an IMU. A bias given
+        beside it takes the place of its own.
+    mount : str or sequence
+        Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
+        with v_body = m v_sensor m*; or ``"tf:FRAME"``, the axes of a frame by the log's own
+        ``/tf_static``, from the frame in the header of the rates.
+    start, end : str, int or datetime
+        The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
+        first (``"+10s"``) or the last sample (``"-30s"``).
+    on_backwards : str
+        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``.
+    on_nonfinite : str
+        Rates that are NaN or infinite: ``"error"`` (the default), ``"drop"`` or ``"hold"``.
+    max_gap : str, int or timedelta
+        Intervals longer than this count as gaps (text such as ``"20ms"``, or ns); by default 10
+        median intervals.
+    on_gap : str
+        ``"hold"`` (the default) propagates across a gap like over any interval, by the method,
+        ``"zero"`` takes the rate across as zero, ``"split"`` begins again at q0, ``"error"``
+        refuses gaps.
+    every : int
+        Keep every N-th attitude.
+    rate : float, Fraction or str
+        Attitudes at this rate, Hz, exact at those times under the method.
+    at : path
+        Attitudes at the stamps of this series, exact at those times.
+    threads : int
+        How many threads compute at a time, by default as many as there are cores; the result is
+        the same.
+    noise_density, bias_sigma, random_walk, scale_sigma : str or float
+        Standard deviations of the gyroscope's errors: its noise density (``"0.2deg/sqrt(h)"``, or
+        rad/s/sqrt(Hz)), constant bias (``"20deg/h"``, or rad/s), rate random walk
+        (``"3deg/h/sqrt(h)"``, or rad/s^2/sqrt(Hz)) and scale factors (``"1000ppm"``, or a ratio).
+        From them follows the uncertainty of the result, in its report.
+    imu : path
+        A file of Kalibr or of an Allan variance tool that states the first and the third.
+    sigma : bool
+        Give every attitude its covariance.
+    sigma_axes : str
+        For tables, the axes of the columns of standard deviations: ``"body"`` (the default) or
+        ``"reference"``.
     """
-    parsers = PROPAGATE if parsers is None else parsers
-    values = {}
-    refuse_unknown(options, parsers)
-    for name, value in options.items():
-        if value is None:
-            continue
-        try:
-            values[name] = parsers[name](value)
-        except UsageError as error:
-            raise UsageError(f"{Setting(name)}: ", error.text) from error
-    return values
+
+    start: Annotated[str | int | datetime, moment]
+    end: Annotated[str | int | datetime, moment]
+    method: Annotated[str, Choice(*METHODS)]
+    rates: Annotated[str, Choice(*FRAMES)]
+    q0: Annotated[str | PathLike[str] | Sequence[float], initial_attitude]
+    heading: Annotated[float, number]
+    reference_z: Annotated[str, Choice("up", "down")]
+    q0_layout: Annotated[str, Choice(*LAYOUTS)]
+    bias: Annotated[str | PathLike[str] | Sequence[float], bias]
+    calibration: Annotated[str | PathLike[str], path]
+    mount: Annotated[str | Sequence[float], mounting]
+    on_backwards: Annotated[str, Choice("error", "drop", "sort")]
+    on_nonfinite: Annotated[str, Choice("error", "drop", "hold")]
+    max_gap: Annotated[str | int | timedelta, length]
+    on_gap: Annotated[str, Choice("hold", "zero", "split", "error")]
+    every: Annotated[int, count]
+    rate: Annotated[float | Fraction | str, frequency]
+    at: Annotated[str | PathLike[str], path]
+    threads: Annotated[int, count]
+    noise_density: Annotated[
+        str | float, quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)")
+    ]
+    bias_sigma: Annotated[str | float, quantity_of(RATES, "a rate", "20deg/h")]
+    random_walk: Annotated[
+        str | float, quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)")
+    ]
+    scale_sigma: Annotated[str | float, quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%")]
+    imu: Annotated[str | PathLike[str], path]
+    sigma: Annotated[bool, flag]
+    sigma_axes: Annotated[str, Choice(*SIGMA_AXES)]
 
 
-OTHER_NAMES = {"as": "representation", "from": "kind", "with": "beside"}
-"""Options whose names are words of Python -> the keyword."""
+def parsers_of(options: type) -> Mapping[str, Parser]:
+    """Return the parser of each keyword of a class."""
+    return {name: hint.__metadata__[0] for name, hint in options.__annotations__.items()}
 
 
-def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
-    """Refuse keywords that a function has not, and name the one that was probably meant.
-
-    Parameters
-    ----------
-    options
-        The keywords that were given.
-    names
-        Those that there are.
-
-    Raises
-    ------
-    UsageError
-        One of them is unknown.
-    """
-    for name in options:
-        if name in names:
-            continue
-        keyword = OTHER_NAMES.get(name.rstrip("_"))
-        if name == "euler_unit" and "beside" in names:
-            way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
-        elif keyword in names:
-            way_out = f"; did you mean {quoted(keyword)}?"
-        else:
-            way_out = did_you_mean(name, names, f"there are {listed(names)}")
-        raise UsageError(f"there is no setting {quoted(name)}{way_out}")
-
-
-def as_text(name: str, value: object, parsed: object) -> str | bool:
-    """Return the value of a setting as a configuration has it.
-
-    Parameters
-    ----------
-    name
-        A key of :data:`PROPAGATE`.
-    value, parsed
-        As it was given, and what its parser made of it.
-
-    Examples
-    --------
-    >>> as_text("max_gap", 200_000_000, 200_000_000), as_text("bias", [0.1, 0, 0], (0.1, 0.0, 0.0))
-    ('200000000ns', '0.1,0.0,0.0')
-    """
-    if isinstance(value, str | bool):
-        return value
-    if isinstance(parsed, tuple):
-        return ",".join(map(str, parsed))
-    if name == "scale_sigma" and isinstance(parsed, float):
-        return f"{parsed * 1e6}ppm"
-    return f"{parsed}{SI_UNITS.get(name, '')}"
-
-
-SI_UNITS = {
-    "max_gap": "ns",
-    "noise_density": "rad/s/sqrt(Hz)",
-    "bias_sigma": "rad/s",
-    "random_walk": "rad/s^2/sqrt(Hz)",
-}
-"""Units of settings whose values are written with one."""
-
-SELECT: Mapping[str, Parser] = {
-    "topic": text,
-    "msg_path": path,
-    "clock": Choice(*CLOCKS),
-    "time_field": text,
-    "time_col": lambda value: text(str(value)),
-    "time_unit": Choice(*TIME_UNITS),
-    "sample_rate": frequency,
-}
-"""Which topic and which time: setting -> its parser."""
-
-SELECT_RATES: Mapping[str, Parser] = {
-    **SELECT,
-    "rate_field": text,
-    "rate_cols": columns("X,Y,Z"),
-    "rate_unit": Choice(*RATE_UNITS),
-}
-"""Which rates of a log: setting -> its parser."""
-
-SELECT_ATTITUDES: Mapping[str, Parser] = {
-    **SELECT,
-    "quat_field": text,
-    "quat_cols": columns("A,B,C[,D]"),
-    "frame": text,
-    "from_layout": Choice(*LAYOUTS),
-    "from_convention": Choice(*CONVENTIONS),
-    "from_direction": Choice(*DIRECTIONS),
-    "from_angle_unit": Choice("rad", "deg"),
-    "from_euler": Choice(*EULER_SEQUENCES),
-}
-"""Which attitudes of a log, and what their numbers mean: setting -> its parser."""
-
-ONE_SERIES: Mapping[str, Parser] = {"kind": Choice(*KINDS), **SELECT_ATTITUDES}
-"""What has to be known of each series where several are read: setting -> its parser."""
-
-CHECK_ATTITUDES: Mapping[str, Parser] = {
-    "normalize": flag,
-    "on_invalid": Choice("error", "drop"),
-}
-"""What is done about invalid quaternions: setting -> its parser."""
-
-READ_ATTITUDES: Mapping[str, Parser] = {**ONE_SERIES, **CHECK_ATTITUDES}
-"""How attitudes are read: setting -> its parser."""
-
-READ_RATES: Mapping[str, Parser] = {"kind": Choice(*KINDS), **SELECT_RATES}
+READ_RATES = parsers_of(RateOptions)
 """How rates are read: setting -> its parser."""
 
-PROPAGATE: Mapping[str, Parser] = {
-    **READ_RATES,
-    "start": moment,
-    "end": moment,
-    "method": Choice(*METHODS),
-    "rates": Choice(*FRAMES),
-    "q0": initial_attitude,
-    "heading": number,
-    "reference_z": Choice("up", "down"),
-    "q0_layout": Choice(*LAYOUTS),
-    "bias": bias,
-    "calibration": path,
-    "mount": mounting,
-    "on_backwards": Choice("error", "drop", "sort"),
-    "on_nonfinite": Choice("error", "drop", "hold"),
-    "max_gap": length,
-    "on_gap": Choice("hold", "zero", "split", "error"),
-    "every": count,
-    "rate": frequency,
-    "at": path,
-    "threads": count,
-    "noise_density": quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"),
-    "bias_sigma": quantity_of(RATES, "a rate", "20deg/h"),
-    "random_walk": quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"),
-    "scale_sigma": quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"),
-    "imu": path,
-    "sigma": flag,
-    "sigma_axes": Choice(*SIGMA_AXES),
-}
+ONE_SERIES = parsers_of(SeriesOptions)
+"""What has to be known of each series where several are read: setting -> its parser."""
+
+READ_ATTITUDES = parsers_of(AttitudeOptions)
+"""How attitudes are read: setting -> its parser."""
+
+PROPAGATE = parsers_of(PropagateOptions)
 """Everything that determines the attitudes of a log, and how many threads compute them: setting
 -> its parser."""

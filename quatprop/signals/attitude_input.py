@@ -13,7 +13,8 @@ from quatprop.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES, SELECT_ATTITUDES, parse_all
+from quatprop.settings import READ_ATTITUDES
+from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, quoted
@@ -150,7 +151,7 @@ def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> 
     return AttitudeInput(
         path,
         values.get("kind"),
-        AttitudeSelection(**{name: values.get(name) for name in SELECT_ATTITUDES}),
+        AttitudeSelection.of(values),
         normalize=values.get("normalize", False),
         drop=values.get("on_invalid") == "drop",
         side=side,

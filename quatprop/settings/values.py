@@ -1,0 +1,108 @@
+"""Values of settings: parsed all together, and as a configuration has them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from quatprop.errors import UsageError
+from quatprop.settings import PROPAGATE
+from quatprop.text import Setting, did_you_mean, listed, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping
+
+    from quatprop.settings.parsers import Parser
+
+
+def parse_all(
+    options: Mapping[str, object], parsers: Mapping[str, Parser] = PROPAGATE
+) -> dict[str, Any]:
+    """Return settings by name with their parsed values; None counts as not given.
+
+    Parameters
+    ----------
+    options
+        Names and values.
+    parsers
+        The settings there are.
+
+    Raises
+    ------
+    UsageError
+        There is no such setting, or a value cannot be used; the sentence names the setting.
+    """
+    values = {}
+    refuse_unknown(options, parsers)
+    for name, value in options.items():
+        if value is None:
+            continue
+        try:
+            values[name] = parsers[name](value)
+        except UsageError as error:
+            raise UsageError(f"{Setting(name)}: ", error.text) from error
+    return values
+
+
+OTHER_NAMES = {"as": "representation", "from": "kind", "with": "beside"}
+"""Options whose names are words of Python -> the keyword."""
+
+
+def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
+    """Refuse keywords that a function has not, and name the one that was probably meant.
+
+    Parameters
+    ----------
+    options
+        The keywords that were given.
+    names
+        Those that there are.
+
+    Raises
+    ------
+    UsageError
+        One of them is unknown.
+    """
+    for name in options:
+        if name in names:
+            continue
+        keyword = OTHER_NAMES.get(name.rstrip("_"))
+        if name == "euler_unit" and "beside" in names:
+            way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
+        elif keyword in names:
+            way_out = f"; did you mean {quoted(keyword)}?"
+        else:
+            way_out = did_you_mean(name, names, f"there are {listed(names)}")
+        raise UsageError(f"there is no setting {quoted(name)}{way_out}")
+
+
+def as_text(name: str, value: object, parsed: object) -> str | bool:
+    """Return the value of a setting as a configuration has it.
+
+    Parameters
+    ----------
+    name
+        A key of :data:`quatprop.settings.PROPAGATE`.
+    value, parsed
+        As it was given, and what its parser made of it.
+
+    Examples
+    --------
+    >>> as_text("max_gap", 200_000_000, 200_000_000), as_text("bias", [0.1, 0, 0], (0.1, 0.0, 0.0))
+    ('200000000ns', '0.1,0.0,0.0')
+    """
+    if isinstance(value, str | bool):
+        return value
+    if isinstance(parsed, tuple):
+        return ",".join(map(str, parsed))
+    if name == "scale_sigma" and isinstance(parsed, float):
+        return f"{parsed * 1e6}ppm"
+    return f"{parsed}{SI_UNITS.get(name, '')}"
+
+
+SI_UNITS = {
+    "max_gap": "ns",
+    "noise_density": "rad/s/sqrt(Hz)",
+    "bias_sigma": "rad/s",
+    "random_walk": "rad/s^2/sqrt(Hz)",
+}
+"""Units of settings whose values are written with one."""
