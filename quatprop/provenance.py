@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
     from typing import Self
@@ -213,9 +213,7 @@ class DigestThread:
         else:
             self._thread.join()
         if self._error is not None:
-            raise UnreadableLogError(
-                self._path, f"it cannot be read: {self._error.strerror}"
-            ) from self._error
+            raise UnreadableLogError(self._path, os_reason(self._error)) from self._error
         return self._digest
 
     def __enter__(self) -> Self:

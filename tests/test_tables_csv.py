@@ -407,7 +407,7 @@ def test_an_empty_file_is_told(tmp_path):
 
 def test_a_missing_file_is_told(tmp_path):
     """A path that leads nowhere is told as the system tells it."""
-    with pytest.raises(UnreadableLogError, match="it cannot be read: No such file or directory"):
+    with pytest.raises(UnreadableLogError, match="no such file or folder; check the path"):
         CsvLog(tmp_path / "none.csv")
 
 

@@ -96,13 +96,13 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     from quatprop.containers.stores import is_address
     from quatprop.errors import QuatpropError
     from quatprop.formats import open_log
-    from quatprop.tables.base import is_table
+    from quatprop.tables.base import TableLog
 
     if is_address(path):
         return []
     try:
         with open_log(path, ctx.params.get("kind")) as log:
-            if is_table(log):
+            if isinstance(log, TableLog):
                 return log.columns() if setting.endswith(("_cols", "_col")) else []
             return list(dict.fromkeys(_in_messages(log, setting, ctx)))
     except (QuatpropError, OSError):

@@ -28,7 +28,7 @@ from quatprop.containers.mcap.records import (
 from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, RegionError, chunk_head, load
 from quatprop.containers.mcap.summary import MAGIC, read_footer
 from quatprop.containers.mcap.walk import walk_records
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
 from quatprop.text import Setting
 from quatprop.writers.mcap.channel import INDEX_ENTRY, McapChunk, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
@@ -84,15 +84,14 @@ class McapCopy:
             raise UnsupportedLogError(
                 log.path,
                 "it defines channel ids more than once, as files that were put one behind another "
-                "do; write the attitudes to a file of their own with ",
-                Setting("output"),
+                f"do; write the attitudes to a file of their own with {Setting('output')}",
             )
         self._budget = DecompressionBudget(self._source.size)
         try:
             footer = read_footer(self._source)
             self.header = _header(self._source)
         except OSError as error:
-            raise UnreadableLogError(log.path, f"{error.strerror}; check the path") from error
+            raise UnreadableLogError(log.path, os_reason(error)) from error
         self.contents = McapContents(
             {id_: Schema(**record._asdict()) for id_, record in overview.schemas.items()},
             {id_: Channel(**record._asdict()) for id_, record in overview.channels.items()},
@@ -195,7 +194,7 @@ class McapCopy:
         try:
             data = self._source.read(start, length)
         except OSError as error:
-            raise UnreadableLogError(self._path, f"{error.strerror}; check the disk") from error
+            raise UnreadableLogError(self._path, os_reason(error)) from error
         if len(data) < length:
             raise DamagedLogError(self._path, "it became shorter while it was read; copy it first")
         return data

@@ -125,8 +125,7 @@ class BagCopy:
             raise UnsupportedLogError(
                 log.path,
                 "several bags are joined in it, and nothing can be added to them; write the "
-                "attitudes to a file of their own with ",
-                Setting("output"),
+                f"attitudes to a file of their own with {Setting('output')}",
             )
         self._file = RecordFile(log.source)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)

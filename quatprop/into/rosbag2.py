@@ -153,8 +153,7 @@ class Rosbag2CopyWriter(MessageWriter):
                 raise OutputError(
                     self._output.target,
                     f"{plain(self._source)} cannot be copied: {error}; write the attitudes to a "
-                    "file of their own with ",
-                    Setting("output"),
+                    f"file of their own with {Setting('output')}",
                 ) from error
 
 
@@ -169,8 +168,7 @@ def _files(path: Path) -> list[Path]:
             path,
             "its files or messages are compressed one by one, and nothing can be added to them; "
             "decompress it with `ros2 bag convert`, or write the attitudes to a file of their own "
-            "with ",
-            Setting("output"),
+            f"with {Setting('output')}",
         )
     return bag.parts
 

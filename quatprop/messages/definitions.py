@@ -129,7 +129,7 @@ def message_type(channel: Channel, path: Path | str) -> Struct:
             channel.type_name, channel.encoding == "ros1", channel.schema_encoding, channel.schema
         )
     except BadDefinitionError as error:
-        raise SchemaError(path, f"topic {quoted(channel.topic)}: ", *error.args) from None
+        raise SchemaError(path, f"topic {quoted(channel.topic)}: {error}") from None
 
 
 @lru_cache(maxsize=256)
@@ -241,8 +241,8 @@ class TypeBuilder:
             if definition is None:
                 raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
-                    "type; put its .msg files beside the log, or name them with ",
-                    Setting("msg_path"),
+                    "type; put its .msg files beside the log, or name them with "
+                    f"{Setting('msg_path')}"
                 )
             self.types[name] = self._build(name, definition)
         return self.types[name]

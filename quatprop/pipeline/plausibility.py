@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, Text
 from quatprop.times import utc_text
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import TableLog
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
@@ -67,7 +66,7 @@ def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Te
     source
         The rates.
     """
-    with nullcontext() if is_table(log) else beginning_kept(cast("MessageLog", log)):
+    with nullcontext() if isinstance(log, TableLog) else beginning_kept(log):
         return [*stamp_remarks(source), *orientation_remarks(log, source)]
 
 
@@ -93,7 +92,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
 
 def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
-    topic = None if is_table(log) else source.name
+    topic = None if isinstance(log, TableLog) else source.name
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)

@@ -32,7 +32,7 @@ from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks as timeline_remarks
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
-    from quatprop.tables.base import TableLog
 
     Log = MessageLog | TableLog
     Seen = dict[tuple[str, str], "_AttitudeReading"]
@@ -93,7 +92,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
         read_once = str(log.path) == "-"
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
-        seen: Seen | None = None if only_rates or is_table(log) else {}
+        seen: Seen | None = None if only_rates or isinstance(log, TableLog) else {}
         rates: tuple[RateSurvey, ...] = ()
         try:
             rates = tuple(_rates(log, selection, seen, read_once=read_once))
@@ -203,9 +202,8 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
-    if beside is not None:
-        shared = cast("MessageLog", log)
-        with blocks_shared(shared, channels_of(shared, signal.name)):
+    if beside is not None and not isinstance(log, TableLog):
+        with blocks_shared(log, channels_of(log, signal.name)):
             next(samples, None)
     deque(samples, maxlen=0)
     counts = timeline.counts
@@ -232,8 +230,9 @@ def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[Attit
         return
     except LogError as error:
         # A topic that cannot be read here does not hide the others.
-        topics = dict.fromkeys(channel.topic for channel in cast("MessageLog", log).channels())
-        if is_table(log) or selection.topic is not None or len(topics) == 1:
+        channels = [] if isinstance(log, TableLog) else log.channels()
+        topics = dict.fromkeys(channel.topic for channel in channels)
+        if selection.topic is not None or len(topics) <= 1:
             yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
             return
         for topic in topics:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candid
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
 from quatprop.signals.message_values import FieldReader, logged_values, stamps_of, timed_values
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
-    from quatprop.tables.base import TableLog
 
 
 CONSTANT_MESSAGES = 20_000
@@ -92,11 +91,11 @@ def attitude_candidates(
         As for :func:`choose_attitudes`, but for the ambiguity; what is not declared about a
         candidate is refused when its signal is asked for.
     """
-    if is_table(log):
+    if isinstance(log, TableLog):
         from quatprop.signals.attitude_tables import of_table
 
         return [Candidate("", "", partial(of_table, log, selection))]
-    return message_candidates(cast("MessageLog", log), selection, ATTITUDES, _candidates)
+    return message_candidates(log, selection, ATTITUDES, _candidates)
 
 
 def _candidates(

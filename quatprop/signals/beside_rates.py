@@ -13,7 +13,7 @@ from quatprop.selection import AttitudeSelection
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 
 if TYPE_CHECKING:
     from quatprop.conditioning import Conditioning
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, RateSignal
-    from quatprop.tables.base import TableLog
 
 _ACCELERATION = re.compile(
     r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
@@ -104,19 +103,18 @@ def specific_forces(
     source, selection
         Its rates, and how they were chosen.
     """
-    if is_table(log):
+    if isinstance(log, TableLog):
         return _table_forces(log, selection)
-    messages = cast("MessageLog", log)
-    for channel in channels_of(messages, source.name):
+    for channel in channels_of(log, source.name):
         if channel.type_name != source.type_name:
             continue
         beside = fields_beside(channel, source.field, log.path)
         if beside.rate is None or beside.acceleration is None:
             continue
         name, absent = beside.acceleration
-        clock = choose_clock(messages, channel, beside.rate.stamps, selection)
-        reader = FieldReader(messages, channel, clock, [name], [absent])
-        return cast("Rows", timed_values(messages, channel, reader))
+        clock = choose_clock(log, channel, beside.rate.stamps, selection)
+        reader = FieldReader(log, channel, clock, [name], [absent])
+        return cast("Rows", timed_values(log, channel, reader))
     return None
 
 
@@ -152,8 +150,8 @@ def own_orientation(
     from quatprop.signals.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)
-    if not is_table(log):
-        beside = _beside(cast("MessageLog", log), source)
+    if not isinstance(log, TableLog):
+        beside = _beside(log, source)
         wanted = replace(wanted, topic=source.name, quat_field=beside)
         if source.clock in {"header", "log", "publish"}:
             wanted = replace(wanted, clock=source.clock)

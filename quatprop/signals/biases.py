@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from quatprop.selection import RateSelection
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.signals.rates import UNITS
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
     from quatprop.series import Float64, Int64
-    from quatprop.tables.base import TableLog
 
 
 class BiasField(NamedTuple):
@@ -82,20 +81,15 @@ def read_biases(
     """
     if Path(source).exists():
         with open_log(source) as opened:
-            if is_table(opened):
+            if isinstance(opened, TableLog):
                 return _of_table(source, opened)
-            messages = cast("MessageLog", opened)
-            known = [c for c in channels_of(messages) if c.type_name in FIELDS]
+            known = [c for c in channels_of(opened) if c.type_name in FIELDS]
             if len(known) != 1:
                 topics = listed(channel.topic for channel in known)
                 there = f"several topics with biases: {topics}" if known else "no topic with biases"
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
-            return _of_channel(source, messages, known[0], RateSelection())
-    channels: list[Channel] = []
-    if log is not None and not is_table(log):
-        messages = cast("MessageLog", log)
-        channels = channels_of(messages, source)
-    if log is None or not channels:
+            return _of_channel(source, opened, known[0], RateSelection())
+    if log is None or isinstance(log, TableLog) or not (channels := channels_of(log, source)):
         raise UsageError(
             f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
             "no such file is there, and the log has no such topic"
@@ -107,7 +101,7 @@ def read_biases(
             f"messages of topic {quoted(source)} are of type {quoted(channels[0].type_name)}, of "
             f"which no bias is known; types with one are {listed(FIELDS)}",
         )
-    return _of_channel(source, messages, known[0], RateSelection(clock=selection.clock))
+    return _of_channel(source, log, known[0], RateSelection(clock=selection.clock))
 
 
 def _of_table(source: str, log: TableLog) -> BiasSeries:

@@ -28,7 +28,7 @@ from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from quatprop.selection import SignalSelection
     from quatprop.series import AttitudeSeries, Float64, Int64
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import TableLog
 
     Row = tuple[int, Float64]
 
@@ -84,7 +83,7 @@ def attitude_at(
     is_file = Path(source).exists()
     if not is_file:
         topic = str(source)
-        if log is None or is_table(log) or not channels_of(cast("MessageLog", log), topic):
+        if log is None or isinstance(log, TableLog) or not channels_of(log, topic):
             raise UsageError(
                 f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
                 "no such file is there, and the log has no such topic"

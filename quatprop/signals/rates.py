@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import logged_values, series_of, stamps_of
 from quatprop.signals.rate_readers import rate_reader
 from quatprop.signals.signal import RateSignal
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.time_ranges import RangeReader, TableRangeReader
-    from quatprop.tables.base import TableLog
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
@@ -79,9 +78,9 @@ def rate_candidates(
         As for :func:`choose_rates`, but for the ambiguity; what is not declared about a candidate
         is refused when its signal is asked for.
     """
-    if is_table(log):
+    if isinstance(log, TableLog):
         return [Candidate("", "", partial(_of_table, log, selection))]
-    return message_candidates(cast("MessageLog", log), selection, RATES, _candidates)
+    return message_candidates(log, selection, RATES, _candidates)
 
 
 def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:

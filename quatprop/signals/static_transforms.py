@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,14 +22,13 @@ from quatprop.messages.message_types import TRANSFORM_LISTS
 from quatprop.messages.schema import String, find
 from quatprop.messages.transforms import TransformDecoder
 from quatprop.signals.message_values import channels_of
-from quatprop.tables.base import is_table
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.series import Float64
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import TableLog
 
     Steps = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
@@ -64,13 +63,12 @@ def frame_mounting(
     LogError
         The transforms cannot be read.
     """
-    if log is None or is_table(log):
+    if log is None or isinstance(log, TableLog):
         mount = Setting("mount", f"tf:{frame}")
         raise UsageError(f"{mount} needs a log of messages with /tf_static")
-    messages = cast("MessageLog", log)
-    sensor = _sensor_frame(messages, source)
+    sensor = _sensor_frame(log, source)
     wanted = _bare(frame)
-    steps = _static_steps(messages)
+    steps = _static_steps(log)
     paths: dict[str, tuple[Float64, tuple[str, ...]]] = {sensor: (IDENTITY, (sensor,))}
     waiting = [sensor]
     while waiting and wanted not in paths:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeGuard
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from quatprop.containers.base import Log
 from quatprop.errors import UnsupportedLogError
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog
     from quatprop.provenance import JsonObject
 
     Batches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
@@ -162,8 +161,3 @@ def refuse_second_file(path: Path, begin: int) -> NoReturn:
     """Refuse a file to which another one was joined, at a byte."""
     reason = f"another file begins in it at byte {begin}; split it there into two"
     raise UnsupportedLogError(path, reason)
-
-
-def is_table(log: MessageLog | TableLog) -> TypeGuard[TableLog]:
-    """Tell a table from a container of messages."""
-    return isinstance(log, TableLog)

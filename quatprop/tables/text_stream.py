@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.containers.compressed_files import file_compression
 from quatprop.containers.compression import CompressionError, decompressed_pieces
-from quatprop.errors import UnreadableLogError
+from quatprop.errors import UnreadableLogError, os_reason
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def open_text(path: Path) -> TextStream:
     try:
         return TextStream(path.open("rb"))
     except OSError as error:
-        raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
+        raise UnreadableLogError(path, os_reason(error)) from error
 
 
 def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:

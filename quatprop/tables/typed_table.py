@@ -216,8 +216,7 @@ class TypedTable(TableLog):
             raise UnsupportedLogError(
                 self.path,
                 f"times of column {names} do not fit in int64 ns when they are "
-                f"{columns.time_unit}; check ",
-                Setting("time_unit"),
+                f"{columns.time_unit}; check {Setting('time_unit')}",
             ) from None
 
 

@@ -72,9 +72,8 @@ class BlockReader:
             raise UnsupportedLogError(
                 path,
                 f"{self._rejected} of its first {self._count} rows do not fit (line {line}: "
-                f"{reason}); check the columns and units, such as ",
-                Setting("time_unit"),
-                ", or whether it is one table",
+                f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
+                "whether it is one table",
             )
 
     def _parse(

@@ -157,17 +157,15 @@ def match_bias(log: TableLog) -> ColumnMatch:
     sets = matcher.sets(dialect.bias)
     if not sets:
         raise UsageError(
-            Setting("bias"),
-            f" {plain(log.path)}: no columns are named as biases of a gyroscope, such as "
-            f"b_w_RS_S_x or gyro_bias_x; there are {listed(log.columns())}",
+            f"{Setting('bias')} {plain(log.path)}: no columns are named as biases of a gyroscope, "
+            f"such as b_w_RS_S_x or gyro_bias_x; there are {listed(log.columns())}"
         )
     bias = matcher.only_set(sets, "set of biases", "x")
     unit = matcher.unit("rate", bias, RATE_UNITS, dialect.rate_unit)
     if not unit:
         raise UsageError(
-            Setting("bias"),
-            f" {plain(log.path)}: the unit of {matcher.names(bias)} is not declared; name it in "
-            "the header, such as gyro_bias_x [rad/s]",
+            f"{Setting('bias')} {plain(log.path)}: the unit of {matcher.names(bias)} is not "
+            "declared; name it in the header, such as gyro_bias_x [rad/s]"
         )
     return ColumnMatch(*matcher.timed_and_named(bias, dialect), unit, dialect.name)
 
@@ -180,20 +178,22 @@ def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[st
     if matcher.notes.mount:
         yield _mount_remark(matcher.notes.mount)
     if unused := matcher.unused_stamps(dialect):
+        sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
         yield Text(
-            Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}"),
-            f" counts the rows; the stamps in {matcher.names(unused)} are not used",
+            f"{sample_rate} counts the rows; the stamps in {matcher.names(unused)} are not used"
         )
 
 
 def _mount_remark(mount: str) -> Text:
     """Return the remark on a file that says how its sensor is mounted."""
-    as_they_are = "the file says how its sensor is mounted, and rates are taken as they are; "
     try:
         mounting(mount)
+        way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"
     except UsageError:
-        return Text(as_they_are, f"as the mounting {mount} is left-handed, it cannot be right")
-    return Text(as_they_are, "to turn them into the camera's axes use ", Setting("mount", mount))
+        way_out = f"as the mounting {mount} is left-handed, it cannot be right"
+    return Text(
+        f"the file says how its sensor is mounted, and rates are taken as they are; {way_out}"
+    )
 
 
 def match_quaternion(
@@ -283,17 +283,14 @@ def _refuse_contradiction(
 ) -> None:
     """Refuse a layout, of the user or recorded, that is not the one of the names."""
     given = _layout(stored, wxyz)
-    sources = {Text(Setting("from_layout")): layout, Text("the metadata of the file"): recorded}
-    for source, declared in sources.items():
+    setting = f"{Setting('from_layout')}"
+    for source, declared in ((setting, layout), ("the metadata of the file", recorded)):
         if declared not in (None, given):
             raise UsageError(
                 f"{plain(matcher.path)}: the columns {matcher.names(stored)} are "
-                f"{given or 'in no layout, but named'}, and ",
-                source,
-                f" says {declared}; settle it by naming them as stored, with ",
-                Setting("quat_cols", "A,B,C,D"),
-                " and without ",
-                Setting("from_layout"),
+                f"{given or 'in no layout, but named'}, and {source} says {declared}; settle it by "
+                f"naming them as stored, with {Setting('quat_cols', 'A,B,C,D')} and without "
+                f"{setting}"
             )
 
 

@@ -55,19 +55,16 @@ class TableColumns:
         if len(positions) > 1:
             raise UsageError(
                 f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
-                "say which with its number from 0, ",
-                Setting(setting),
-                f" taking {positions[0]}, {positions[1]}...",
+                f"say which with its number from 0, {Setting(setting)} taking {positions[0]}, "
+                f"{positions[1]}..."
             )
         if not positions and name.isdecimal() and int(name) < len(self.columns):
             return int(name)
         if not positions:
             names = [column.text for column in self.columns]
             raise UsageError(
-                f"{plain(self.path)}: ",
-                Setting(setting),
-                f" asks for column {quoted(name)}; the columns are {listed(names)}"
-                f"{did_you_mean(name, names)}",
+                f"{plain(self.path)}: {Setting(setting)} asks for column {quoted(name)}; the "
+                f"columns are {listed(names)}{did_you_mean(name, names)}"
             )
         return positions[0]
 
@@ -107,19 +104,15 @@ class TableColumns:
         by_header = f"by header or convention {' and '.join(facts)}"
         if chosen is not None:
             if {*found} - {chosen}:
-                contradiction = Text(
-                    Setting(f"{quantity}_unit"), f" says {chosen}, but {by_header}"
-                )
+                contradiction = f"{Setting(f'{quantity}_unit')} says {chosen}, but {by_header}"
                 # Who names the columns and the unit knows better than the header.
                 if getattr(self.selection, columns) is None:
                     instead = "convert them to one unit" if facts[1:] else "leave the option out"
                     raise UsageError(
-                        f"{plain(self.path)}: ",
-                        contradiction,
-                        f"; {instead} or, if the option is right, name the columns too, with ",
-                        Setting(columns),
+                        f"{plain(self.path)}: {contradiction}; {instead} or, if the option is "
+                        f"right, name the columns too, with {Setting(columns)}"
                     )
-                self.overruled.append(Text(contradiction, f"; read in {chosen}, as asked for"))
+                self.overruled.append(Text(f"{contradiction}; read in {chosen}, as asked for"))
             return chosen
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")

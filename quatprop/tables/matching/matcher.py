@@ -162,9 +162,8 @@ class ColumnMatcher(TableColumns):
         if any(self.notes.units.get(k) == OTHER_DATES for k in time):
             raise UnsupportedLogError(
                 self.path,
-                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, or ",
-                "count rows at a steady rate with ",
-                Setting("sample_rate", "HZ"),
+                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, or "
+                f"count rows at a steady rate with {Setting('sample_rate', 'HZ')}",
             )
         unit = "ns"
         if len(time) == 1:
@@ -174,10 +173,9 @@ class ColumnMatcher(TableColumns):
         elif time:
             unit = "s"
         if self.unknown:
-            unknown = " and ".join(what for what, _ in self.unknown)
-            first, *others = (setting for _, setting in self.unknown)
-            way_out = Text(first, *(part for other in others for part in (" and ", other)))
-            raise UndeclaredError(self.path, unknown, way_out, several=bool(others))
+            unknown, ways = (" and ".join(f"{part}" for part in parts)
+                             for parts in zip(*self.unknown, strict=True))  # fmt: skip
+            raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
         names, clock = (
             ",".join(self.columns[k].text for k in columns) for columns in (named or numbers, time)
         )

@@ -46,8 +46,8 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
     if chosen is not None and named is not None:
         if len(named) != len(chosen):
             raise UsageError(
-                *(Setting("from_euler"), " is about three angles, and ", Setting("quat_cols")),
-                f" names {len(named)} columns",
+                f"{Setting('from_euler')} is about three angles, and {Setting('quat_cols')} names "
+                f"{len(named)} columns"
             )
         matcher = ColumnMatcher(log, selection, "quat_cols", chosen)
         matches = [(f"euler-{chosen}", matcher, matcher.named(named))]
