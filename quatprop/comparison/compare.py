@@ -21,12 +21,10 @@ from quatprop.kinematics.quaternion import geodesic_angle, normalize
 from quatprop.series import AttitudeSeries, blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
-    from quatprop.comparison.hypotheses import Cause
-    from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
 
 
 UNIT_LENGTH = 1e-3
@@ -71,67 +69,59 @@ def compare(
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
     pairs = associate(a, b, settings)
-    alignment = align(settings.align, pairs.a, pairs.b)
-    meter = ErrorMeter(pairs.at, alignment, settings.limit_rad)
+    meter = ErrorMeter(pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad)
     meter.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    window = None
-    if settings.window:
-        window = window_statistics(pairs.t_ns, pairs.a, alignment.apply(pairs.b), settings.window)
     reference = CoveredTime()
     for rows in blocks(len(b)):
         reference.add(b.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
-    return conclude(
-        settings,
-        meter,
-        Matching.of(pairs),
-        offset,
-        Coverage(meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None),
-        lambda rising: likely_cause(a, b, settings, rising),
-        pairs=pairs,
-        window=window,
-        sigmas=sigma_statistics(a, b, pairs, alignment),
-        left_out=lost_of_a + lost_of_b,
-        remarks=remarks,
+    coverage = Coverage(
+        meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
     )
+    left_out = lost_of_a + lost_of_b
+    matching = Matching.of(pairs)
+    return conclude(a, b, settings, meter, matching, offset, coverage, pairs, left_out, remarks)
 
 
-def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is judged by
+def conclude(  # noqa: PLR0913, PLR0917  # what was measured
+    a: AttitudeSeries,
+    b: AttitudeSeries,
     settings: ComparisonSettings,
     meter: ErrorMeter,
     matching: Matching,
     offset: AppliedOffset,
-    covered: Coverage,
-    explain: Callable[[Float64], Cause | None],
-    *,
+    coverage: Coverage,
     pairs: Pairs | None = None,
-    window: WindowStatistics | None = None,
-    sigmas: SigmaStatistics | None = None,
     left_out: int = 0,
     remarks: Iterable[str] = (),
 ) -> Comparison:
-    """Return the result of a comparison, once all errors are measured.
+    """Judge and explain errors, once all are measured.
 
     Parameters
     ----------
+    a, b
+        The series in which a cause is looked for: all of them, or the first part.
     settings
         How to compare.
     meter
         The errors.
-    matching, offset, covered, window, sigmas, left_out, remarks
+    matching, offset, coverage, left_out, remarks
         As for :class:`quatprop.comparison.result.Comparison`.
-    explain
-        Returns the likely cause, given the errors in rising order.
     pairs
         What was compared; None where the result need not have it, nor the errors.
     """
+    window = sigmas = None
+    if pairs is not None:
+        if settings.window:
+            window = window_statistics(pairs, meter.alignment, settings.window)
+        sigmas = sigma_statistics(a, b, pairs, meter.alignment)
     errors, remarks = meter.errors(), list(remarks)
     final, largest = float(errors[-1]), meter.worst.error_rad
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
     statistics = meter.statistics(rising, final)
-    criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, covered, sigmas))
+    criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, coverage, sigmas))
     passed = all(criterion.passed for criterion in criteria)
     if matching.match == "exact" and meter.opposite and largest <= SMALL:
         remarks.append(
@@ -154,13 +144,13 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured, and what it is jud
         worst=meter.worst,
         window=window,
         sigmas=sigmas,
-        coverage=covered,
+        coverage=coverage,
         left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         criteria=criteria,
         passed=passed,
         first_exceeding=meter.first_exceeding,
-        likely_cause=None if criteria and passed else explain(rising),
+        likely_cause=None if criteria and passed else likely_cause(a, b, settings, rising),
         remarks=tuple(remarks),
     )
 

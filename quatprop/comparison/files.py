@@ -16,7 +16,6 @@ import pyarrow as pa
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
 from quatprop.comparison.compare import compare, conclude, unit
-from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
@@ -121,6 +120,8 @@ class _Passing:
     ----------
     held
         Samples that were read and not yet taken; empty at the end.
+    head
+        Those in which causes are looked for, and some more on either side.
     samples
         How many were read.
     covered
@@ -134,7 +135,7 @@ class _Passing:
     def __init__(self, batches: Iterator[AttitudeSeries], offset_ns: int) -> None:
         self._batches = batches
         self._offset_ns = offset_ns
-        self._head: list[AttitudeSeries] = []
+        self.head: list[AttitudeSeries] = []
         self.held = AttitudeSeries(np.empty(0, np.int64), np.empty((0, 4)))
         self.samples = self.start_ns = self.common = 0
         self.covered = CoveredTime()
@@ -159,9 +160,9 @@ class _Passing:
         self.samples += len(t_ns)
         self.covered.add(t_ns)
         if t_ns[0] < self.start_ns:
-            self._head.clear()
-        if sum(map(len, self._head[1:])) < MAX_SAMPLES:
-            self._head.append(self.held)
+            self.head.clear()
+        if sum(map(len, self.head[1:])) < MAX_SAMPLES:
+            self.head.append(self.held)
 
     def take(self, until_ns: int) -> AttitudeSeries:
         """Return the samples that are held, up to a time."""
@@ -171,10 +172,6 @@ class _Passing:
         if not len(self.held):
             self.refill()
         return taken
-
-    def head(self) -> AttitudeSeries:
-        """Return the samples in which causes are looked for, and some more on either side."""
-        return AttitudeSeries.joined(self._head)
 
 
 def _equal_stamps(a: _Passing, b: _Passing) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
@@ -223,11 +220,7 @@ def _streamed(
     matching = Matching("exact", "A", 0, len(meter), candidates, *ends)
     spans_ns = [(side.covered.first_ns, side.covered.last_ns) for side in sides]
     require_enough(matching, spans_ns, settings)
-    return conclude(
-        settings,
-        meter,
-        matching,
-        AppliedOffset(offset_ns, None),
-        Coverage(covered.share_of(sides[1].covered), 100 * len(meter) / sides[1].samples),
-        lambda rising: likely_cause(sides[0].head(), sides[1].head(), settings, rising),
-    )
+    coverage = Coverage(covered.share_of(sides[1].covered), 100 * len(meter) / sides[1].samples)
+    first, second = (AttitudeSeries.joined(side.head) for side in sides)
+    offset = AppliedOffset(offset_ns, None)
+    return conclude(first, second, settings, meter, matching, offset, coverage)

@@ -134,24 +134,20 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
         value = getattr(sigmas if in_sigma else errors, name)
         most, unit = (limit.count, "sigma") if in_sigma else (limit, "rad")
         yield Criterion(setting, label, value, most, unit, value <= most)
-    others = [
-        ("drift_tol", "drift", drift_deg_h or 0.0, "deg/h"),
+    for setting, label, measured, unit in (
+        ("window_tol", "worst error over windows", window.max_rad if window else None, "rad"),
+        ("window_rms_tol", "RMS error over windows", window.rms_rad if window else None, "rad"),
+        ("drift_tol", "drift", drift_deg_h, "deg/h"),
         ("min_coverage", "coverage", covered.least, "%"),
-    ]
-    if window is not None:
-        others = [
-            ("window_tol", "worst error over windows", window.max_rad, "rad"),
-            ("window_rms_tol", "RMS error over windows", window.rms_rad, "rad"),
-            *others,
-        ]
-    if settings.drift_tol is not None and drift_deg_h is None:
-        raise ComparisonError(
-            f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
-        )
-    for setting, label, value, unit in others:
-        if (limit := getattr(settings, setting)) is not None:
-            passed = value >= limit if setting == "min_coverage" else abs(value) <= limit
-            yield Criterion(setting, label, value, limit, unit, passed)
+    ):
+        if (limit := getattr(settings, setting)) is None:
+            continue
+        if measured is None:
+            raise ComparisonError(
+                f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
+            )
+        passed = measured >= limit if setting == "min_coverage" else abs(measured) <= limit
+        yield Criterion(setting, label, measured, limit, unit, passed)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

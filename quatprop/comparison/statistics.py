@@ -87,7 +87,7 @@ def rms(error: Float64) -> float:
     return math.sqrt(squares / len(error))
 
 
-def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> WindowStatistics:
+def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> WindowStatistics:
     """Compare the rotations over windows that begin at every pair.
 
     A window ends at the first pair that is `window_ns` later or more; where that is more than a
@@ -95,11 +95,10 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
 
     Parameters
     ----------
-    t_ns
-        Times, shape ``(N,)``, rising.
-    a, b
-        Unit quaternions wxyz in the same body frame, shape ``(N, 4)``; their reference frames do
-        not matter.
+    pairs
+        Attitudes of A and B at the same times.
+    alignment
+        How B is rotated; that of the reference frame does not matter.
     window_ns
         Length of the windows, ns.
 
@@ -108,6 +107,7 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
     ComparisonError
         No two pairs are so far apart.
     """
+    t_ns = pairs.t_ns
     stop = np.searchsorted(t_ns, t_ns + window_ns)
     start = np.arange(len(t_ns))
     inside = stop < len(t_ns)
@@ -120,7 +120,8 @@ def window_statistics(t_ns: Int64, a: Float64, b: Float64, window_ns: int) -> Wi
             f"no two pairs are {duration_text(window_ns)} apart: they span "
             f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter {Setting('window')}",
         )
-    error = geodesic_angle(*(multiply(conjugate(q[start]), q[stop]) for q in (a, b)))
+    steps = (multiply(conjugate(q[start]), q[stop]) for q in (pairs.a, alignment.apply(pairs.b)))
+    error = geodesic_angle(*steps)
     return WindowStatistics(
         window_ns=window_ns,
         count=len(error),
