@@ -25,17 +25,16 @@
     ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
-Constructors take facts and compose the sentence: where, what, and the way out. A choice of the
-user's that settles the matter is a :class:`quatprop.text.Setting` in it, which each interface
-spells in its own way. Text that comes from a file goes through :func:`quatprop.text.quoted`, so
-that it cannot command the terminal.
+Each is a sentence: where, what, and the way out. A choice of the user's that settles the matter is
+a :class:`quatprop.text.Setting` in it, which each interface spells in its own way. Text that comes
+from a file goes through :func:`quatprop.text.quoted`, so that it cannot command the terminal.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
+from quatprop.text import Setting, Text, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -95,11 +94,7 @@ class SuiteError(UsageError):
     """
 
     def __init__(
-        self,
-        suite: Path | str,
-        reason: str | Text,
-        case: str | None = None,
-        key: str | None = None,
+        self, suite: Path | str, reason: str | Text, case: str | None = None, key: str | None = None
     ) -> None:
         where = plain(suite)
         where += f", case {quoted(case)}" if case is not None else ""
@@ -112,18 +107,7 @@ class SeriesError(QuatpropError, ValueError):
 
 
 class StoreError(QuatpropError):
-    """An object store does not give what is asked of it: no damage of a log, but of the way to it.
-
-    Parameters
-    ----------
-    address
-        The object.
-    reason
-        What is wrong and, after a semicolon, the way out.
-    """
-
-    def __init__(self, address: str, reason: str) -> None:
-        super().__init__(f"{plain(address)}: {reason}")
+    """An object store does not give what is asked of it: the log is not damaged."""
 
 
 class LogError(QuatpropError):
@@ -154,22 +138,7 @@ class UnreadableLogError(LogError):
 
 
 class UnknownFormatError(LogError):
-    """No reader recognises the content.
-
-    Parameters
-    ----------
-    path
-        The log.
-    kinds
-        The kinds of logs there are.
-    """
-
-    def __init__(self, path: Path | str, kinds: Iterable[str]) -> None:
-        super().__init__(
-            path,
-            "neither its content nor its suffix is that of a log this version reads; if you know "
-            f"its kind, use {Setting('kind', '|'.join(kinds))}",
-        )
+    """No reader recognises the content."""
 
 
 class UnsupportedLogError(LogError):
@@ -189,10 +158,8 @@ class MessageError(LogError):
 
     Parameters
     ----------
-    path
-        The log.
-    reason
-        What is wrong and, after a semicolon, the way out.
+    path, reason
+        As for :class:`LogError`.
     positions
         Which messages of the block, so that a caller can go on without them.
     """
@@ -207,8 +174,6 @@ class _NothingFoundError(LogError):
 
     Parameters
     ----------
-    path
-        The log.
     seen
         What it holds instead: topics with their types, or columns.
     what
@@ -251,8 +216,6 @@ class NoSamplesError(LogError):
 
     Parameters
     ----------
-    path
-        The log.
     source
         The topic or the columns.
     outside
@@ -276,50 +239,11 @@ class NoSamplesError(LogError):
 
 
 class NoSuchTopicError(LogError):
-    """The topic asked for is not in the log, or carries no rates.
-
-    Parameters
-    ----------
-    path
-        The log.
-    topic
-        The topic asked for.
-    available
-        The topics that could be asked for.
-    what
-        What they should carry.
-    """
-
-    def __init__(
-        self, path: Path | str, topic: str, available: Iterable[str], what: str = "body rates"
-    ) -> None:
-        names = list(available)
-        choices = f"choose one of {listed(names)}" if names else "no topic of this log does"
-        choices += did_you_mean(topic, names) if len(names) > 1 else ""
-        super().__init__(path, f"no topic {quoted(topic)} that carries {what}; {choices}")
+    """The topic asked for is not in the log, or carries nothing of what is wanted."""
 
 
 class AmbiguousTopicError(LogError):
-    """Several topics carry rates and none was chosen.
-
-    Parameters
-    ----------
-    path
-        The log.
-    candidates
-        The topics that carry rates.
-    what
-        What they carry.
-    """
-
-    def __init__(
-        self, path: Path | str, candidates: Iterable[str], what: str = "body rates"
-    ) -> None:
-        super().__init__(
-            path,
-            f"several topics carry {what}: {listed(candidates)}; choose one with "
-            f"{Setting('topic')}",
-        )
+    """Several topics carry what is wanted and none was chosen."""
 
 
 class UndeclaredError(LogError):
@@ -327,13 +251,10 @@ class UndeclaredError(LogError):
 
     Parameters
     ----------
-    path
-        The log.
     unknown
         What is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'".
     way_out
-        The setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``, or what else
-        would.
+        What declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``.
     several
         Whether `unknown` is about several things.
     """
@@ -359,15 +280,7 @@ class ComparisonError(QuatpropError):
 
 
 class OutputError(QuatpropError):
-    """The result cannot be written where it was asked for.
-
-    Parameters
-    ----------
-    path
-        The target.
-    reason
-        What is wrong and, after a semicolon, the way out.
-    """
+    """The result cannot be written where it was asked for; `reason` as for :class:`LogError`."""
 
     def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
         super().__init__(f"{plain(path)}: ", *reason)

@@ -10,6 +10,7 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -103,7 +104,11 @@ def kind_of(path: Path, head: bytes) -> str:
             return kind
     if _is_text(head):
         return "csv"
-    raise UnknownFormatError(path, READERS)
+    raise UnknownFormatError(
+        path,
+        "neither its content nor its suffix is that of a log this version reads; if you know "
+        f"its kind, use {Setting('kind', '|'.join(READERS))}",
+    )
 
 
 def _is_text(head: bytes) -> bool:

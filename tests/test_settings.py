@@ -1,5 +1,6 @@
 """Settings by name: the same values from text, from TOML and from Python."""
 
+import ast
 import datetime as dt
 from fractions import Fraction
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import quatprop
 from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
@@ -142,3 +144,33 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
         (tmp_path / text).touch()
         assert file_beside(name, text, tmp_path) is None
         assert propagation_settings({name: text}).inputs == {}
+
+
+READS_MARKS = {"Text", "__init__", "_refuse"}
+"""What makes a sentence of an f-string, beside every error."""
+
+
+@pytest.mark.parametrize("path", sorted(Path(quatprop.__file__).parent.rglob("*.py")), ids=str)
+def test_what_mentions_a_setting_is_a_sentence(path):
+    """Its f-string is a part of a Text or an error, or in a variable that is."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    above = {child: node for node in nodes for child in ast.iter_child_nodes(node)}
+
+    def is_in_sentence(node, seen=()):
+        while not isinstance(node, ast.stmt):
+            node = above[node]
+            name = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
+            if name in READS_MARKS or name.endswith("Error"):
+                return True
+        targets = {target.id for target in ast.walk(node) if isinstance(target, ast.Name)
+                   and isinstance(target.ctx, ast.Store)}  # fmt: skip
+        return node not in seen and any(
+            is_in_sentence(read, (*seen, node))
+            for read in nodes
+            if isinstance(read, ast.Name | ast.Attribute)
+            if isinstance(read.ctx, ast.Load) and ast.unparse(read).split(".")[-1] in targets
+        )
+
+    for node in nodes:
+        if isinstance(node, ast.FormattedValue) and ast.unparse(node.value).startswith("Setting("):
+            assert is_in_sentence(node), f"{path.name}:{node.lineno}: {ast.unparse(above[node])}"

@@ -161,7 +161,9 @@ def reading(address: str) -> Iterator[None]:
     except StoreError:
         raise
     except (OSError, ValueError, ArrowException) as error:
-        raise StoreError(without_secret(address), store_reason(error, address)) from error
+        raise StoreError(
+            f"{plain(without_secret(address))}: {store_reason(error, address)}"
+        ) from error
 
 
 def find(address: str) -> tuple[FileSystem, FileInfo]:

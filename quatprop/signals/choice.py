@@ -22,7 +22,7 @@ from quatprop.errors import (
 from quatprop.messages.definitions import message_type
 from quatprop.signals.message_values import channels_of, series_of, stamps_of
 from quatprop.signals.signal import RateSignal, Signal, no_parts
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -110,7 +110,11 @@ def choose(
     preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
-        raise AmbiguousTopicError(log.path, topics, kind.name)
+        raise AmbiguousTopicError(
+            log.path,
+            f"several topics carry {kind.name}: {listed(topics)}; choose one with "
+            f"{Setting('topic')}",
+        )
     fields = list(dict.fromkeys(candidate.field for candidate in preferred))
     if len(fields) > 1:
         raise UsageError(
@@ -213,4 +217,8 @@ def message_candidates(
         raise kind.none(log.path, [f"{c.topic} ({c.type_name})" for c in channels])
     anywhere = replace(selection, topic=None, **{kind.field: None})
     topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
-    raise NoSuchTopicError(log.path, selection.topic, topics, kind.name)
+    choices = f"choose one of {listed(topics)}" if topics else "no topic of this log does"
+    choices += did_you_mean(selection.topic, topics) if len(topics) > 1 else ""
+    raise NoSuchTopicError(
+        log.path, f"no topic {quoted(selection.topic)} that carries {kind.name}; {choices}"
+    )
