@@ -224,6 +224,15 @@ def test_a_quoted_comma_that_may_be_one_of_thousands_is_no_decimal_comma(rows):
         read(f"t,wx,wy,wz\n{rows}\n", **UNITS)
 
 
+@pytest.mark.parametrize("row", ["1,000;0.5;2;3", "1.000;0,5;2;3", "1,5;1.000;2;3"])
+@pytest.mark.parametrize("delimiter", ";\t")
+def test_points_beside_decimal_commas_are_refused(row, delimiter):
+    """One of the two is between thousands, and nothing says which."""
+    row = row.replace(";", delimiter)
+    with pytest.raises(UnsupportedLogError, match=r"' is not a (time|number) with a decimal comma"):
+        read(f"t;wx;wy;wz\n{row}\n".replace(";", delimiter), **UNITS)
+
+
 def test_a_table_without_a_header_has_numbered_columns():
     """Columns are named by number where the file does not name them."""
     text = b"0.5 1.5 2 3\n1.5 4 5 6\n"
@@ -484,6 +493,16 @@ def test_rows_that_begin_with_their_kind_are_refused(header):
     text = header + "".join(map(MIXED.format, range(9)))
     with pytest.raises(UnsupportedLogError, match="its rows begin with 'ACC', 'GYRO', so"):
         read(text.encode())
+
+
+@pytest.mark.parametrize("header", ["t_s,wz,wy,wx", "t_s,ax,ay,az", "t_s,wx_dps,wy_dps,wz_dps"])
+def test_a_second_header_of_other_columns_is_refused(header):
+    """The rows below it would be read as what the first header says."""
+    first = "t_s,wx,wy,wz\n" + "".join(f"{k},1,2,3\n" for k in range(9))
+    with pytest.raises(
+        UnsupportedLogError, match=r"^-: another table begins at line 11; split it "
+    ):
+        read(f"{first}{header}\n9,4,5,6\n".encode(), rate_unit="rad/s")
 
 
 def test_rows_of_one_kind_have_the_header_of_their_kind():

@@ -1,8 +1,10 @@
 """Column names to time, rates and units: known conventions, clear names, options."""
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import pandas as pd
 import pytest
 
 from quatprop import read_rates
@@ -90,7 +92,9 @@ KNOWN = {
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
     names = header.split(";" if ";" in header else ",")
-    log = SimpleNamespace(path=Path(name), notes=notes or TableNotes(), columns=lambda: names)
+    log = SimpleNamespace(
+        path=Path(name), notes=notes or TableNotes(), columns=lambda: names, head=lambda _: []
+    )
     return match_rates(log, RateSelection(**options))
 
 
@@ -432,3 +436,40 @@ def test_a_topic_is_refused():
     """A table has no topics; saying one is a mistake worth telling."""
     with pytest.raises(UsageError, match="topic is for logs of messages and this is a table"):
         chosen("t_ns,wx,wy,wz", topic="/imu")
+
+
+TURNS = {"imu_id": (0, 1), "Sensor": ("gyro", "acc"), "header.frame_id": ("left", "right")}
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "feather"])
+@pytest.mark.parametrize("name", TURNS)
+def test_rows_of_several_sensors_in_turn_are_refused(tmp_path, name, suffix):
+    """Rates of two gyroscopes, or accelerations, would be integrated as those of one."""
+    frame = pd.DataFrame({"t_ns": range(9), "wx": 1.0, "wy": 2.0, "wz": 3.0, name: "imu"})
+    path = tmp_path / f"log.{suffix}"
+    write = {
+        "csv": partial(pd.DataFrame.to_csv, index=False),
+        "jsonl": partial(pd.DataFrame.to_json, orient="records", lines=True),
+    }.get(suffix, getattr(pd.DataFrame, f"to_{suffix}", None))
+    write(frame, path)
+    assert len(read_rates(path).t_ns) == 9
+    frame[name] = [TURNS[name][k % 2] for k in range(9)]
+    write(frame, path)
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path)
+    first, second = sorted(map(str, TURNS[name]))
+    assert str(caught.value) == (
+        f"{path}: its rows are of several sensors, '{first}', '{second}' in column '{name}'; "
+        "write each to a file of its own"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("id", range(9)), ("frame", [0, 0, 0, 1, 1, 1, 2, 2, 2]), ("mode", "abababab?")],
+)
+def test_counters_and_states_are_no_sensors(tmp_path, name, values):
+    """A number that counts rows never comes back, and other columns may."""
+    frame = pd.DataFrame({"t_ns": range(9), "wx": 1.0, "wy": 2.0, "wz": 3.0, name: list(values)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    assert len(read_rates(tmp_path / "log.csv").t_ns) == 9

@@ -27,12 +27,13 @@ from quatprop.tables.typed_table import (
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.containers.file_source import FileSource
     from quatprop.tables.base import Span
 
+_HEAD_ROWS = 200
 _PARQUET_TAIL = 8
 _STREAM = b"\xff\xff\xff\xff"
 _FEATHER_TAIL, _FEATHER_MAGIC, _END_OF_STREAM = 10, b"ARROW1", 8
@@ -70,6 +71,11 @@ class _ArrowLog(TypedTable):
         """Return how the content came about, as the metadata of the file say it."""
         return provenance_in(self._arrow_schema.metadata or {}, self.path)
 
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        first = [values[:_HEAD_ROWS].to_pylist() for values in self._first_values(columns)]
+        return list(zip(*first, strict=True))
+
     def close(self) -> None:
         """Close the file."""
         self._file.close()
@@ -80,14 +86,16 @@ class _ArrowLog(TypedTable):
 
     def _first_lists(self, path: tuple[str, ...]) -> pa.Array:
         """Return a column of lists in the first rows; empty where they cannot be read."""
+        self._leaves = [Leaf(path, pa.null())]
+        return next(iter(self._first_values((0,))), pa.array([]))
+
+    def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
+        """Return columns of the first rows; none where they cannot be read."""
         with suppress(*DAMAGE, StopIteration):
-            leaf = Leaf(path, pa.null())
-            self._leaves = [leaf]
-            group = next(self._row_groups(TimedColumns((0,), ())))
+            group = next(self._row_groups(TimedColumns(tuple(columns), ())))
             batch = next(iter(group.batches))
-            if isinstance(batch, pa.RecordBatch):
-                return values_of(batch, leaf)
-        return pa.array([])
+            return [values_of(batch, self._leaves[k]) for k in columns]
+        return []
 
     def _unreadable(self, size: int, reason: str) -> str:
         """Return why nothing of a file of some bytes can be read."""

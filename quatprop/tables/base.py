@@ -11,7 +11,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.progress import metered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from fractions import Fraction
     from pathlib import Path
 
@@ -120,6 +120,10 @@ class TableLog(Log):
     @abstractmethod
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002  # of some
+        """Return cells of the first rows, as they are stored; empty where this is not known."""
+        return []
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as written beside it; empty where it is not.

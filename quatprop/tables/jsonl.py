@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import closing
+from contextlib import closing, suppress
+from functools import reduce
+from operator import getitem
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -20,7 +22,7 @@ from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leav
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from quatprop.tables.base import TimedColumns
@@ -59,11 +61,16 @@ class JsonLinesLog(TypedTable):
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
-        self._leaves = _leaves(lines[:_HEAD_LINES])
+        self._lines = lines[:_HEAD_LINES]
+        self._leaves = _leaves(self._lines)
         if not self._leaves:
             raise UnsupportedLogError(
                 path, "its first lines are no JSON objects; write each row as one, on one line"
             )
+
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        return [tuple(_cell(line, self._leaves[k]) for k in columns) for line in self._lines]
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
@@ -121,6 +128,15 @@ def _leaves(lines: list[bytes]) -> list[Leaf]:
             else [Leaf(path, kind or pa.float64())]
         )
     ]
+
+
+def _cell(line: bytes, leaf: Leaf) -> object:
+    """Return what a line has in a column; None where it has nothing."""
+    place = leaf.path if leaf.element is None else (*leaf.path, leaf.element)
+    with suppress(ValueError, RecursionError, LookupError, TypeError):
+        cell: object = reduce(getitem, place, json.loads(line, parse_int=str))
+        return cell
+    return None
 
 
 def _any_number(_text: str) -> float:

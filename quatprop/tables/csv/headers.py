@@ -36,7 +36,7 @@ _HEADER_ROWS = 3
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _MARK = b"\xef\xbb\xbf"
 _DELIMITERS = ("\t", ";", ",", "|", " ")
-_NUMBER = re.compile(
+NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
 )
 _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
@@ -71,6 +71,8 @@ class CsvLayout:
         The header line without its end; empty where there is none.
     dates
         Positions of columns of dates and times of day, with ``"UTC"`` where they name a zone.
+    first_rows
+        The cells of rows near the beginning.
     """
 
     names: list[str]
@@ -81,6 +83,7 @@ class CsvLayout:
     notes: TableNotes
     header: bytes = b""
     dates: Mapping[int, str | None] = field(default_factory=dict)
+    first_rows: list[list[str]] = field(default_factory=list)
 
     def without_headers(self, data: bytes) -> bytes:
         """Return rows with blank lines where the header is repeated, as in joined files."""
@@ -140,6 +143,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
         notes=replace(notes, units=units),
         dates=dates,
+        first_rows=[row for row in data if len(row) == width],
     )
 
 
@@ -181,7 +185,7 @@ def _text(line: bytes) -> str:
 
 
 def _is_data(row: list[str]) -> bool:
-    return sum(1 for cell in row if _NUMBER.fullmatch(cell)) >= _RATES
+    return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= _RATES
 
 
 def _delimiter(texts: list[str]) -> str:
@@ -248,7 +252,7 @@ def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
         k
         for k, row in enumerate(before)
         if len(row) >= _RATES
-        and not any(map(_NUMBER.fullmatch, row))
+        and not any(map(NUMBER.fullmatch, row))
         and (
             not data
             or len(row) == len(data[0])
@@ -278,7 +282,7 @@ def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
     if abs(len(above) - len(rows[header])) > 1:
         return names
     above = _fitted(above, width)
-    if any(above) and not any(map(_NUMBER.fullmatch, above)):
+    if any(above) and not any(map(NUMBER.fullmatch, above)):
         units = [name[1:-1] if name.startswith("[") else name for name in names]
         known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
         # Columns of other sensors may have units that are not known.

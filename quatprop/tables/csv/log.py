@@ -20,6 +20,8 @@ from quatprop.tables.text_stream import TextStream, open_text, record_blocks, re
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from quatprop.tables.base import Batches, TableNotes, TimedColumns
     from quatprop.tables.text_stream import TextBlock
 
@@ -86,6 +88,10 @@ class CsvLog(TableLog):
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
 
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        return [tuple(row[k] for k in columns) for row in self._layout.first_rows]
+
     def row_count(self) -> int | None:
         """Return the size of the file divided by that of its first rows; None if compressed."""
         head = self._head[self._layout.body :]
@@ -97,7 +103,7 @@ class CsvLog(TableLog):
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
-        reader = BlockReader(self._layout, columns, self.losses)
+        reader = BlockReader(self.path, self._layout, columns, self.losses)
         tail = b""
         try:
             for block in record_blocks(text, self._layout.line):
@@ -106,7 +112,7 @@ class CsvLog(TableLog):
                 if not len(whole.data):
                     continue
                 t_ns, numbers = reader.read(whole)
-                reader.refuse_if_mostly_rejected(self.path)
+                reader.refuse_if_mostly_rejected()
                 if len(t_ns):
                     yield t_ns, numbers
             if text.damage:
@@ -142,7 +148,9 @@ class CsvLog(TableLog):
         begin = record_end(data, len(data))  # cells may have line breaks
         if data.count(b'"', begin) % 2 and data.count(b'"') % 2 == 0:
             begin = 0  # the only record
-        if any(map(RowParser(self._layout, columns).is_row, data[begin:].split(b"\n")[1:])):
+        if any(
+            map(RowParser(self.path, self._layout, columns).is_row, data[begin:].split(b"\n")[1:])
+        ):
             begin = data.rfind(b"\n") + 1  # a stray quote, and no cell with line breaks
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]

@@ -36,19 +36,24 @@ class BlockReader:
 
     Parameters
     ----------
+    path
+        The table.
     layout
-        How the table is laid out.
+        How it is laid out.
     columns
         Which columns to read.
     losses
         Where rejected rows are noted.
     """
 
-    def __init__(self, layout: CsvLayout, columns: TimedColumns, losses: Losses) -> None:
+    def __init__(
+        self, path: Path, layout: CsvLayout, columns: TimedColumns, losses: Losses
+    ) -> None:
+        self._path = path
         self._layout = layout
         self._columns = columns
         self._block_parser = BlockParser(layout, columns)
-        self._row_parser = RowParser(layout, columns)
+        self._row_parser = RowParser(path, layout, columns)
         self._losses = losses
         self._first_rejected: tuple[int, str] | None = None
         self._count = 0
@@ -65,12 +70,12 @@ class BlockReader:
             return stamps[0], parts[0].numbers
         return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
 
-    def refuse_if_mostly_rejected(self, path: Path) -> None:
+    def refuse_if_mostly_rejected(self) -> None:
         """Refuse a table of which more rows were rejected than read."""
         if self._first_rejected and 2 * self._rejected > self._count:
             line, reason = self._first_rejected
             raise UnsupportedLogError(
-                path,
+                self._path,
                 f"{self._rejected} of its first {self._count} rows do not fit (line {line}: "
                 f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
                 "whether it is one table",

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
-from quatprop.tables.csv.headers import COMMENTS
+from quatprop.tables.csv.headers import COMMENTS, NUMBER
 from quatprop.tables.csv.rows import OpenQuoteError, ParsedRows, date_type, squeeze_blanks
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from pathlib import Path
 
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
@@ -47,12 +49,15 @@ class RowParser:
 
     Parameters
     ----------
+    path
+        The table.
     layout
-        How the table is laid out.
+        How it is laid out.
     columns
         Which columns to read.
     """
 
+    path: Path
     layout: CsvLayout
     columns: TimedColumns
 
@@ -65,6 +70,11 @@ class RowParser:
             Whole records.
         line
             Number of the first line.
+
+        Raises
+        ------
+        UnsupportedLogError
+            One of the rows names other columns.
         """
         stamps: list[int] = []
         numbers: list[list[float]] = []
@@ -74,7 +84,7 @@ class RowParser:
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
                 rejected.append((place, cells))
-            elif self._is_no_row(cells):
+            elif self._is_no_row([cell.strip() for cell in cells], place):
                 continue
             else:
                 try:
@@ -170,14 +180,18 @@ class RowParser:
             return "unexpected end of data" in str(error)
         return False
 
-    def _is_no_row(self, cells: list[str]) -> bool:
-        """Whether it is a blank line, a comment or a repeated header."""
-        shown = [cell.strip() for cell in cells]
-        return (
-            not any(shown)
-            or shown[0].startswith(COMMENTS)
-            or shown == [name.strip() for name in self.layout.names]
-        )
+    def _is_no_row(self, cells: list[str], line: int) -> bool:
+        """Whether it is a blank line, a comment or a repeated header; refuse one that is not."""
+        if not any(cells) or cells[0].startswith(COMMENTS):
+            return True
+        names = self.layout.names
+        if not self.layout.header or len(cells) != len(names) or not all(map(_is_name, cells)):
+            return False
+        if not all(cell in name for cell, name in zip(cells, names, strict=True)):
+            raise UnsupportedLogError(
+                self.path, f"another table begins at line {line}; split it there into two"
+            )
+        return True
 
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names
@@ -196,7 +210,7 @@ class RowParser:
         try:
             return float(self._pointed(cell))
         except ValueError:
-            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a number") from None
+            raise ValueError(self._misfit(cell, name, "number")) from None
 
     def _stamp(self, cell: str, unit: str, k: int) -> int:
         name = self.layout.names[k]
@@ -212,10 +226,21 @@ class RowParser:
                 f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns{hint}"
             ) from None
         except ValueError:
-            raise ValueError(f"{quoted(cell)} in column {quoted(name)} is not a time") from None
+            raise ValueError(self._misfit(cell, name, "time")) from None
+
+    def _misfit(self, cell: str, name: str, wanted: str) -> str:
+        mark = " with a decimal comma" if self.layout.decimal == "," and "." in cell else ""
+        return f"{quoted(cell)} in column {quoted(name)} is not a {wanted}{mark}"
 
     def _pointed(self, cell: str) -> str:
         """Return a number as Python writes it, which also takes 1_000 and digits of any script."""
-        if "_" in cell or not cell.isascii():
+        # A point beside decimal commas may stand between thousands.
+        if "_" in cell or not cell.isascii() or (self.layout.decimal == "," and "." in cell):
             raise ValueError
         return cell.replace(",", ".") if self.layout.decimal == "," else cell
+
+
+def _is_name(cell: str) -> bool:
+    """Whether a cell may be the name of a column, or its unit."""
+    is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
+    return not is_number and any(map(str.isalpha, cell))

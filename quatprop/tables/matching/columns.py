@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.dialects import SENSOR
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TableLog
 
     Positions = tuple[int, ...]
+
+_MOST_SENSORS = 8
+_ABSENT = {"", "nan", "none"}
 
 
 class TableColumns:
@@ -33,10 +38,25 @@ class TableColumns:
     def __init__(self, log: TableLog, selection: SignalSelection) -> None:
         self.path = log.path
         self.notes = log.notes
+        self._head = log.head
         self.columns = [parse_name(name) for name in log.columns()]
         self.selection = selection
         self.unknown: list[tuple[str, Setting]] = []
         self.overruled: list[Text] = []
+
+    def refuse_several_sensors(self, numbers: Collection[int]) -> None:
+        """Refuse rows of sensors that take turns: those of one would be taken for another's."""
+        for k in self.matching(SENSOR):
+            rows = self._head((k, *numbers))
+            of_rows = [row[0] for row in rows if not _ABSENT & {str(cell).lower() for cell in row}]
+            turns = [str(sensor).strip() for sensor, _ in groupby(of_rows)]
+            # A counter has more values, and those of blocks of rows do not come back.
+            if 1 < len(sensors := sorted({*turns})) <= min(_MOST_SENSORS, len(turns) - 1):
+                raise UnsupportedLogError(
+                    self.path,
+                    f"its rows are of several sensors, {listed(sensors)} in column "
+                    f"{self.names((k,))}; write each to a file of its own",
+                )
 
     def matching(self, pattern: str) -> list[int]:
         """Return the columns whose keys match a pattern."""

@@ -66,6 +66,11 @@ _ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + COMPONENT
 _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
+SENSOR = (
+    r"(?:.*[._])?(?:sensor|device|imu|frame)(?:_?(?:id|name|type|no|number|index))?"
+    r"|id|kind|topic|type"
+)
+"""Names of a column that may say which sensor a row is of."""
 _NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = r"(?:gyroscope|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
 GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
