@@ -15,7 +15,12 @@ from pyarrow import parquet as pq
 
 from quatprop.cli import cli
 from quatprop.cli.spelling import spelled
+from quatprop.containers import kept_blocks
+from quatprop.containers.base import MessageBlock
+from quatprop.containers.chunks import ChunkedLog
+from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
 from quatprop.containers.mcap.log import McapLog
+from quatprop.errors import DamagedLogError
 from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text
@@ -263,9 +268,13 @@ def test_a_binary_log_on_stdin_is_listed_whole():
     )
 
 
-def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch):
-    """A long log is read once, and what is said of it is what reading each by itself shows."""
+@pytest.mark.parametrize(
+    ("room", "apart_whole"), [(1 << 21, [8000] * 2), (1 << 23, [8000])], ids=["long", "short"]
+)
+def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch, room, apart_whole):
+    """A log is read once, and what is said of it is what reading each by itself shows."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
+    monkeypatch.setattr(kept_blocks, "ROOM", room)
     log = tmp_path / "log.mcap"
     with log.open("wb") as file, (SAMPLES / "coning.mcap").open("rb") as stream:
         (schema, channel, message), *_ = make_reader(stream).iter_messages()
@@ -295,5 +304,32 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch)
     assert (rates["samples"], rates["gaps"], rates["backwards"]) == (8000, 0, 0)
     monkeypatch.setattr(survey, "_reading_beside", lambda *_: None)
     (apart,), _ = info(log)
-    assert read == [8000] * 3
+    assert read == [8000, *apart_whole]
     assert apart == surveyed
+
+
+def test_a_log_is_unpacked_once_for_each_topic(shared_logs, monkeypatch):
+    """Whatever is looked for in a topic, its messages are unpacked once if they are few."""
+    read, original = [], ChunkedLog.blocks
+    monkeypatch.setattr(
+        ChunkedLog, "blocks", lambda log, channel: read.append(channel) or original(log, channel)
+    )
+    (surveyed,), _ = info(shared_logs / "two_imus" / "test1_2014_xsens.bag")
+    assert len(surveyed["sources"]) == len(surveyed["attitudes"]) == len(read) == len(set(read))
+
+
+def test_an_error_is_not_taken_for_the_end_of_a_topic():
+    """Who begins to read a topic after another met an error in it meets the error too."""
+
+    class Broken:
+        kept = None
+
+        def blocks(self, _channel):
+            yield MessageBlock(*(np.zeros(0, np.int64) for _ in range(5)))
+            raise DamagedLogError("log", "broken")
+
+    log = Broken()
+    with beginnings_kept(log):
+        for _ in range(2):
+            with pytest.raises(DamagedLogError, match=r"^log: broken"):
+                list(blocks_of(log, "topic"))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.containers.time_range import TimeRange
 
 NO_BOUND = int(np.iinfo(np.int64).min)
@@ -204,12 +205,15 @@ class Log(ABC):
         Files beside the log that message definitions were taken from.
     unchecked_chunks
         Chunks that were read in part and so not compared with their checksum; grows likewise.
+    kept
+        Blocks of messages that are read again soon; None where none are kept.
     """
 
     kind: str
     remarks: Sequence[str] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
+    kept: KeptBlocks | None = None
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -232,12 +236,9 @@ class MessageLog(Log):
     ----------
     has_publish_time
         Whether it records when a message was published, besides when it was logged.
-    kept
-        Blocks of channels that are read again soon; None where none are kept.
     """
 
     has_publish_time = False
-    kept: dict[Channel, Iterator[MessageBlock]] | None = None
 
     @abstractmethod
     def channels(self) -> list[Channel]:

@@ -3,41 +3,77 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import tee
 from typing import TYPE_CHECKING
 
 from quatprop.containers.coalesce import compacted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.base import Channel, Log, MessageBlock, MessageLog
+
+ROOM = 1 << 25
+"""Bytes of messages that are kept of all channels of a log at most."""
+
+
+@dataclass(slots=True, eq=False)
+class _Beginning:
+    """The blocks of a channel that were read, before those that are still to be read."""
+
+    blocks: Iterator[MessageBlock]
+    size: int = 0
+
+
+class KeptBlocks:
+    """The blocks at the beginning of channels; all of them where there is room for them.
+
+    Whoever begins to read a channel that is kept shares its blocks, to the end with those who go
+    on in step. Where there is no more room, the channel that was begun longest ago is dropped.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[Channel, _Beginning] = {}
+
+    def of(self, log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:
+        """Return the blocks of a channel."""
+        own = self._kept.pop(channel, None)
+        if own is None:
+            own = _Beginning(iter(()))
+            own.blocks = self._read(log, channel, own)
+        self._kept[channel] = own
+        own.blocks, blocks = tee(own.blocks)
+        return blocks
+
+    def _read(self, log: MessageLog, channel: Channel, own: _Beginning) -> Iterator[MessageBlock]:
+        try:
+            for block in log.blocks(channel):
+                if self._kept.get(channel) is not own:
+                    yield block
+                    continue
+                kept = compacted(block)
+                own.size += len(kept.data)
+                yield kept
+                while sum(each.size for each in self._kept.values()) > ROOM:
+                    del self._kept[next(iter(self._kept))]
+        except Exception:
+            # Who begins later would take the blocks before an error for all that there are.
+            self._kept.clear()
+            raise
 
 
 @contextmanager
-def beginning_kept(log: MessageLog) -> Iterator[None]:
+def beginnings_kept(log: Log) -> Iterator[None]:
     """Keep in this block what is read of messages, for who reads their beginning several times."""
-    log.kept = {}
+    outer = log.kept
+    log.kept = outer or KeptBlocks()
     try:
         yield
     finally:
-        log.kept = None
-
-
-@contextmanager
-def blocks_shared(log: MessageLog, channels: Iterable[Channel]) -> Iterator[None]:
-    """Let those who begin in this block to read channels share their blocks, and go on in step."""
-    log.kept = {channel: log.blocks(channel) for channel in channels}
-    try:
-        yield
-    finally:
-        log.kept = None
+        log.kept = outer
 
 
 def blocks_of(log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:
     """Return the blocks of a channel; those that are kept are not read again."""
-    if log.kept is None:
-        return log.blocks(channel)
-    first = log.kept.get(channel) or map(compacted, log.blocks(channel))
-    log.kept[channel], blocks = tee(first)
-    return blocks
+    return log.blocks(channel) if log.kept is None else log.kept.of(log, channel)

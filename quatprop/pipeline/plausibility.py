@@ -7,12 +7,11 @@ that looks right. Nothing here changes a sample; each finding is one sentence wi
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.containers.kept_blocks import beginning_kept
+from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -66,7 +65,7 @@ def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Te
     source
         The rates.
     """
-    with nullcontext() if isinstance(log, TableLog) else beginning_kept(log):
+    with beginnings_kept(log):
         return [*stamp_remarks(source), *orientation_remarks(log, source)]
 
 

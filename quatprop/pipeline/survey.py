@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.containers.kept_blocks import blocks_shared
+from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.stores import without_secret
 from quatprop.errors import (
     LogError,
@@ -29,7 +29,6 @@ from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection
 from quatprop.signals.attitudes import attitude_candidates
-from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import TableLog
@@ -87,6 +86,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     with (
         use_threads(threads + 1 if threads > 1 else 1),
         open_log(path, kind, msg_path=selection.msg_path) as log,
+        beginnings_kept(log),
     ):
         # A binary log on stdin was copied; text was not.
         read_once = str(log.path) == "-"
@@ -202,9 +202,6 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
-    if beside is not None and not isinstance(log, TableLog):
-        with blocks_shared(log, channels_of(log, signal.name)):
-            next(samples, None)
     deque(samples, maxlen=0)
     counts = timeline.counts
     return RateSurvey(
