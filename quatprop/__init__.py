@@ -58,15 +58,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from quatprop.api import (
-        PropagatedSeries,
-        compare,
-        convert,
-        propagate,
-        read_attitudes,
-        read_rates,
-        write,
-    )
+    from quatprop.api.attitudes import compare, convert, write
+    from quatprop.api.propagation import PropagatedSeries, propagate
+    from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.comparison.result import Comparison
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.pipeline.report import RunReport
@@ -97,17 +91,17 @@ _MODULES = {
     "Comparison": "quatprop.comparison.result",
     "DataLossWarning": "quatprop.errors",
     "GyroSeries": "quatprop.series",
-    "PropagatedSeries": "quatprop.api",
+    "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",
     "QuatpropWarning": "quatprop.errors",
     "RemarkWarning": "quatprop.errors",
     "RunReport": "quatprop.pipeline.report",
-    "compare": "quatprop.api",
-    "convert": "quatprop.api",
-    "propagate": "quatprop.api",
-    "read_attitudes": "quatprop.api",
-    "read_rates": "quatprop.api",
-    "write": "quatprop.api",
+    "compare": "quatprop.api.attitudes",
+    "convert": "quatprop.api.attitudes",
+    "propagate": "quatprop.api.propagation",
+    "read_attitudes": "quatprop.api.reading",
+    "read_rates": "quatprop.api.reading",
+    "write": "quatprop.api.attitudes",
 }
 
 

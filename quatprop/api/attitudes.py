@@ -1,0 +1,244 @@
+"""Compare, write and convert attitude series."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.api.propagation import PropagatedSeries
+from quatprop.api.reading import path_text, read_attitudes
+from quatprop.errors import DataLossWarning, SeriesError
+from quatprop.series import AttitudeSeries
+from quatprop.settings import READ_ATTITUDES
+from quatprop.settings.values import refuse_unknown
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from quatprop.api.reading import StrPath
+    from quatprop.comparison.result import Comparison
+    from quatprop.comparison.settings import CompareOptions
+    from quatprop.conversion.job import ConversionReport
+    from quatprop.settings import AttitudeOptions
+
+
+def compare(
+    a: StrPath | AttitudeSeries, b: StrPath | AttitudeSeries, **options: Unpack[CompareOptions]
+) -> Comparison:
+    """Measure the geodesic error between two attitude series.
+
+    Parameters
+    ----------
+    a, b
+        Paths as for :func:`read_attitudes`, or series in memory.
+    tol, rms_tol, final_tol, p95_tol : str or float
+        Limits on the worst, the RMS and the final error and on their 95th percentile: text such as
+        ``"0.1deg"``, or rad; or ``"3sigma"``, of series that have standard deviations.
+    window_tol, window_rms_tol : str or float
+        Limits on the worst and the RMS error of rotations over windows.
+    drift_tol : str
+        Limit on the drift of the error, such as ``"10deg/h"``; with `align` none or first.
+    min_coverage : float
+        Percentage of B, of its samples and of its time, that must be compared.
+    max_sigma : float
+        Limit on the largest error in standard deviations (the Mahalanobis distance), of series
+        that have them.
+    align : str
+        What B is rotated by first: ``"none"`` (the default), ``"first"``, ``"mean"`` or
+        ``"mount"``.
+    time_offset : str or int
+        Added to B's stamps: text such as ``"-12ms"``, ns, or ``"auto"`` to find it.
+    match : str
+        ``"exact"``, ``"nearest"`` or ``"interpolate"``; by default what fits the stamps.
+    max_dt : str or int
+        How far apart samples that are matched may be: text such as ``"5ms"``, or ns.
+    min_matched : float
+        Percentage of the shorter series that must be matched, 50 by default.
+    window : str or int
+        Compare also the rotations over windows of this length: text such as ``"1s"``, or ns.
+
+    Returns
+    -------
+    Comparison
+        The errors, their statistics, and what explains them; `passed` tells whether every limit is
+        kept.
+
+    Raises
+    ------
+    QuatpropError
+        The series cannot be read, or not compared as asked.
+
+    Examples
+    --------
+    >>> a = AttitudeSeries([0, 1], [[1, 0, 0, 0], [1, 0, 0, 0]])
+    >>> compare(a, a, tol="1e-9rad").passed
+    True
+    """
+    from quatprop.comparison.compare import compare as compare_series
+    from quatprop.comparison.settings import comparison_settings
+
+    settings = comparison_settings(**options)
+    return compare_series(_side("a", a), _side("b", b), settings)
+
+
+def write(
+    series: AttitudeSeries,
+    path: StrPath,
+    *,
+    to: str | None = None,
+    layout: str | None = None,
+    beside: str | None = None,
+    **unknown: object,
+) -> None:
+    """Write an attitude series to a file.
+
+    Parameters
+    ----------
+    series
+        What to write; where it has covariances, tables get the columns of :meth:`to_arrow
+        <quatprop.AttitudeSeries.to_arrow>`.
+    path
+        Where; it is replaced when the new content is complete.
+    to
+        Format; by default that of the suffix. A name without a suffix is a ROS 2 bag folder.
+    layout
+        ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
+        scalar-first where it leaves the choice.
+    beside
+        What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
+        a representation of :func:`convert`.
+
+    Raises
+    ------
+    QuatpropError
+        The path is not writable, the format does not support the settings, or rows are no unit
+        quaternions.
+
+    Warns
+    -----
+    RemarkWarning
+        The series has positions, and the format has no place for them.
+    """
+    from quatprop.pipeline.report import convention_of
+    from quatprop.writers import WRITERS, kind_of, layout_of, open_writer
+
+    refuse_unknown(unknown, ("to", "layout", "beside"))
+    if not isinstance(series, AttitudeSeries):
+        raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
+    _valid("series", series)
+    place = path_text("path", path)
+    kind = kind_of(place, to)
+    order = layout_of(kind, layout).name
+    sigma = "body" if series.covariance is not None and WRITERS[kind].columns else None
+    if isinstance(series, PropagatedSeries):
+        report = series.report
+        convention = replace(report.convention, layout=order)
+        provenance = replace(report, convention=convention).as_json()
+        if sigma and report.uncertainty is not None:
+            sigma = report.uncertainty.columns_axes or sigma
+    else:
+        provenance = convention_of(order)
+    with open_writer(place, to, layout=order, sigma=sigma, beside=beside) as writer:
+        writer.write(series)
+        writer.commit(provenance)
+
+
+def convert(  # noqa: PLR0913  # one keyword for each option
+    source: StrPath,
+    output: StrPath,
+    *,
+    to: str | None = None,
+    layout: str | None = None,
+    beside: str | None = None,
+    convention: str = "hamilton",
+    direction: str = "body-to-ref",
+    sign: str = "keep",
+    representation: str = "quaternion",
+    **options: Unpack[AttitudeOptions],
+) -> ConversionReport:
+    """Write an attitude series in another layout, convention, direction, form or format.
+
+    Parameters
+    ----------
+    source, **options
+        What to read, as for :func:`read_attitudes`.
+    output, to, layout, beside
+        Where and how to write, as for :func:`write`.
+    convention
+        ``"hamilton"`` or ``"jpl"``.
+    direction
+        ``"body-to-ref"`` or ``"ref-to-body"``.
+    sign
+        Of q and -q ``"keep"`` what is there, ``"continuous"`` the one nearer to the row before, or
+        ``"positive"`` the one with w >= 0.
+    representation
+        ``"quaternion"``, ``"rotvec"`` (rad), ``"matrix"``, ``"euler-zyx"`` (rad) or
+        ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
+        lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
+        propagated by ``start`` they give the attitudes back.
+
+    Returns
+    -------
+    ConversionReport
+        What was read, done, counted and lost.
+
+    Raises
+    ------
+    QuatpropError
+        The source cannot be read as asked, or the output cannot be written.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the source could not be read, or rows were dropped.
+    """
+    from quatprop.conventions import Meaning
+    from quatprop.conversion.convert import convert as convert_file
+    from quatprop.conversion.job import Conversion
+    from quatprop.pipeline.settings import OutputSettings
+    from quatprop.signals.attitude_input import attitude_input
+
+    own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
+    refuse_unknown(options, (*own, *READ_ATTITUDES))
+    wanted = attitude_input(path_text("source", source), options)
+    report = convert_file(
+        Conversion(
+            source=wanted,
+            output=OutputSettings(path_text("output", output), to=to, layout=layout, beside=beside),
+            meaning=Meaning(convention, direction),
+            sign=sign,
+            representation=str(representation).lower(),
+        )
+    )
+    if report.data_lost:
+        warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
+    return report
+
+
+def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
+    """Return one side of a comparison."""
+    if isinstance(source, AttitudeSeries):
+        return _valid(name, source)
+    return read_attitudes(path_text(name, source, "an AttitudeSeries"))
+
+
+def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
+    """Return a series of attitudes; refuse others, as where they are read from a file."""
+    from quatprop.signals.quaternion_check import QuaternionCheck
+
+    check = QuaternionCheck(name)
+    for _ in check.apply([(series.t_ns, series.wxyz)]):
+        pass
+    if series.covariance is not None:
+        variances = np.diagonal(series.covariance, axis1=1, axis2=2)
+        is_known = (np.isfinite(variances) & (variances >= 0)).all(axis=1)
+        (others,) = np.nonzero(~is_known & ~np.isnan(variances).all(axis=1))
+        if len(others):
+            raise SeriesError(
+                f"{name}: `covariance` of row {others[0]} has the variances "
+                f"{variances[others[0]]}; they are 0 or above, or all NaN"
+            )
+    return series

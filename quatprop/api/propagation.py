@@ -1,0 +1,129 @@
+"""Propagate the rates of a log, or rates in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from quatprop.api.reading import path_text, warn, with_keywords_of
+from quatprop.errors import SeriesError, UsageError
+from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.settings import READ_RATES, PropagateOptions, RateOptions, SelectOptions
+from quatprop.text import Setting
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Unpack
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from quatprop.api.reading import StrPath
+    from quatprop.containers.base import Log
+    from quatprop.pipeline.attitude_stream import AttitudeStream
+    from quatprop.pipeline.report import RunReport
+    from quatprop.pipeline.settings import PropagationSettings
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class PropagatedSeries(AttitudeSeries):
+    """Attitudes that were propagated, and the report of how.
+
+    Takes the parameters of :class:`quatprop.AttitudeSeries` too.
+
+    Parameters
+    ----------
+    report
+        What was read, done, counted and lost.
+    """
+
+    report: RunReport = field(kw_only=True, compare=False, repr=False)
+
+    def __getitem__(  # type: ignore[override]  # of no series with a report
+        self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]
+    ) -> AttitudeSeries:
+        """Return some attitudes; the report is about all of them."""
+        return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
+
+
+@with_keywords_of(SelectOptions, RateOptions, PropagateOptions)
+def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
+    """Turn body rates into attitudes.
+
+    The exact constant-rate step of each sample is accumulated: q[k+1] = q[k] * dq[k] for body rates
+    (eq. 36), q[k+1] = dq[k] * q[k] for inertial ones (eq. 33), with dq = exp(w dt / 2) (eq. 35).
+
+    Parameters
+    ----------
+    log
+        A path as for :func:`read_rates`, or rates in memory.
+    **options
+        Which samples of a log, and how they are propagated.
+
+    Returns
+    -------
+    PropagatedSeries
+        N samples give N attitudes, the first is q0; `report` holds what was read, done, counted and
+        lost.
+
+    Raises
+    ------
+    QuatpropError
+        The log or the settings cannot be used.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or samples were dropped.
+    RemarkWarning
+        Something was inferred, or looks wrong: gaps, rates beyond any gyroscope...
+
+    Examples
+    --------
+    Half a turn about z in one second:
+
+    >>> import numpy as np
+    >>> rates = GyroSeries(np.arange(9) * 125_000_000, [[0, 0, np.pi]] * 9)
+    >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    from quatprop.concurrency.threads import use_threads
+    from quatprop.formats import open_log
+    from quatprop.pipeline.attitude_stream import AttitudeStream
+    from quatprop.pipeline.settings import propagation_settings
+    from quatprop.signals.rates import choose_rates, signal_of_series
+
+    settings = propagation_settings(options)
+    if isinstance(log, GyroSeries):
+        _refuse_log_settings(options)
+        if not len(log):
+            raise SeriesError("Expected a series with samples, got an empty one")
+        in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
+        return _propagated("series", in_memory, settings, None)
+    path = path_text("log", log, "a GyroSeries")
+    with (
+        use_threads(settings.threads),
+        open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
+    ):
+        signal = choose_rates(opened, settings.selection)
+        stream = AttitudeStream(path, signal, settings, opened)
+        return _propagated(path, stream, settings, opened)
+
+
+def _refuse_log_settings(options: Mapping[str, object]) -> None:
+    """Refuse settings that say what to read of a log, for rates in memory."""
+    for name, value in options.items():
+        if name in READ_RATES and value is not None:
+            hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""
+            raise UsageError(f"{Setting(name)} is for logs, not for rates in memory{hint}")
+
+
+def _propagated(
+    path: str, stream: AttitudeStream, settings: PropagationSettings, log: Log | None
+) -> PropagatedSeries:
+    from quatprop.pipeline.report import digests_of_inputs
+
+    series = AttitudeSeries.joined(list(stream))
+    report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
+    warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
+    return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

@@ -1,0 +1,148 @@
+"""Read body rates and attitudes of a log into memory."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from inspect import cleandoc
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
+
+import numpy as np
+
+from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
+from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions, SelectOptions, SeriesOptions
+from quatprop.settings.parsers import path as parse_path
+from quatprop.settings.values import parse_all
+from quatprop.text import Setting
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from os import PathLike
+    from typing import Unpack
+
+    from quatprop.containers.base import Loss
+    from quatprop.text import Text
+
+    StrPath: TypeAlias = str | PathLike[str]
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+
+
+def with_keywords_of(*classes: type) -> Callable[[Function], Function]:
+    """Return a decorator that adds the keywords of classes to the parameters in a docstring."""
+
+    def documented(function: Function) -> Function:
+        # Without docstrings, as by python -OO, there is nothing to add to.
+        if function.__doc__:
+            added = [cleandoc(one.__doc__ or "").partition("---\n")[2] for one in classes]
+            head, returns, rest = cleandoc(function.__doc__).partition("\n\nReturns\n")
+            function.__doc__ = "\n".join([head, *added]) + returns + rest
+        return function
+
+    return documented
+
+
+@with_keywords_of(SelectOptions, RateOptions)
+def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
+    """Read the body rates of a log.
+
+    Parameters
+    ----------
+    log
+        A file, a ROS 2 bag folder, or the address of one in an object store.
+    **options
+        What to read of it, and what its numbers mean.
+
+    Returns
+    -------
+    GyroSeries
+        All samples in the order of the log: stamps in ns, rates in rad/s. Irregular timestamps are
+        left as they are; :func:`propagate` handles them.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as asked.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read.
+    RemarkWarning
+        Something was inferred, or looks wrong.
+    """
+    from quatprop.formats import open_log
+    from quatprop.selection import RateSelection
+    from quatprop.signals.rates import choose_rates
+
+    path, values = path_text("log", log), parse_all(options, READ_RATES)
+    with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as opened:
+        signal = choose_rates(opened, RateSelection.of(values))
+        batches = list(signal.batches())
+        warn(path, opened.losses, (*signal.remarks, *opened.remarks))
+    return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+
+
+@with_keywords_of(SelectOptions, SeriesOptions, AttitudeOptions)
+def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
+    """Read an attitude series, of a log or of a table.
+
+    Parameters
+    ----------
+    log
+        As for :func:`read_rates`.
+    **options
+        What to read of it, and what its numbers mean.
+
+    Returns
+    -------
+    AttitudeSeries
+        Hamilton, body to reference, scalar first, whatever the file has; with the positions beside
+        them, where there are any.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as asked.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or rows were dropped.
+    RemarkWarning
+        Something was inferred.
+    """
+    from quatprop.signals.attitude_input import attitude_input, load_attitudes
+
+    path = path_text("log", log)
+    loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
+    warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+    return loaded.series
+
+
+def path_text(name: str, path: StrPath, series: str = "") -> str:
+    """Return a path as text; `series` is what arrays are made, where that is taken as well."""
+    try:
+        return parse_path(path)
+    except UsageError as error:
+        hint = f"; make {series} of arrays" if series and not isinstance(path, str) else ""
+        raise UsageError(f"{Setting(name)}: ", error.text, hint) from None
+
+
+def warn(
+    path: str,
+    losses: Iterable[Loss],
+    remarks: Iterable[str | Text],
+    *,
+    dropped: int = 0,
+    depth: int = 3,
+) -> None:
+    """Warn of losses and remarks at the line of the user's call, `depth` calls up."""
+    for loss in losses:
+        message = f"{path}: lost: {loss.place}: {loss.reason}"
+        warnings.warn(message, DataLossWarning, stacklevel=depth)
+    if dropped:
+        warnings.warn(f"{path}: {dropped} rows were dropped", DataLossWarning, stacklevel=depth)
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=depth)
