@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64
     from quatprop.containers.file_source import FileSource
 
 HEADER_SIZE = 16
@@ -167,7 +166,7 @@ class UlogLog(MessageLog):
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
 
-    def _windows(self, selected: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    def _windows(self, selected: Int64) -> Iterator[Int64]:
         """Split messages into parts of bounded number and extent."""
         offsets = self._offsets[selected]
         start = 0
@@ -177,7 +176,7 @@ class UlogLog(MessageLog):
             yield selected[start:stop]
             start = stop
 
-    def _block(self, places: NDArray[np.int64]) -> MessageBlock:
+    def _block(self, places: Int64) -> MessageBlock:
         """Read messages; those beyond a file that has become shorter are noted as lost."""
         offsets, sizes = self._offsets[places], self._sizes[places]
         base = int(offsets[0])
@@ -297,7 +296,7 @@ def _after_damage(source: FileSource, position: int, end: int, records: _Records
     return end
 
 
-def _first_message(data: bytes, sizes: NDArray[np.int64]) -> int:
+def _first_message(data: bytes, sizes: Int64) -> int:
     """Return where a message begins, behind the first byte, with the length of its id; or -1."""
     numbers = np.frombuffer(data, np.uint8).astype(np.uint16)
     pairs = numbers[:-1] | numbers[1:] << 8

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from typing import BinaryIO
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64, Records
     from quatprop.containers.mcap.log import McapLog
     from quatprop.writers.messages.kinds import Message
 
@@ -71,7 +69,7 @@ class McapPart:
             self._channel = self._file.add_channel(self.encoder.topic)
             self._resources = resources.pop_all()
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, after everything of the file that was logged before them."""
         self._channel.write(log_ns, messages)
         self.added.add(log_ns)
@@ -125,7 +123,7 @@ class McapCopyWriter(MessageWriter):
             raise
         self.encoder = self._part.encoder
 
-    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         self._part.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

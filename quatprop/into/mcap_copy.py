@@ -34,15 +34,14 @@ from quatprop.writers.mcap.channel import INDEX_ENTRY, McapChunk, compressed_chu
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Records
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
     from quatprop.containers.mcap.regions import Region
     from quatprop.writers.mcap.file import McapFile
 
-    Indexes = dict[int, NDArray[np.void]]
+    Indexes = dict[int, Records]
 
 ROSBAG2, SERIALIZED = "rosbag2", "serialized_metadata"
 """Name and key of the record that holds the metadata of a ROS 2 bag."""

@@ -37,12 +37,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.arrays import Int64, Records
     from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
     from quatprop.writers.messages.kinds import Message
 
-    Indexes = dict[int, NDArray[np.void]]
+    Indexes = dict[int, Records]
 
 _CHUNK_BYTES = 1 << 17
 """Small chunks, so that each is among those of its own time."""
@@ -89,7 +90,7 @@ class BagCopyWriter(MessageWriter):
                 )
             resources.pop_all()
 
-    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

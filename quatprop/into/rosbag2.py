@@ -25,12 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64, Records
     from quatprop.containers.base import MessageLog
     from quatprop.writers.messages.kinds import Message
 
-    Int64 = NDArray[np.int64]
 
 _LATEST = int(np.iinfo(np.int64).max)
 
@@ -78,7 +76,7 @@ class Rosbag2CopyWriter(MessageWriter):
             self.abort()
             raise
 
-    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, to one part or to several."""
         while len(log_ns):
             end = self._ends[len(self._parts) - 1]

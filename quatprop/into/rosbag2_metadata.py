@@ -17,8 +17,7 @@ from ruamel.yaml.error import YAMLError
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64
     from quatprop.writers.messages.topics import Topic
 
     YamlMapping = MutableMapping[str, Any]
@@ -45,7 +44,7 @@ class Added:
     first: int = np.iinfo(np.int64).max
     last: int = np.iinfo(np.int64).min
 
-    def add(self, log_ns: NDArray[np.int64]) -> None:
+    def add(self, log_ns: Int64) -> None:
         """Count messages with these log times."""
         if len(log_ns):
             self.count += len(log_ns)

@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64, Records
     from quatprop.writers.messages.topics import Topic
 
 _STEP = 1 << 12
@@ -90,7 +88,7 @@ class SqlitePart:
             },
         )
 
-    def write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages that all have one size, and when each was logged, ns."""
         rows = messages.view(f"V{messages.itemsize}").tolist()
         self._database.executemany(

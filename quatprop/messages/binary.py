@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray, Intp
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.placement import Placement
     from quatprop.messages.plan import Plan
@@ -78,7 +77,7 @@ class BinaryDecoder:
         self.path = path
         self._root = message_type(channel, path)
         self._ways = []
-        self._empty: list[NDArray[Any]] = []
+        self._empty: list[AnyArray] = []
         for field_path in field_paths:
             way, kind, number, count = numbers_at(channel, self._root, field_path, path)
             self._ways.append(way)
@@ -88,7 +87,7 @@ class BinaryDecoder:
         # A definition without a plan is an error before the first message is read.
         self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
-    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block.
 
         Parameters
@@ -114,7 +113,7 @@ class BinaryDecoder:
         except TooShortError as error:
             raise self._too_short(block, error.positions) from None
 
-    def _columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def _columns(self, block: MessageBlock) -> list[AnyArray]:
         if not len(block) or not self._ways:
             return self._empty_columns(len(block))
         placement, order = self._encoding(block)
@@ -125,7 +124,7 @@ class BinaryDecoder:
         except MixedError:
             return self._mixed(block)
 
-    def _mixed(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def _mixed(self, block: MessageBlock) -> list[AnyArray]:
         """Return the columns of messages in several encapsulations, each decoded by itself."""
         identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
         mixed = self._empty_columns(len(block))
@@ -139,7 +138,7 @@ class BinaryDecoder:
                 column[same] = part
         return mixed
 
-    def _empty_columns(self, count: int) -> list[NDArray[Any]]:
+    def _empty_columns(self, count: int) -> list[AnyArray]:
         return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
 
     def _encoding(self, block: MessageBlock) -> tuple[Placement, str]:
@@ -169,7 +168,7 @@ class BinaryDecoder:
                 ) from None
         return self._plans[placement]
 
-    def _too_short(self, block: MessageBlock, positions: NDArray[np.intp]) -> MessageError:
+    def _too_short(self, block: MessageBlock, positions: Intp) -> MessageError:
         first = int(positions[0])
         size = int(block.ends[first] - block.starts[first])
         others = f" and {len(positions) - 1} others" if len(positions) > 1 else ""

@@ -8,20 +8,19 @@ checked against the end of each message before a byte of it is fetched.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Repeat, Skip
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray, Int64, Intp, Records
     from quatprop.containers.base import MessageBlock
     from quatprop.messages.plan import Piece, Plan, Window
 
-    Offsets: TypeAlias = int | NDArray[np.int64]
-    Columns: TypeAlias = list[NDArray[Any]]
+    Offsets: TypeAlias = int | Int64
+    Columns: TypeAlias = list[AnyArray]
 
 NATIVE = "<" if np.little_endian else ">"
 
@@ -35,7 +34,7 @@ class TooShortError(Exception):
         Which of the messages, shape ``(K,)``.
     """
 
-    def __init__(self, positions: NDArray[np.intp]) -> None:
+    def __init__(self, positions: Intp) -> None:
         super().__init__()
         self.positions = positions
 
@@ -79,7 +78,7 @@ class MessageBytes:
     def __len__(self) -> int:
         return len(self.block)
 
-    def at(self, positions: NDArray[np.intp]) -> MessageBytes:
+    def at(self, positions: Intp) -> MessageBytes:
         """Return some of the messages."""
         return MessageBytes.of(self.block.at(positions), self.order, self.origin)
 
@@ -97,7 +96,7 @@ class MessageBytes:
         if np.count_nonzero(short):
             raise TooShortError(np.flatnonzero(short))
 
-    def window(self, window: Window, offset: Offsets) -> NDArray[np.void]:
+    def window(self, window: Window, offset: Offsets) -> Records:
         """Return the bytes of a window in each message, shape ``(N,)``."""
         kind = np.dtype((np.void, window.size))
         data, starts = self.block.data, self.block.starts
@@ -107,11 +106,11 @@ class MessageBytes:
         # All windows of the buffer, one byte apart: indexing them copies each message's window
         # in a single call.
         shape = (len(data) - window.size + 1,)
-        windows: NDArray[np.void] = np.ndarray(shape, kind, data, 0, (1,))
-        fetched: NDArray[np.void] = windows[starts + (offset + window.offset)]
+        windows: Records = np.ndarray(shape, kind, data, 0, (1,))
+        fetched: Records = windows[starts + (offset + window.offset)]
         return fetched
 
-    def numbers(self, piece: Piece, window: NDArray[np.void]) -> NDArray[Any]:
+    def numbers(self, piece: Piece, window: Records) -> AnyArray:
         """Return the numbers of a piece in each message, shape ``(N,)`` or ``(N, count)``."""
         number, step = piece.number, window.itemsize
         code = "u1" if number.code == "b1" else number.code
@@ -120,7 +119,7 @@ class MessageBytes:
         if piece.count is not None:
             shape += (piece.count,)
             strides += (number.size,)
-        stored: NDArray[Any] = np.ndarray(shape, self.order + code, window, piece.offset, strides)
+        stored: AnyArray = np.ndarray(shape, self.order + code, window, piece.offset, strides)
         if number.code == "b1":
             stored = stored != 0
         return stored if self.order == NATIVE else stored.astype(NATIVE + code)
@@ -183,7 +182,7 @@ def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns)
     return offset
 
 
-def _stride(starts: NDArray[np.int64]) -> int:
+def _stride(starts: Int64) -> int:
     """Return the distance between neighbours where it is always the same, else 0."""
     if len(starts) == 1:
         return 0
@@ -194,7 +193,7 @@ def _stride(starts: NDArray[np.int64]) -> int:
     return 0 if np.count_nonzero(starts[1:] - starts[:-1] != step) else step
 
 
-def _common(values: int | NDArray[Any]) -> Offsets:
+def _common(values: int | AnyArray) -> Offsets:
     """Return one integer where all messages agree."""
     if isinstance(values, int):
         return values

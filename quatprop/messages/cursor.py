@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,7 @@ from quatprop.text import quoted
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from quatprop.arrays import Bool, Int64, Intp
+    from quatprop.arrays import AnyArray, Bool, Int64, Intp
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.placement import Placement
     from quatprop.messages.schema import Type
@@ -85,14 +83,14 @@ class Cursor:
             self._origin, self._at = self._origin[chosen], self._at[chosen]
             self._ends = self._ends[chosen]
 
-    def numbers(self, code: str, count: int = 1) -> NDArray[Any]:
+    def numbers(self, code: str, count: int = 1) -> AnyArray:
         """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
         kind = np.dtype(self._order + code)
         alignment = min(kind.itemsize, self.placement.alignment)
         self._at = self._at + (self._origin - self._at) % alignment
         begin = self._advance(kind.itemsize * count)
         places = begin[:, None] + np.arange(kind.itemsize * count)
-        taken: NDArray[Any] = self.block.data[places].view(kind)
+        taken: AnyArray = self.block.data[places].view(kind)
         return taken[:, 0] if count == 1 else taken
 
     def name(self) -> Names:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.text import listed, quoted
@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock
 
 DECODERS: Final[dict[str, str]] = {
@@ -29,7 +28,7 @@ DECODERS: Final[dict[str, str]] = {
 class FieldDecoder(Protocol):
     """Takes the same fields out of every message of a channel."""
 
-    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block.
 
         Returns

@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.schema import Steps, Type
     from quatprop.provenance import JsonObject
@@ -140,12 +139,12 @@ class JsonDecoder(ValueDecoder):
             )
         return super()._wanted(root, field_path)
 
-    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block, parsed at once where possible."""
         columns = self._at_once(block) if self._schema is not None and len(block) else None
         return super().columns(block) if columns is None else columns
 
-    def _at_once(self, block: MessageBlock) -> list[NDArray[Any]] | None:
+    def _at_once(self, block: MessageBlock) -> list[AnyArray] | None:
         # A line break within a message is white space: in a string it would be escaped.
         document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(block))
         try:
@@ -159,7 +158,7 @@ class JsonDecoder(ValueDecoder):
             return None
         return columns
 
-    def _check(self, document: bytes, columns: list[NDArray[Any]]) -> None:
+    def _check(self, document: bytes, columns: list[AnyArray]) -> None:
         """Compare decimals with doubles: decimals that are too large overflow silently."""
         pairs = zip(self.wanted, columns, strict=True)
         exact = [(wanted, column) for wanted, column in pairs if _is_exact(wanted)]
@@ -260,12 +259,12 @@ def _leaf(wanted: WantedColumn, *, is_list: bool, exact: bool) -> pa.DataType:
     return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
 
 
-def _stacked(table: pa.Table, wanted: WantedColumn) -> NDArray[Any]:
+def _stacked(table: pa.Table, wanted: WantedColumn) -> AnyArray:
     parts = [_part(table, way, wanted) for way in wanted.ways]
     return parts[0] if wanted.single else np.stack(parts, axis=1)
 
 
-def _part(table: pa.Table, way: Steps, wanted: WantedColumn) -> NDArray[Any]:
+def _part(table: pa.Table, way: Steps, wanted: WantedColumn) -> AnyArray:
     """Return one number of each message, shape ``(N,)``."""
     column = table.column(way[0])
     for step in way[1:]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from decimal import Decimal
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray, Int64, Intp
     from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type
 
@@ -59,7 +58,7 @@ class Stamp(NamedTuple):
         """Return the same stamp in a message inside another."""
         return Stamp(tuple(prefix + name for name in self.fields), self.unit)
 
-    def ns(self, columns: Sequence[NDArray[Any]], path: Path | str) -> NDArray[np.int64]:
+    def ns(self, columns: Sequence[AnyArray], path: Path | str) -> Int64:
         """Return the time of every message.
 
         Parameters
@@ -89,7 +88,7 @@ class Stamp(NamedTuple):
             np.add(t_ns, nanoseconds, out=t_ns, dtype=np.int64, casting="unsafe")
         return t_ns
 
-    def _scaled(self, column: NDArray[Any], path: Path | str) -> NDArray[np.int64]:
+    def _scaled(self, column: AnyArray, path: Path | str) -> Int64:
         scale = NS_PER_UNIT[self.unit]
         if column.dtype == np.object_:
             return self._exact(column, scale, path)
@@ -100,7 +99,7 @@ class Stamp(NamedTuple):
             fits = (column > -limit) & (column < limit)
             if not fits.all():
                 raise self._overflow(column, np.flatnonzero(~fits), path)
-        t_ns: NDArray[np.int64]
+        t_ns: Int64
         if not floating:
             t_ns = np.multiply(column, scale, dtype=np.int64, casting="unsafe")
             return t_ns
@@ -109,7 +108,7 @@ class Stamp(NamedTuple):
         t_ns += np.rint((column - whole) * scale).astype(np.int64)
         return t_ns
 
-    def _exact(self, column: NDArray[Any], scale: int, path: Path | str) -> NDArray[np.int64]:
+    def _exact(self, column: AnyArray, scale: int, path: Path | str) -> Int64:
         """Return the times of integers and decimals."""
         limit = np.iinfo(np.int64).max // scale
         bad = [row for row, value in enumerate(column) if not -limit < value < limit]
@@ -118,9 +117,7 @@ class Stamp(NamedTuple):
         whole = [int((Decimal(value) * scale).to_integral_value()) for value in column]
         return np.array(whole, np.int64)
 
-    def _overflow(
-        self, column: NDArray[Any], positions: NDArray[np.intp], path: Path | str
-    ) -> MessageError:
+    def _overflow(self, column: AnyArray, positions: Intp, path: Path | str) -> MessageError:
         return MessageError(
             path,
             Text(

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.schema import Steps, Type
 
@@ -70,7 +69,7 @@ class ValueDecoder(ABC):
         way, kind, number, _ = numbers_at(self.channel, root, field_path, self.path)
         return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
 
-    def columns(self, block: MessageBlock) -> list[NDArray[Any]]:
+    def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block.
 
         Raises
@@ -109,7 +108,7 @@ class ValueDecoder(ABC):
         # Converted here, so that a number too large for its column counts against its message.
         return np.array(values, wanted.number.code)
 
-    def _column(self, wanted: WantedColumn, values: Sequence[Any]) -> NDArray[Any]:
+    def _column(self, wanted: WantedColumn, values: Sequence[Any]) -> AnyArray:
         shape = (len(values),) if wanted.single else (len(values), len(wanted.ways))
         return np.array(values, self._dtype(wanted)).reshape(shape)
 

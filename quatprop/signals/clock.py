@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.stamps import Stamp
     from quatprop.selection import SignalSelection
@@ -47,7 +46,7 @@ class Clock(NamedTuple):
         """The fields of the stamp; none for the other clocks."""
         return self.stamp.fields if self.stamp else ()
 
-    def ns(self, fields: Sequence[NDArray[Any]], block: MessageBlock, path: Path | str) -> Int64:
+    def ns(self, fields: Sequence[AnyArray], block: MessageBlock, path: Path | str) -> Int64:
         """Return the time of every message of a block, shape ``(N,)``, int64 ns.
 
         Parameters
@@ -142,7 +141,7 @@ def zero_stamps(log: MessageLog, channel: Channel) -> TimelineError:
     )
 
 
-def are_all(batches: Iterable[NDArray[Any]], value: object, limit: int | None = None) -> bool:
+def are_all(batches: Iterable[AnyArray], value: object, limit: int | None = None) -> bool:
     """Tell whether several rows all have one value; reads up to the first other one.
 
     Parameters

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -23,8 +23,7 @@ from quatprop.series import GyroSeries
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.time_range import TimeRange
     from quatprop.series import Float64, Int64
@@ -103,7 +102,7 @@ class GroupDecoder:
         self._sizes = [len(group) for group in present]
         self._decoder = decoder_of(channel, [name for group in present for name in group], log.path)
 
-    def decode(self, block: MessageBlock) -> tuple[Int64, list[list[NDArray[Any]]]]:
+    def decode(self, block: MessageBlock) -> tuple[Int64, list[list[AnyArray]]]:
         """Return the time of each message, int64 ns, and the columns of each group."""
         columns = iter(self._decoder.columns(block))
         stamp, *groups = [list(islice(columns, size)) for size in self._sizes]
@@ -128,7 +127,7 @@ class FieldReader(GroupDecoder):
         return Columns(block.log_ns, (t_ns, values, *beside), block.not_before_ns)
 
 
-def as_rows(fields: list[NDArray[Any]]) -> Float64:
+def as_rows(fields: list[AnyArray]) -> Float64:
     """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64.
 
     Its columns are contiguous: that is how rows are computed with, and quicker to make.
@@ -140,7 +139,7 @@ def as_rows(fields: list[NDArray[Any]]) -> Float64:
 
 def timed_values(
     log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
-) -> Iterator[tuple[NDArray[Any], ...]]:
+) -> Iterator[tuple[AnyArray, ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
     Parameters

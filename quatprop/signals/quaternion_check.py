@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Bool
     from quatprop.series import Float64, Int64
 
 
@@ -135,7 +134,7 @@ class QuaternionCheck:
         if self.counts.invalid and not self._drop:
             raise NotRotationsError(self._path, self._reason())
 
-    def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[NDArray[np.bool_], Float64]:
+    def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[Bool, Float64]:
         """Return which rows are valid, and the rows, scaled if that was asked for."""
         counts = self.counts
         # Components of absurd size must be reported as such, not overflow.

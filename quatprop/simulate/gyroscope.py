@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from fractions import Fraction
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64
     from quatprop.simulate.motion import Motion
 
 START_NS = 1_700_000_000_000_000_000
@@ -130,9 +129,9 @@ def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
     return max(1, math.ceil(duration_ns * sample_rate / NS_PER_S))
 
 
-def _unit(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(wxyz: Float64) -> Float64:
     """Return rows of unit length, and zeros without a sign."""
     w, x, y, z = wxyz.T
     length = np.sqrt(w * w + x * x + y * y + z * z)
-    unit: NDArray[np.float64] = wxyz / length[:, None] + 0.0
+    unit: Float64 = wxyz / length[:, None] + 0.0
     return unit

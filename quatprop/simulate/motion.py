@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +24,7 @@ from quatprop.text import listed, quoted
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import AnyArray, Float64, Int64
 
     # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at ever later times since the first sample.
     Motion = Callable[[Int64], tuple[Float64, Float64]]
@@ -212,7 +210,7 @@ MOTIONS: Mapping[str, Callable[[Shape], Motion]] = {
 """Every motion that can be simulated."""
 
 
-def hamilton(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+def hamilton(left: AnyArray, right: AnyArray) -> AnyArray:
     """Return ``left right``, wxyz, ij = k; shapes ``(..., 4)`` broadcast.
 
     Written out, because linear algebra libraries round sums differently on different processors.
@@ -235,7 +233,7 @@ def hamilton(left: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     )
 
 
-def step(rotvec: NDArray[Any]) -> NDArray[Any]:
+def step(rotvec: AnyArray) -> AnyArray:
     """Return the attitude steps of rotation vectors, rad: source article, equation 35.
 
     Parameters
@@ -249,7 +247,7 @@ def step(rotvec: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate((np.cos(half), factor * rotvec), axis=-1)
 
 
-def running_product(steps: NDArray[Any]) -> NDArray[Any]:
+def running_product(steps: AnyArray) -> AnyArray:
     """Return ``steps[0] steps[1] ... steps[k]`` for every k, by doubling.
 
     Parameters
@@ -262,5 +260,5 @@ def running_product(steps: NDArray[Any]) -> NDArray[Any]:
         product = np.concatenate((product[:reach], hamilton(product[:-reach], product[reach:])))
         reach *= 2
     length = np.sqrt(np.sum(product * product, axis=-1, keepdims=True))
-    result: NDArray[Any] = product / length
+    result: AnyArray = product / length
     return result

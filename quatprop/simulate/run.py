@@ -26,8 +26,7 @@ from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64, Records
     from quatprop.series import AttitudeSeries
     from quatprop.simulate.gyroscope import Gyroscope
     from quatprop.simulate.motion import Shape
@@ -164,14 +163,14 @@ class ImuEncoder(RosEncoder):
         }
         super().__init__(Message("Imu", "/imu", child="imu"), ros1=ros1, constants=constants)
 
-    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+    def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
         """Return the messages of a batch of true attitudes and measured rates, shape ``(N,)``."""
         rows = self._records.stamped(series.t_ns, target)
         rows["rate"], rows["acceleration"] = series.rate, _reaction(series.wxyz)
         return rows
 
 
-def arrival_ns(t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+def arrival_ns(t_ns: Int64) -> Int64:
     """Return when each message arrives: 1 to 1.1 ms after its stamp, unevenly.
 
     The jitter is a scrambled stamp, not a random number, so that it depends on neither seed nor
@@ -180,7 +179,7 @@ def arrival_ns(t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return t_ns + _TRANSPORT_NS + (t_ns * _SCRAMBLE & 0xFFFFFFFF) % _JITTER_NS
 
 
-def _reaction(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reaction(wxyz: Float64) -> Float64:
     """Return the upward reaction to gravity in the body frame, m/s^2: ``q* (0, 0, g) q``."""
     w, x, y, z = wxyz.T
     up = (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))

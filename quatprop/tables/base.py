@@ -15,12 +15,10 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.provenance import JsonObject
 
-    Batches = Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]
+    Batches = Iterator[tuple[Int64, Float64]]
 
 
 OTHER_DATES = "dates that are not of ISO 8601"

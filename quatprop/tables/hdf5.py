@@ -17,7 +17,7 @@ from quatprop.text import plain, quoted
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import AnyArray
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
 _CHUNK_CACHE_BYTES = 1 << 26
@@ -191,7 +191,7 @@ def _damage(error: BaseException) -> str:
     return f"its groups and datasets are damaged ({plain(error)}); was it closed and copied whole?"
 
 
-def _attribute(item: Any, name: str) -> NDArray[Any]:
+def _attribute(item: Any, name: str) -> AnyArray:
     """Return an attribute of fixed size; empty where it is another.
 
     Text of variable length is not asked for: HDF5 crashes or hangs where that is damaged.

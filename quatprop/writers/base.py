@@ -12,12 +12,9 @@ from quatprop.writers.atomic import output_errors
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
-    from typing import Any, Self
+    from typing import Self
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from quatprop.arrays import Int64
+    from quatprop.arrays import AnyArray, Int64, Records
     from quatprop.writers.atomic import OutputFile, OutputPath
 
 
@@ -156,7 +153,7 @@ class TableWriter(FileWriter):
 
     _output: OutputFile
 
-    def write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         """Append a batch of rows: stamps and the named columns, all of one length.
 
         Raises
@@ -170,14 +167,14 @@ class TableWriter(FileWriter):
             self._write(t_ns, columns)
 
     @abstractmethod
-    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         """Append a batch of rows."""
 
 
 class MessageWriter(FileWriter):
     """A container to which one topic is written whose messages all have one size."""
 
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def write(self, log_ns: Int64, messages: Records) -> None:
         """Append a batch of messages.
 
         Parameters
@@ -196,5 +193,5 @@ class MessageWriter(FileWriter):
             self._write(log_ns, messages)
 
     @abstractmethod
-    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         """Append a batch of messages."""

@@ -17,8 +17,7 @@ from quatprop.concurrency.threads import thread_count
 from quatprop.tables import timestamps
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
 
@@ -50,10 +49,10 @@ class ParsedRows(NamedTuple):
         Line number and reason of each row that was rejected.
     """
 
-    t_ns: NDArray[np.int64] | None
-    numbers: NDArray[np.float64]
+    t_ns: Int64 | None
+    numbers: Float64
     total: int
-    kept: NDArray[np.int64] | None = None
+    kept: Int64 | None = None
     rejected: tuple[tuple[int, str], ...] = ()
 
 
@@ -143,7 +142,7 @@ class BlockParser:
             numbers[:, place] = to_numpy(table.column(str(k)))
         return ParsedRows(self._stamps(table), numbers, table.num_rows)
 
-    def _stamps(self, table: pa.Table) -> NDArray[np.int64] | None:
+    def _stamps(self, table: pa.Table) -> Int64 | None:
         if not self.columns.time:
             return None
         columns = [table.column(str(k)) for k in self.columns.time]
@@ -162,7 +161,7 @@ def _other_thread(_process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1)
 
 
-def _nanoseconds(column: pa.ChunkedArray, unit: str) -> NDArray[np.int64]:
+def _nanoseconds(column: pa.ChunkedArray, unit: str) -> Int64:
     if pa.types.is_timestamp(column.type):
         return to_numpy(column.cast(pa.int64()))
     return timestamps.from_decimals(column, unit)

@@ -21,9 +21,7 @@ from quatprop.writers.base import block_slices
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    from quatprop.arrays import Int64
+    from quatprop.arrays import Int64, Records
 
 
 CHUNK_BYTES = 1 << 20
@@ -68,12 +66,10 @@ class McapChunk:
     size: int
     crc: int
     data: bytes
-    indexes: Mapping[int, NDArray[np.void]]
+    indexes: Mapping[int, Records]
 
 
-def compressed_chunk(
-    compression: str, records: bytes, indexes: Mapping[int, NDArray[np.void]]
-) -> McapChunk:
+def compressed_chunk(compression: str, records: bytes, indexes: Mapping[int, Records]) -> McapChunk:
     """Return a chunk of records.
 
     Parameters
@@ -114,11 +110,11 @@ class MessageChannel:
         self._id = id_
         self._chunk_bytes = chunk_bytes
         self._written = 0
-        self._rows: NDArray[np.void] | None = None
+        self._rows: Records | None = None
         self._index = np.zeros(0, INDEX_ENTRY)
         self._filled = 0
 
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages.
 
         Parameters
@@ -152,7 +148,7 @@ class MessageChannel:
         self._filled = 0
 
 
-def _empty_rows(channel: int, size: int, chunk_bytes: int) -> NDArray[np.void]:
+def _empty_rows(channel: int, size: int, chunk_bytes: int) -> Records:
     """Return the records of a chunk of messages, without times and data."""
     dtype = np.dtype(
         [

@@ -26,10 +26,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-    import numpy as np
     from mcap.records import McapRecord
-    from numpy.typing import NDArray
 
+    from quatprop.arrays import Int64, Records
     from quatprop.writers.mcap.channel import McapChunk
     from quatprop.writers.messages.topics import Topic
 
@@ -184,7 +183,7 @@ class McapFile:
             )
         )
 
-    def append_indexes(self, indexes: Mapping[int, NDArray[np.void]]) -> dict[int, int]:
+    def append_indexes(self, indexes: Mapping[int, Records]) -> dict[int, int]:
         """Write the message indexes of a chunk; return the place of each, by channel id."""
         offsets = {}
         for id_, index in indexes.items():
@@ -238,7 +237,7 @@ class McapWriter(MessageWriter):
             self._file = McapFile(self._output.stream, profile, compression)
             self._channel = self._file.add_channel(topic)
 
-    def _write(self, log_ns: NDArray[np.int64], messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         self._channel.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

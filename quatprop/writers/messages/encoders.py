@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Records
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
 
@@ -94,7 +92,7 @@ class RosEncoder:
         )
         self._parts = definition.parts
 
-    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+    def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
         """Return the messages of a batch."""
         rows = self._records.stamped(series.t_ns, target)
         rows["xyzw"][:, :3], rows["xyzw"][:, 3] = series.wxyz[:, 1:], series.wxyz[:, 0]

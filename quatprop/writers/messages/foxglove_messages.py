@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from quatprop.arrays import Int64, Records
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
 
@@ -227,7 +228,7 @@ class FoxgloveEncoder:
         )
         self._template = np.frombuffer(template, f"V{len(template)}")
 
-    def encode(self, series: AttitudeSeries, target: Path | str) -> NDArray[np.void]:
+    def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
         """Return the messages of a batch, shape ``(N,)``.
 
         Raises
@@ -249,7 +250,7 @@ class FoxgloveEncoder:
         return rows
 
 
-def _varints(numbers: NDArray[np.int64]) -> NDArray[np.uint8]:
+def _varints(numbers: Int64) -> NDArray[np.uint8]:
     """Return numbers as varints of one length, shape ``(N, 5)``."""
     spread = numbers & 0x7F
     for place in range(1, _VARINT_BYTES):

@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Int64, Records
 
-    Int64 = NDArray[np.int64]
 
 NS_PER_S = 1_000_000_000
 _CDR_LITTLE_ENDIAN = b"\0\1\0\0"
@@ -67,7 +66,7 @@ class RosRecords:
         # As bare bytes: NumPy need not copy the padding between fields.
         self._template = template.view(f"V{self._dtype.itemsize}")
 
-    def stamped(self, t_ns: Int64, target: Path | str) -> NDArray[np.void]:
+    def stamped(self, t_ns: Int64, target: Path | str) -> Records:
         """Return messages with their stamps, shape ``(N,)``, whose other fields are to be filled.
 
         Raises

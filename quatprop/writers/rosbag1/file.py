@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-    from numpy.typing import NDArray
-
-    from quatprop.arrays import Int64
+    from quatprop.arrays import Int64, Records
     from quatprop.writers.messages.topics import Topic
 
 
@@ -53,7 +51,7 @@ class _BagChunk:
     data: bytes
     size: int
     first: int
-    index: NDArray[np.void]
+    index: Records
 
 
 class BagFile:
@@ -100,7 +98,7 @@ class BagFile:
         }
         self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
         self._chunks: list[ChunkInfo] = []
-        self._rows: NDArray[np.void] | None = None
+        self._rows: Records | None = None
         self._filled = 0
         # The first chunk begins with the connection, as other readers than ours may expect.
         self._prefix = records.connection(connection, self._fields)
@@ -108,7 +106,7 @@ class BagFile:
         self._append(MAGIC)
         self._append(records.bag(0, 0, 0))
 
-    def write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages.
 
         Parameters
@@ -167,7 +165,7 @@ class BagFile:
         """Drop buffered messages; does nothing after the end."""
         self._pool.shutdown()
 
-    def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, NDArray[np.void]]) -> None:
+    def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
         """Write a chunk and its index data.
 
         Parameters
@@ -213,7 +211,7 @@ def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
     return [first, *(info for info in chunks if info not in (first, last)), last]
 
 
-def _compressed(compression: str, prefix: bytes, rows: NDArray[np.void]) -> _BagChunk:
+def _compressed(compression: str, prefix: bytes, rows: Records) -> _BagChunk:
     """Return a chunk of a prefix and message records."""
     index = np.empty(len(rows), records.ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
@@ -223,7 +221,7 @@ def _compressed(compression: str, prefix: bytes, rows: NDArray[np.void]) -> _Bag
     return _BagChunk(COMPRESSIONS[compression](data), len(data), int(times.min()), index)
 
 
-def _empty_rows(connection: int, size: int, chunk_bytes: int) -> NDArray[np.void]:
+def _empty_rows(connection: int, size: int, chunk_bytes: int) -> Records:
     """Return the records of a chunk of messages, without times and data."""
     head = records.fields({"op": records.MESSAGE, "conn": u4(connection), "time": bytes(8)})
     # The time is the last field of the head.
@@ -264,7 +262,7 @@ class BagWriter(MessageWriter):
         with self._errors():
             self._bag = BagFile(self._output.stream, topic, compression)
 
-    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

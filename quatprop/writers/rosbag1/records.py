@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import Int64, Records
 
 MAGIC = b"#ROSBAG V2.0\n"
 NS_PER_S = 1_000_000_000
@@ -51,7 +51,7 @@ def chunk(compression: str, size: int, data: bytes) -> bytes:
     return record(CHUNK, {"compression": compression.encode(), "size": u4(size)}, data)
 
 
-def index_data(id_: int, entries: NDArray[np.void]) -> bytes:
+def index_data(id_: int, entries: Records) -> bytes:
     """Return the index of the messages of a connection in the chunk before it."""
     head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
     return record(INDEX, head, entries.tobytes())
@@ -77,7 +77,7 @@ class ChunkInfo:
     counts: Mapping[int, int]
 
     @classmethod
-    def of(cls, place: int, indexes: Mapping[int, NDArray[np.void]]) -> ChunkInfo:
+    def of(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
         """Return what the index data of a chunk say of it."""
         log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
         span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)
@@ -96,9 +96,9 @@ class ChunkInfo:
         return record(CHUNK_INFO, head, b"".join(counts))
 
 
-def times(entries: NDArray[np.void]) -> NDArray[np.int64]:
+def times(entries: Records) -> Int64:
     """Return the log times of index data, shape ``(N,)``, ns."""
-    log_ns: NDArray[np.int64] = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
+    log_ns: Int64 = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
     return log_ns
 
 

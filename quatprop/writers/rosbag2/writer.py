@@ -22,13 +22,10 @@ from quatprop.writers.messages.topics import Topic
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
-    from typing import Any
 
-    import numpy as np
-    from numpy.typing import NDArray
     from rosbags.interfaces import Connection
 
-    from quatprop.arrays import Int64
+    from quatprop.arrays import AnyArray, Int64, Records
     from quatprop.writers.mcap.channel import MessageChannel
 
 
@@ -46,7 +43,7 @@ class ReproducibleSqlite(Sqlite3Writer):
     last, which no program reads: a fixed number.
     """
 
-    def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
+    def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
         """Append messages."""
         rows = messages.view(f"V{messages.itemsize}").tolist()
         self.conn.executemany(
@@ -98,7 +95,7 @@ class BulkMcap:
             topic, {"offered_qos_profiles": offered_qos_profiles}
         )
 
-    def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
+    def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
         """Append messages."""
         self._channels[connection.id].write(log_ns, messages)
 
@@ -126,7 +123,7 @@ class BulkWriter(Writer):
         StoragePlugin.MCAP: BulkMcap,
     }
 
-    def write_block(self, connection: Connection, log_ns: Int64, messages: NDArray[Any]) -> None:
+    def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
         """Append messages that all have one size."""
         if len(log_ns):
             storage = cast("ReproducibleSqlite | BulkMcap", self.storage)
@@ -162,7 +159,7 @@ class SqliteBagWriter(MessageWriter):
                 topic.name, topic.type_name, msgdef=topic.schema.decode(), rihs01=topic.digest
             )
 
-    def _write(self, log_ns: Int64, messages: NDArray[np.void]) -> None:
+    def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write_block(self._connection, log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

@@ -16,9 +16,8 @@ from quatprop.writers.base import TableWriter, block_slices, provenance_json
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from typing import Any
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import AnyArray
 
 
 GROUP = 1 << 18
@@ -52,7 +51,7 @@ class ArrowTable(TableWriter):
     def _write_group(self, group: pa.RecordBatch) -> None:
         """Write a group; its memory is reused afterwards."""
 
-    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         for rows, place in block_slices(len(t_ns), self._filled, GROUP):
             self._t_ns[place] = t_ns[rows]
             for buffer, column in zip(self._columns, columns, strict=True):

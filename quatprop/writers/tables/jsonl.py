@@ -20,10 +20,8 @@ from quatprop.writers.tables.text import TextTable
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from typing import Any
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import AnyArray
     from quatprop.writers.tables.text import Formatter
 
 
@@ -50,7 +48,7 @@ def _objects(names: Sequence[str]) -> Formatter:
     ]
     end, no_separator = text_scalar("}\n"), text_scalar("")
 
-    def formatter(columns: list[NDArray[Any]]) -> pa.Buffer:
+    def formatter(columns: list[AnyArray]) -> pa.Buffer:
         parts = chain.from_iterable(zip(keys, map(_numbers, columns), strict=True))
         lines = pc.binary_join_element_wise(*parts, end, no_separator)
         # The strings of an array lie one after the other: that is the file.
@@ -60,7 +58,7 @@ def _objects(names: Sequence[str]) -> Formatter:
     return formatter
 
 
-def _numbers(column: NDArray[Any]) -> pa.Array:
+def _numbers(column: AnyArray) -> pa.Array:
     """Return numbers as JSON writes them."""
     text = pc.cast(to_arrow(column), pa.string())
     if column.dtype == np.int64:

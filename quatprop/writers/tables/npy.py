@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any, BinaryIO
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import AnyArray
 
 PROVENANCE = "quatprop"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -46,7 +46,7 @@ class NpyTable(TableWriter):
         with self._errors():
             self._write_header()
 
-    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         rows = np.empty(len(t_ns), self._dtype)
         for name, column in zip(self._dtype.fields or (), (t_ns, *columns), strict=True):
             rows[name] = column
@@ -78,7 +78,7 @@ class NpzTable(TableWriter):
         self._count = 0
         self._columns = {name: scratch_file(target) for name in ("t_ns", *names)}
 
-    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         for body, column in zip(self._columns.values(), (t_ns, *columns), strict=True):
             body.write(np.ascontiguousarray(column).data)
         self._count += len(t_ns)

@@ -21,11 +21,10 @@ from quatprop.writers.base import TableWriter, provenance_json
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
-    from typing import Any
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import AnyArray
 
-    Formatter = Callable[[list[NDArray[Any]]], pa.Buffer]
+    Formatter = Callable[[list[AnyArray]], pa.Buffer]
 
 PIECE = 1 << 14
 """Rows that are formatted together: enough to make calls cheap, few enough for two threads."""
@@ -56,7 +55,7 @@ class TextTable(TableWriter):
         self._header = header.encode()
         self._pool = OrderedThreadPool(formatter, self._write_text)
 
-    def _write(self, t_ns: NDArray[Any], columns: Sequence[NDArray[Any]]) -> None:
+    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         for begin in range(0, len(t_ns), PIECE):
             rows = slice(begin, begin + PIECE)
             piece = [t_ns[rows], *(column[rows] for column in columns)]
@@ -94,7 +93,7 @@ def delimited(separator: str, names: Sequence[str]) -> Formatter:
         include_header=False, delimiter=separator, quoting_style="none"
     )
 
-    def formatter(columns: list[NDArray[Any]]) -> pa.Buffer:
+    def formatter(columns: list[AnyArray]) -> pa.Buffer:
         batch = pa.record_batch([_arrow(column) for column in columns], names=list(names))
         lines = pa.BufferOutputStream()
         pyarrow.csv.write_csv(batch, lines, options)
@@ -103,5 +102,5 @@ def delimited(separator: str, names: Sequence[str]) -> Formatter:
     return formatter
 
 
-def _arrow(column: pa.Array | NDArray[Any]) -> pa.Array:
+def _arrow(column: pa.Array | AnyArray) -> pa.Array:
     return column if isinstance(column, pa.Array) else to_arrow(column)

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from numpy.typing import NDArray
+    from quatprop.arrays import AnyArray, Int64
 
-    Column = NDArray[Any]
+    Column = AnyArray
     Columns = Sequence[Column]
 
 _DECIMALS = 9
@@ -86,7 +86,7 @@ class KittiTable(TumTable):
         return [part for row in range(3) for part in (*matrix[:, row].T, position[row])]
 
 
-def seconds(t_ns: NDArray[np.int64]) -> pa.Array:
+def seconds(t_ns: Int64) -> pa.Array:
     """Return stamps as text: seconds with nine decimals, exact.
 
     Examples
