@@ -31,7 +31,7 @@ from quatprop.third_party_errors import as_errors_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
 _MAGIC_BYTES = 16
 
@@ -46,7 +46,7 @@ def open_log(
     *,
     msg_path: str | Path | None = None,
     copied: bool = False,
-) -> Iterator[MessageLog | TableLog]:
+) -> Iterator[AnyLog]:
     """Open a log of any kind for the length of a ``with`` block.
 
     A log inside a compressed file is decompressed into a temporary copy.
@@ -94,9 +94,7 @@ def open_log(
             yield log
 
 
-def _open_folder(
-    folder: Path, kind: str | None, stack: ExitStack, **options: Any
-) -> MessageLog | TableLog:
+def _open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: Any) -> AnyLog:
     """Open a ROS 2 bag; `stack` closes it."""
     if kind not in (None, "rosbag2"):
         raise _other_kind(folder, "folder", kind)
@@ -112,7 +110,7 @@ def _open_remote(
     stack: ExitStack,
     *,
     copied: bool,
-) -> MessageLog | TableLog:
+) -> AnyLog:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
     from quatprop.containers.remote import RemoteSource
     from quatprop.containers.transfers import bag_files, local_copy
@@ -145,7 +143,7 @@ def _open_remote(
     return log
 
 
-def _complete(log: MessageLog | TableLog, folders: list[Path], msg_path: str | Path | None) -> None:
+def _complete(log: AnyLog, folders: list[Path], msg_path: str | Path | None) -> None:
     """Look for definitions that channels lack; remark on their origin and on types of a topic.
 
     Parameters
@@ -204,9 +202,7 @@ def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
     )
 
 
-def _open_stdin(
-    kind: str | None, msg_path: str | Path | None, stack: ExitStack
-) -> MessageLog | TableLog:
+def _open_stdin(kind: str | None, msg_path: str | Path | None, stack: ExitStack) -> AnyLog:
     """Open text as it comes; a binary log, which is read at places, from a temporary copy."""
     stream: Any = sys.stdin.buffer
     if kind == "rosbag2":
@@ -227,7 +223,7 @@ def _open_stdin(
     return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
 
 
-def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | TableLog:
+def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
     """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
     if kind == "rosbag2":
         raise _other_kind(path, "file", kind)
@@ -254,7 +250,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> MessageLog | T
     return log
 
 
-def _open_source(source: FileSource, kind: str, stack: ExitStack) -> MessageLog | TableLog:
+def _open_source(source: FileSource, kind: str, stack: ExitStack) -> AnyLog:
     if READERS[kind].reads_source:
         return _enter(kind, source, stack)
     source.close()
@@ -263,11 +259,11 @@ def _open_source(source: FileSource, kind: str, stack: ExitStack) -> MessageLog 
 
 def _enter(
     kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack, **options: Any
-) -> MessageLog | TableLog:
+) -> AnyLog:
     """Import the reader of a kind of log and open a log with it; `stack` closes it."""
     module, _, name = READERS[kind].load.partition(":")
     try:
-        log: MessageLog | TableLog = getattr(import_module(module), name)(source, **options)
+        log: AnyLog = getattr(import_module(module), name)(source, **options)
     except OSError as error:
         path = source if isinstance(source, Path) else getattr(source, "path", "-")
         raise UnreadableLogError(path, os_reason(error)) from error

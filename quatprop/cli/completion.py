@@ -14,9 +14,8 @@ from quatprop.settings.parsers import FILE_SETTINGS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from quatprop.containers.base import MessageLog
     from quatprop.signals.choice import Candidate
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
 """Settings whose value is a name in the log."""
@@ -109,7 +108,7 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
         return []
 
 
-def _in_messages(log: MessageLog | TableLog, setting: str, ctx: click.Context) -> Iterator[str]:
+def _in_messages(log: AnyLog, setting: str, ctx: click.Context) -> Iterator[str]:
     """Yield topics, or fields, of what the command reads."""
     from quatprop.errors import LogError
     from quatprop.selection import AttitudeSelection, RateSelection

@@ -23,10 +23,9 @@ from quatprop.writers.attitudes import ColumnTable
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.containers.base import MessageLog
     from quatprop.conversion.job import Conversion
     from quatprop.signals.signal import AttitudeSignal
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
     from quatprop.writers.base import TableWriter
 
@@ -43,9 +42,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:
     return (source.sigma_axes or "body") if kept else None
 
 
-def open_destination(
-    job: Conversion, log: MessageLog | TableLog, sigma: str | None
-) -> AttitudeWriter:
+def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> AttitudeWriter:
     """Return the file to be committed, which takes attitudes, or rates where those are written.
 
     Parameters

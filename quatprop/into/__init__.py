@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.containers.base import Log, MessageLog
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
 
-    Stamps = Callable[[MessageLog | TableLog], Iterator[tuple[Int64, Int64]]]
+    Stamps = Callable[[AnyLog], Iterator[tuple[Int64, Int64]]]
 
 COPIERS: Mapping[str, tuple[str, str]] = {
     "mcap": ("mcap", "mcap:McapCopyWriter"),
@@ -82,7 +82,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
 
 
 def open_into(  # noqa: PLR0913  # as open_writer, and the log
-    log: MessageLog | TableLog,
+    log: AnyLog,
     target: str,
     stamps: Stamps,
     *,

@@ -34,13 +34,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from typing import Protocol
 
-    from quatprop.containers.base import MessageLog
     from quatprop.kinematics.resample import Times
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
     class Observer(Protocol):
         """Looks at the series that pass, such as a picture in the making."""
@@ -83,7 +82,7 @@ class AttitudeStream:
         path: str,
         source: RateSignal,
         settings: PropagationSettings,
-        log: MessageLog | TableLog | None,
+        log: AnyLog | None,
         *,
         observer: Observer | None = None,
         sensitivity: bool = True,

@@ -15,11 +15,10 @@ from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
 
 LEVEL_NS = 1_000_000_000
@@ -92,7 +91,7 @@ class Recording(NamedTuple):
         Whether samples are used in the order of the log, not sorted.
     """
 
-    log: MessageLog | TableLog | None
+    log: AnyLog | None
     source: RateSignal
     selection: RateSelection
     mount: Float64 | None
@@ -173,7 +172,7 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
     return multiply(turns[0], multiply(turns[1], turns[2]))
 
 
-def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
+def _refuse_motion(first: GyroSeries, log: AnyLog) -> None:
     from quatprop.conditioning.static_detection import AT_REST
 
     rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
@@ -186,7 +185,7 @@ def _refuse_motion(first: GyroSeries, log: MessageLog | TableLog) -> None:
         )
 
 
-def _force(log: MessageLog | TableLog, recording: Recording, first_ns: int) -> Float64:
+def _force(log: AnyLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.signals.beside_rates import specific_forces
 

@@ -27,10 +27,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.pipeline.report import RunReport
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
 
     Stamps = Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]
@@ -149,7 +148,7 @@ def run(
     return report
 
 
-def _with_layout(output: OutputSettings, log: MessageLog | TableLog) -> OutputSettings:
+def _with_layout(output: OutputSettings, log: AnyLog) -> OutputSettings:
     """Return where attitudes go, with the format and the order of its columns."""
     if output.into:
         from quatprop.into import copy_kind
@@ -167,8 +166,8 @@ def _is_small(log: str) -> bool:
 
 def open_output(
     output: OutputSettings,
-    log: MessageLog | TableLog,
-    stamps: Callable[[MessageLog | TableLog], Stamps],
+    log: AnyLog,
+    stamps: Callable[[AnyLog], Stamps],
     sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added.

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.containers.base import MessageLog
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
@@ -55,7 +55,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 _NONE = np.empty(0, dtype=np.int64)
 
 
-def log_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Text]:
+def log_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     Parameters
@@ -89,7 +89,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
     ]
 
 
-def orientation_remarks(log: MessageLog | TableLog, source: RateSignal) -> list[str | Text]:
+def orientation_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = None if isinstance(log, TableLog) else source.name
     try:

@@ -41,13 +41,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
-    from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
+    from quatprop.tables.base import AnyLog
 
-    Log = MessageLog | TableLog
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 
 READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
@@ -109,7 +108,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
 class _AttitudeReading:
     """Attitudes of a log, and what is found in them while they are read."""
 
-    def __init__(self, log: Log, signal: AttitudeSignal) -> None:
+    def __init__(self, log: AnyLog, signal: AttitudeSignal) -> None:
         self.signal = signal
         self.check = QuaternionCheck(log.path, drop=True)
         self.stamps = StampChecks(log.path)
@@ -122,7 +121,7 @@ class _AttitudeReading:
 
 
 def _reading_beside(
-    log: Log, selection: RateSelection, rates: RateSignal, seen: Seen
+    log: AnyLog, selection: RateSelection, rates: RateSignal, seen: Seen
 ) -> _AttitudeReading | None:
     """Return and note the only attitudes in the messages of rates, if they can be read as is."""
     try:
@@ -136,7 +135,7 @@ def _reading_beside(
 
 
 def _rates(
-    log: Log, selection: RateSelection, seen: Seen | None, *, read_once: bool
+    log: AnyLog, selection: RateSelection, seen: Seen | None, *, read_once: bool
 ) -> Iterator[RateSurvey]:
     """Yield the rates of a log; attitudes in the same messages are read with them, and noted."""
     list_again = partial(rate_candidates, log)
@@ -198,7 +197,7 @@ def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterato
     deque(other, maxlen=0)
 
 
-def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
+def _survey_rates(signal: RateSignal, log: AnyLog, beside: _AttitudeReading | None) -> RateSurvey:
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
@@ -219,7 +218,7 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
     )
 
 
-def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[AttitudeSurvey]:
+def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[AttitudeSurvey]:
     wanted = AttitudeSelection.like(selection)
     try:
         candidates = attitude_candidates(log, wanted)
@@ -256,7 +255,7 @@ def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[Attit
             yield replace(surveyed, **facts)  # type: ignore[arg-type]  # all optional
 
 
-def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeSurvey:
+def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:
     """Return the survey of a signal of attitudes.
 
     Raises

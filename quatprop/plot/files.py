@@ -40,15 +40,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import MessageLog
     from quatprop.plot.accumulators import Accumulator
     from quatprop.plot.view import View
     from quatprop.rendering import Row
     from quatprop.signals.signal import AttitudeSignal
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
     from quatprop.timeline.counts import StampCounts
 
-    Log = MessageLog | TableLog
     Int64 = NDArray[np.int64]
     Float64 = NDArray[np.float64]
 
@@ -83,7 +81,7 @@ def view_file(path: str, view: View) -> FileView:
         return _view_attitudes(name, log, signal, view)
 
 
-def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
+def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
     """Return the rates to draw, or else the attitudes."""
     if view.show == "attitude":
         return choose_attitudes(log, view.attitudes)
@@ -102,7 +100,7 @@ _COUNTERPARTS = {"rate_field": "quat_field", "rate_cols": "quat_cols"}
 """Settings about rates -> those about attitudes."""
 
 
-def _neither(log: Log, rates: LogError, attitudes: LogError) -> LogError:
+def _neither(log: AnyLog, rates: LogError, attitudes: LogError) -> LogError:
     """Return the most useful error for a file with neither rates nor attitudes."""
     if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
         content, *way_out = rates.reason.parts
@@ -116,7 +114,7 @@ def _neither(log: Log, rates: LogError, attitudes: LogError) -> LogError:
     return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
 
 
-def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
+def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
     batches, done = condition(source.batches, view.part, UNITS[source.unit])
     drawn, checks = RateAccumulator(source.unit, UNITS[source.unit]), RateChecks()
     timeline = Timeline(OBSERVE, path)
@@ -144,7 +142,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
     )
 
 
-def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
+def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) -> FileView:
     drawn = AttitudeAccumulator(
         components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
@@ -188,7 +186,7 @@ def _plotted(
     return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
 
 
-def _source_facts(path: str, log: Log, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
+def _source_facts(path: str, log: AnyLog, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
     yield "file", f"{path} ({log.kind})"
     yield "source", source_text(source.name, source.type_name)
     yield "clock", source.clock

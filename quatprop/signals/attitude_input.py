@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from typing import Self
 
-    from quatprop.containers.base import Loss, MessageLog
+    from quatprop.containers.base import Loss
     from quatprop.provenance import JsonObject
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +212,7 @@ class AttitudeFile:
     def __init__(
         self,
         wanted: AttitudeInput,
-        log: MessageLog | TableLog,
+        log: AnyLog,
         signal: AttitudeSignal,
         opened: ExitStack,
     ) -> None:

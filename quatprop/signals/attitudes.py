@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
+    from quatprop.tables.base import AnyLog
 
 
 CONSTANT_MESSAGES = 20_000
@@ -45,7 +46,7 @@ CONSTANT_MESSAGES = 20_000
 the same in all of them is a constant."""
 
 
-def choose_attitudes(log: MessageLog | TableLog, selection: AttitudeSelection) -> AttitudeSignal:
+def choose_attitudes(log: AnyLog, selection: AttitudeSelection) -> AttitudeSignal:
     """Return the only attitudes that a selection leaves.
 
     Raises
@@ -81,7 +82,7 @@ def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
 
 
 def attitude_candidates(
-    log: MessageLog | TableLog, selection: AttitudeSelection
+    log: AnyLog, selection: AttitudeSelection
 ) -> list[Candidate[AttitudeSignal]]:
     """Return the attitudes that a selection leaves, at least one.
 

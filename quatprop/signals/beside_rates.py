@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, RateSignal
+    from quatprop.tables.base import AnyLog
 
 _ACCELERATION = re.compile(
     r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
@@ -31,7 +32,7 @@ _ACCELERATION = re.compile(
 
 
 def conditioning_inputs(
-    log: MessageLog | TableLog | None,
+    log: AnyLog | None,
     source: RateSignal,
     selection: RateSelection,
     wanted: Conditioning,
@@ -72,7 +73,7 @@ def conditioning_inputs(
     )
 
 
-def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+def _force(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows:
     """Yield specific forces, if the log has some that can be read."""
     try:
         yield from specific_forces(log, source, selection) or ()
@@ -80,7 +81,7 @@ def _force(log: MessageLog | TableLog, source: RateSignal, selection: RateSelect
         return
 
 
-def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: RateSelection) -> Rows:
+def _orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows:
     """Yield the log's own orientation, if it has one that was ever set."""
     try:
         own = own_orientation(log, source, selection)
@@ -91,9 +92,7 @@ def _orientation(log: MessageLog | TableLog, source: RateSignal, selection: Rate
             yield series.t_ns, series.wxyz
 
 
-def specific_forces(
-    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection
-) -> Rows | None:
+def specific_forces(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows | None:
     """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``; None where there are none.
 
     Parameters
@@ -132,9 +131,7 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
     return log.metered_rows(timed._replace(numbers=tuple(axes[axis] for axis in range(3))))
 
 
-def own_orientation(
-    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection
-) -> AttitudeSignal:
+def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
     """Return the orientation that is in the same messages or rows as the rates, on their clock.
 
     Parameters

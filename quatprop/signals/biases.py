@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
     from quatprop.series import Float64, Int64
+    from quatprop.tables.base import AnyLog
 
 
 class BiasField(NamedTuple):
@@ -60,9 +61,7 @@ FIELDS: Mapping[str, BiasField] = {
 bias of the angle there, newer ones of the rate, and messages do not say which."""
 
 
-def read_biases(
-    source: str, log: MessageLog | TableLog | None, selection: SignalSelection
-) -> BiasSeries:
+def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> BiasSeries:
     """Read biases over time.
 
     Parameters

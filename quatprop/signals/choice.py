@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.base import AnyLog
 
 TABLE_SETTINGS = (
     "rate_cols",
@@ -91,9 +91,7 @@ RATES = SignalKind("body rates", "estimated body rates", "rate_field", NoRatesEr
 ATTITUDES = SignalKind("attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
 
 
-def choose(
-    log: MessageLog | TableLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind
-) -> SignalT:
+def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
     """Return the only signal among some candidates.
 
     Raises
@@ -131,7 +129,7 @@ def choose(
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
-def _joined(log: MessageLog | TableLog, signals: list[SignalT]) -> SignalT:
+def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
     """Return the rates of a topic that was recorded with several message definitions.
 
     Each is read by its own; samples come in the order of their log times.

@@ -35,10 +35,10 @@ from quatprop.times import NS_PER_UNIT, duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.containers.base import MessageLog
     from quatprop.selection import SignalSelection
     from quatprop.series import AttitudeSeries, Float64, Int64
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
     Row = tuple[int, Float64]
 
@@ -49,7 +49,7 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 def attitude_at(
     source: Path | str,
     t_ns: int,
-    log: MessageLog | TableLog | None = None,
+    log: AnyLog | None = None,
     selection: SignalSelection | None = None,
 ) -> Float64:
     """Return the attitude that a series has at a time.
@@ -130,7 +130,7 @@ def stamps_in(path: Path | str) -> Int64:
 
 
 def first_orientation(
-    log: MessageLog | TableLog, source: RateSignal, selection: RateSelection, t_ns: int
+    log: AnyLog, source: RateSignal, selection: RateSelection, t_ns: int
 ) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 

@@ -29,12 +29,13 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import RateField
     from quatprop.selection import RateSelection
     from quatprop.signals.time_ranges import RangeReader, TableRangeReader
+    from quatprop.tables.base import AnyLog
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""
 
 
-def choose_rates(log: MessageLog | TableLog, selection: RateSelection) -> RateSignal:
+def choose_rates(log: AnyLog, selection: RateSelection) -> RateSignal:
     """Return the only body rates that a selection leaves.
 
     Raises
@@ -67,9 +68,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
     )
 
 
-def rate_candidates(
-    log: MessageLog | TableLog, selection: RateSelection
-) -> list[Candidate[RateSignal]]:
+def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[RateSignal]]:
     """Return the body rates that a selection leaves, at least one.
 
     Raises

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import MessageLog
     from quatprop.series import Float64
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
     Steps = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
@@ -43,9 +44,7 @@ ENCODINGS = ("cdr", "ros1")
 """Encodings whose lists of transforms and names of frames are read."""
 
 
-def frame_mounting(
-    log: MessageLog | TableLog | None, source: RateSignal, frame: str
-) -> FrameMounting:
+def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameMounting:
     """Return the mounting from the frame of a sensor to another, through the static transforms.
 
     Parameters

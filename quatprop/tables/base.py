@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
-from quatprop.containers.base import Log
+from quatprop.containers.base import Log, MessageLog
 from quatprop.errors import UnsupportedLogError
 from quatprop.progress import metered
 
@@ -157,6 +157,10 @@ class TableLog(Log):
             A column does not hold numbers, a stamp does not fit in int64 ns, or most rows do not
             fit.
         """
+
+
+AnyLog: TypeAlias = MessageLog | TableLog
+"""A log of either kind; ``isinstance(log, TableLog)`` tells them apart."""
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:
