@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import WRITERS, open_writer
-from quatprop.writers.messages.encoders import RosEncoder
 from quatprop.writers.messages.kinds import MESSAGES, Message
+from quatprop.writers.messages.ros_messages import RosEncoder
 from quatprop.writers.messages.topics import ros1_types
 
 ROS = [name for name, known in MESSAGES.items() if known.is_ros]

@@ -24,6 +24,7 @@ from quatprop.containers.rosbag1.records import (
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.text import Setting
+from quatprop.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.messages.encoders import attitude_encoder
@@ -225,7 +226,7 @@ def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
         for record in walked_records(data):
             if record.op == OP_MESSAGE:
                 time = record.time(b"time")
-                place = (*divmod(time, records.NS_PER_S), record.start)
+                place = (*divmod(time, NS_PER_S), record.start)
                 rows[record.number(b"conn")].append(place)
             end = record.end
     except MalformedRecordError:

@@ -17,6 +17,7 @@ from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1
 from quatprop.messages.schema import Primitive, Sequence, Struct, find, numbers
 from quatprop.text import quoted
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from quatprop.messages.cursor import Cursor, Names
     from quatprop.messages.schema import Type
 
-
-SECOND_NS = 1_000_000_000
 
 _TRANSLATION_AND_ROTATION = 3 + 4
 
@@ -139,7 +138,7 @@ class TransformDecoder:
         if cursor.placement is ROS1:
             cursor.numbers("u4")  # the sequence number, which ROS 2 does not have
         unsigned = cursor.placement is ROS1
-        t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * SECOND_NS
+        t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * NS_PER_S
         t_ns += cursor.numbers("u4")
         frames = self._frames(cursor.block, cursor.name(), cursor.name())
         values = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)

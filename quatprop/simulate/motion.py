@@ -20,6 +20,7 @@ import numpy as np
 from quatprop.errors import UsageError
 from quatprop.simulate import phase
 from quatprop.text import listed, quoted
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
     # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at ever later times since the first sample.
     Motion = Callable[[Int64], tuple[Float64, Float64]]
-
-NS_PER_S = 1e9
 
 
 @dataclass(frozen=True, slots=True)

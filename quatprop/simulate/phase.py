@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UsageError
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
     from quatprop.arrays import Float64, Int64
 
-
-NS_PER_S = 1_000_000_000
 
 _COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(9)]
 _SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(9)]

@@ -21,8 +21,8 @@ from quatprop.simulate.motion import motion_named
 from quatprop.text import listed, quoted
 from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table, open_writer
 from quatprop.writers.attitudes import AttitudeMessages, ColumnTable
-from quatprop.writers.messages.encoders import ABSENT, RosEncoder
 from quatprop.writers.messages.kinds import Message
+from quatprop.writers.messages.ros_messages import ABSENT, RosEncoder
 from quatprop.writers.targets import is_stdout, refuse_overlap
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class ImuEncoder(RosEncoder):
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
         """Return the messages of a batch of true attitudes and measured rates, shape ``(N,)``."""
-        rows = self._records.stamped(series.t_ns, target)
+        rows = self._stamped(series.t_ns, target)
         rows["rate"], rows["acceleration"] = series.rate, _reaction(series.wxyz)
         return rows
 

@@ -14,15 +14,16 @@ The schemas FrameTransform and PoseInFrame of https://docs.foxglove.dev/docs/vis
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.errors import OutputError
+from quatprop.times import NS_PER_S
 from quatprop.writers.messages.topics import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -40,24 +41,25 @@ _MESSAGE = 11
 _OPTIONAL = 1
 """Numbers in ``descriptor.proto``: of types, and of the label of a field that is not a list."""
 
-
-class ProtoFile(NamedTuple):
-    """A file of definitions in proto 3.
-
-    Parameters
-    ----------
-    package
-        What its types are in.
-    imports
-        Names of the files that define what it uses.
-    messages
-        Types by name: their fields in order, numbered from 1, with a scalar type or, after a dot,
-        the full name of a message.
-    """
-
-    package: str
-    imports: tuple[str, ...]
-    messages: Mapping[str, Mapping[str, str]]
+_DEFINITIONS: Mapping[str, Mapping[str, str]] = {
+    "google.protobuf.Timestamp": {"seconds": "int64", "nanos": "int32"},
+    "foxglove.Quaternion": dict.fromkeys("xyzw", "double"),
+    "foxglove.Vector3": dict.fromkeys("xyz", "double"),
+    "foxglove.Pose": {"position": "foxglove.Vector3", "orientation": "foxglove.Quaternion"},
+    "foxglove.FrameTransform": {
+        "timestamp": "google.protobuf.Timestamp",
+        "parent_frame_id": "string",
+        "child_frame_id": "string",
+        "translation": "foxglove.Vector3",
+        "rotation": "foxglove.Quaternion",
+    },
+    "foxglove.PoseInFrame": {
+        "timestamp": "google.protobuf.Timestamp",
+        "frame_id": "string",
+        "pose": "foxglove.Pose",
+    },
+}
+"""Names and types of the fields of each message, numbered from 1; each after those it uses."""
 
 
 def varint(number: int) -> bytes:
@@ -92,88 +94,6 @@ def delimited(number: int, content: bytes | str) -> bytes:
     return tag(number, LENGTH) + varint(len(data)) + data
 
 
-def described(files: Mapping[str, ProtoFile]) -> bytes:
-    """Return a ``FileDescriptorSet``, the form of a schema in MCAP.
-
-    Parameters
-    ----------
-    files
-        By name, each after those that it imports.
-    """
-    return b"".join(delimited(1, _file(name, file)) for name, file in files.items())
-
-
-def _file(name: str, file: ProtoFile) -> bytes:
-    parts = [delimited(1, name), delimited(2, file.package)]
-    parts += [delimited(3, imported) for imported in file.imports]
-    parts += [delimited(4, _message_descriptor(*message)) for message in file.messages.items()]
-    return b"".join([*parts, delimited(12, "proto3")])
-
-
-def _message_descriptor(name: str, fields: Mapping[str, str]) -> bytes:
-    numbered: Iterable[tuple[int, tuple[str, str]]] = enumerate(fields.items(), 1)
-    parts = (delimited(2, _field_descriptor(*field, number)) for number, field in numbered)
-    return delimited(1, name) + b"".join(parts)
-
-
-def _field_descriptor(name: str, kind: str, number: int) -> bytes:
-    parts = [
-        delimited(1, name),
-        tag(3, VARINT) + varint(number),
-        tag(4, VARINT) + varint(_OPTIONAL),
-        tag(5, VARINT) + varint(_TYPES.get(kind, _MESSAGE)),
-    ]
-    return b"".join(parts if kind in _TYPES else [*parts, delimited(6, kind)])
-
-
-NS_PER_S = 1_000_000_000
-_VARINT_BYTES = 5
-"""Enough for nanoseconds below a second, and for seconds to the year 2262, where int64 ns end."""
-
-_TIMESTAMP = "google/protobuf/timestamp.proto"
-_QUATERNION = "foxglove/Quaternion.proto"
-_VECTOR = "foxglove/Vector3.proto"
-_POSE = "foxglove/Pose.proto"
-
-FILES: Mapping[str, ProtoFile] = {
-    _TIMESTAMP: ProtoFile(
-        "google.protobuf", (), {"Timestamp": {"seconds": "int64", "nanos": "int32"}}
-    ),
-    _QUATERNION: ProtoFile("foxglove", (), {"Quaternion": dict.fromkeys("xyzw", "double")}),
-    _VECTOR: ProtoFile("foxglove", (), {"Vector3": dict.fromkeys("xyz", "double")}),
-    _POSE: ProtoFile(
-        "foxglove",
-        (_QUATERNION, _VECTOR),
-        {"Pose": {"position": ".foxglove.Vector3", "orientation": ".foxglove.Quaternion"}},
-    ),
-    "foxglove/FrameTransform.proto": ProtoFile(
-        "foxglove",
-        (_QUATERNION, _VECTOR, _TIMESTAMP),
-        {
-            "FrameTransform": {
-                "timestamp": ".google.protobuf.Timestamp",
-                "parent_frame_id": "string",
-                "child_frame_id": "string",
-                "translation": ".foxglove.Vector3",
-                "rotation": ".foxglove.Quaternion",
-            }
-        },
-    ),
-    "foxglove/PoseInFrame.proto": ProtoFile(
-        "foxglove",
-        (_POSE, _TIMESTAMP),
-        {
-            "PoseInFrame": {
-                "timestamp": ".google.protobuf.Timestamp",
-                "frame_id": "string",
-                "pose": ".foxglove.Pose",
-            }
-        },
-    ),
-}
-"""The definitions, each after those that it imports."""
-
-
 def schema_of(name: str) -> bytes:
     """Return the definition of a type with all that it uses, as a ``FileDescriptorSet``.
 
@@ -182,10 +102,48 @@ def schema_of(name: str) -> bytes:
     name
         ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``.
     """
-    used = [name.replace(".", "/") + ".proto"]
-    for file in used:
-        used += [imported for imported in FILES[file].imports if imported not in used]
-    return described({file: FILES[file] for file in FILES if file in used})
+    used = [name]
+    for one in used:
+        used += [kind for kind in _DEFINITIONS[one].values() if kind in _DEFINITIONS]
+    return b"".join(delimited(1, _file(one)) for one in _DEFINITIONS if one in used)
+
+
+def _file(name: str) -> bytes:
+    """Return the ``FileDescriptorProto`` of one message, in proto 3."""
+    package, _, short = name.rpartition(".")
+    fields = _DEFINITIONS[name].items()
+    imported = sorted(_file_name(kind) for _, kind in fields if kind in _DEFINITIONS)
+    descriptors = (delimited(2, _field_descriptor(k, *one)) for k, one in enumerate(fields, 1))
+    return b"".join(
+        (
+            delimited(1, _file_name(name)),
+            delimited(2, package),
+            *(delimited(3, file) for file in imported),
+            delimited(4, delimited(1, short) + b"".join(descriptors)),
+            delimited(12, "proto3"),
+        )
+    )
+
+
+def _file_name(name: str) -> str:
+    *folders, own = name.split(".")
+    # Google's files have names in lower case.
+    return "/".join([*folders, own.lower() if "google" in folders else own]) + ".proto"
+
+
+def _field_descriptor(number: int, name: str, kind: str) -> bytes:
+    parts = (
+        delimited(1, name),
+        tag(3, VARINT) + varint(number),
+        tag(4, VARINT) + varint(_OPTIONAL),
+        tag(5, VARINT) + varint(_TYPES.get(kind, _MESSAGE)),
+        b"" if kind in _TYPES else delimited(6, f".{kind}"),
+    )
+    return b"".join(parts)
+
+
+_VARINT_BYTES = 5
+"""Enough for nanoseconds below a second, and for seconds to the year 2262, where int64 ns end."""
 
 
 class FoxgloveEncoder:
@@ -207,8 +165,17 @@ class FoxgloveEncoder:
     def __init__(self, message: Message) -> None:
         name = message.definition.name
         self.topic = Topic(message.topic_name, name, "protobuf", "protobuf", schema_of(name))
+        # Zeros stand for what differs from message to message.
+        content: Mapping[str, bytes | str] = {
+            "stamp": _STAMP,
+            "frame": message.frame,
+            "child": message.child,
+            "position": _ORIGIN,
+            "xyzw": _ROTATION,
+            "pose": delimited(1, _ORIGIN) + delimited(2, _ROTATION),
+        }
         template = b"".join(
-            delimited(number, _field(part, message))
+            delimited(number, content[part])
             for number, part in enumerate(message.definition.parts, 1)
         )
         # All of them begin with the stamp and end with the quaternion.
@@ -264,16 +231,3 @@ _STAMP = tag(1, VARINT) + bytes(_VARINT_BYTES) + tag(2, VARINT) + bytes(_VARINT_
 _ROTATION = b"".join(tag(number, FIXED64) + bytes(8) for number in range(1, 5))
 _ORIGIN = b""
 """A vector of zeros is an empty message."""
-
-
-def _field(part: str, message: Message) -> bytes | str:
-    """Return a field of a message, with zeros for what differs from message to message."""
-    content: Mapping[str, bytes | str] = {
-        "stamp": _STAMP,
-        "frame": message.frame,
-        "child": message.child,
-        "position": _ORIGIN,
-        "xyzw": _ROTATION,
-        "pose": delimited(1, _ORIGIN) + delimited(2, _ROTATION),
-    }
-    return content[part]

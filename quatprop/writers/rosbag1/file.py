@@ -18,10 +18,11 @@ import lz4.frame
 import numpy as np
 
 from quatprop.concurrency.threads import OrderedThreadPool
+from quatprop.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, block_slices, provenance_json
 from quatprop.writers.rosbag1 import records
-from quatprop.writers.rosbag1.records import MAGIC, NS_PER_S, ChunkInfo, u4
+from quatprop.writers.rosbag1.records import MAGIC, ChunkInfo, u4
 from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:

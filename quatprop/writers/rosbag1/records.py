@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.times import NS_PER_S
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.arrays import Int64, Records
 
 MAGIC = b"#ROSBAG V2.0\n"
-NS_PER_S = 1_000_000_000
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
 """Kinds of records."""
 
