@@ -7,6 +7,7 @@ the start.
 
 from __future__ import annotations
 
+import gc
 import sys
 from typing import TYPE_CHECKING
 
@@ -15,12 +16,16 @@ if TYPE_CHECKING:
 
     cli: click.Group
 
+NEW_OBJECTS = 10_000
+"""After so many new objects garbage is looked for: modules make many, and none of it is garbage."""
+
 
 def main() -> None:
     """Run the command line and exit with its code."""
     from quatprop.cli.interruption import handle_signals
 
     handle_signals()
+    gc.set_threshold(NEW_OBJECTS)
     from quatprop.cli.commands import FAILED, cli
 
     try:
