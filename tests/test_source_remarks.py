@@ -19,8 +19,11 @@ T0 = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
 
 
-def bag(path, stamps):
-    """Write Imu messages with these header stamps, ns, recorded every 10 ms from T0 on."""
+def bag(path, stamps, frames=("imu",)):
+    """Write Imu messages with these header stamps, ns, recorded every 10 ms from T0 on.
+
+    Their frames take turns.
+    """
     types = STORE.types
     vector, zeros = types["geometry_msgs/msg/Vector3"], np.zeros(9)
     attitude = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -30,7 +33,7 @@ def bag(path, stamps):
             time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
             rate = vector(0.1, 0.2, 0.3 + 0.01 * (number % 7))
             message = types[IMU](
-                types["std_msgs/msg/Header"](0, time, "imu"),
+                types["std_msgs/msg/Header"](0, time, frames[number % len(frames)]),
                 *(attitude, zeros, rate, zeros, vector(0.0, 0.0, 9.8), zeros),
             )
             packed = STORE.serialize_ros1(message, IMU)
@@ -70,6 +73,17 @@ def test_stamps_of_zero_are_counted(tmp_path):
     said = remarks(bag(tmp_path / "log.bag", stamps), tmp_path)
     zeros = "3 of the first 50 header stamps are zero; for the time of recording choose clock='log'"
     assert said[-1] == zeros
+
+
+def test_several_sensors_on_one_topic_are_remarked_on(tmp_path):
+    """Two drivers that publish to the same topic differ in the frame of their messages."""
+    stamps = [T0 + k * STEP_NS for k in range(50)]
+    assert remarks(bag(tmp_path / "log.bag", stamps, ("/imu", "imu")), tmp_path) == []
+    (said,) = remarks(bag(tmp_path / "two.bag", stamps, ("left", "right_imu")), tmp_path)
+    assert said == (
+        "its messages are in several frames, 'left', 'right_imu': if they are those of several "
+        "sensors, the rates are mixed; record each on a topic of its own"
+    )
 
 
 def test_a_unit_against_the_definition_is_said(tmp_path):

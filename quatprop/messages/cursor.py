@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from quatprop.messages.placement import Placement
     from quatprop.messages.schema import Type
 
+_FIRST = 200
+"""Messages that :func:`first_names` reads."""
+
 
 class ShortMessageError(Exception):
     """Some messages end too early."""
@@ -103,7 +106,7 @@ class Cursor:
         return Names(begin, length)
 
     def skip(self, kind: Type) -> None:
-        """Pass over a number, a string or a struct of them; there is one message only."""
+        """Pass over a number, a string or a struct of them."""
         match kind:
             case Primitive():
                 self.numbers(kind.code)
@@ -141,7 +144,7 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
         raise ShortMessageError(short)
     identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
     cursors = []
-    for identifier in np.unique(identifiers).tolist():
+    for identifier in sorted({*identifiers.tolist()}):
         placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
         if placement is not XCDR1:
             raise UnsupportedLogError(
@@ -154,10 +157,10 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
     return cursors
 
 
-def first_name(
+def first_names(
     channel: Channel, block: MessageBlock, root: Struct, field_path: str, path: Path | str
-) -> str | None:
-    """Return a string in the first message of a block; None where it cannot be reached.
+) -> list[str]:
+    """Return a string in each of the first messages of a block; none where it cannot be reached.
 
     Parameters
     ----------
@@ -172,16 +175,17 @@ def first_name(
     """
     try:
         cursor = cursors_of(channel, block, path)[0]
-        cursor.keep(cursor.messages == cursor.messages[0])
+        cursor.keep(np.arange(len(cursor.messages)) < _FIRST)
         here: Type = root
         for step in field_path.split("."):
             if not isinstance(here, Struct):
-                return None
+                return []
             for name, kind in here.fields:
                 if name == step:
                     here = kind
                     break
                 cursor.skip(kind)
-        return cursor.name().text(block, 0) if isinstance(here, String) else None
+        names = cursor.name()
+        return [names.text(block, row) for row in range(len(names.begin))]
     except (ShortMessageError, SkipError):
-        return None
+        return []

@@ -19,8 +19,9 @@ from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.sensor_frames import sensor_frames
 from quatprop.tables.base import TableLog
-from quatprop.text import Setting, Text
+from quatprop.text import Setting, Text, listed
 from quatprop.times import utc_text
 
 if TYPE_CHECKING:
@@ -66,7 +67,26 @@ def log_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
         The rates.
     """
     with beginnings_kept(log):
-        return [*stamp_remarks(source), *orientation_remarks(log, source)]
+        return [
+            *stamp_remarks(source),
+            *frame_remarks(log, source),
+            *orientation_remarks(log, source),
+        ]
+
+
+def frame_remarks(log: AnyLog, source: RateSignal) -> list[str]:
+    """Return a remark if the frames of the first messages are those of several sensors."""
+    try:
+        frames = [] if isinstance(log, TableLog) else [*dict.fromkeys(sensor_frames(log, source))]
+    except QuatpropError:
+        return []  # of messages that are encapsulated in a way of which no names are read
+    if len(frames) < 2:  # noqa: PLR2004  # several
+        return []
+    said = (
+        f"its messages are in several frames, {listed(frames)}: if they are those of several "
+        "sensors, the rates are mixed; record each on a topic of its own"
+    )
+    return [said]
 
 
 def stamp_remarks(source: RateSignal) -> list[Text]:

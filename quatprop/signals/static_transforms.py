@@ -16,12 +16,10 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.messages.cursor import first_name
-from quatprop.messages.definitions import message_type
 from quatprop.messages.message_types import TRANSFORM_LISTS
-from quatprop.messages.schema import String, find
 from quatprop.messages.transforms import TransformDecoder
 from quatprop.signals.message_values import channels_of
+from quatprop.signals.sensor_frames import ENCODINGS, bare_frame, sensor_frames
 from quatprop.tables.base import TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -39,9 +37,6 @@ STATIC_TOPIC = "tf_static"
 
 GIVEN = Setting("mount", "W,X,Y,Z|x,-y,-z")
 """A mounting that the log need not know."""
-
-ENCODINGS = ("cdr", "ros1")
-"""Encodings whose lists of transforms and names of frames are read."""
 
 
 def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameMounting:
@@ -65,8 +60,12 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     if log is None or isinstance(log, TableLog):
         mount = Setting("mount", f"tf:{frame}")
         raise UsageError(f"{mount} needs a log of messages with /tf_static")
-    sensor = _sensor_frame(log, source)
-    wanted = _bare(frame)
+    sensor, wanted = next(iter(sensor_frames(log, source)), ""), bare_frame(frame)
+    if not sensor:
+        raise UsageError(
+            f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
+            f"their sensor; give {GIVEN}"
+        )
     steps = _static_steps(log)
     paths: dict[str, tuple[Float64, tuple[str, ...]]] = {sensor: (IDENTITY, (sensor,))}
     waiting = [sensor]
@@ -90,28 +89,6 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     return FrameMounting(rotation_matrix(normalize(wxyz)), frames)
 
 
-def _sensor_frame(log: MessageLog, source: RateSignal) -> str:
-    """Return the frame in the header of the first message with rates, the innermost header."""
-    levels = source.field.split(",")[0].split(".")[:-1]
-    names = [
-        ".".join((*levels[:count], "header", "frame_id")) for count in range(len(levels), -1, -1)
-    ]
-    for channel in channels_of(log, source.name):
-        if channel.type_name != source.type_name or channel.encoding not in ENCODINGS:
-            continue
-        root = message_type(channel, log.path)
-        for name in names:
-            block = next((block for block in log.blocks(channel) if len(block)), None)
-            if block is not None and isinstance(find(root, name), String):
-                frame = first_name(channel, block, root, name, log.path)
-                if frame:
-                    return _bare(frame)
-    raise UsageError(
-        f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
-        f"their sensor; give {GIVEN}"
-    )
-
-
 def _static_steps(log: MessageLog) -> Steps:
     """Return the rotations between neighbouring frames; of several for a frame the last counts."""
     parents: dict[str, tuple[str, Float64]] = {}
@@ -128,7 +105,7 @@ def _static_steps(log: MessageLog) -> Steps:
         for block in log.blocks(channel):
             transforms = decoder.transforms(block)
             for number, wxyz in zip(transforms.frames.tolist(), transforms.wxyz, strict=True):
-                parent, child = (_bare(name) for name in decoder.frames[number])
+                parent, child = (bare_frame(name) for name in decoder.frames[number])
                 if abs(float(np.linalg.norm(wxyz)) - 1) > UNIT_TOLERANCE:
                     raise UsageError(
                         f"{plain(log.path)}: the transform from {quoted(child)} to "
@@ -140,8 +117,3 @@ def _static_steps(log: MessageLog) -> Steps:
         steps.setdefault(child, {})[parent] = wxyz
         steps.setdefault(parent, {})[child] = conjugate(wxyz)
     return steps
-
-
-def _bare(frame: str) -> str:
-    """Return the name of a frame as tf2 has it: tf began them with a slash."""
-    return frame.removeprefix("/")
