@@ -16,7 +16,7 @@ from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate
-from quatprop.timeline.counts import StampCounts
+from quatprop.timeline.counts import Counts
 
 MS = 1_000_000
 
@@ -33,7 +33,7 @@ def watched(rate, dt_ms=10, size=10_000):
     assert (passed.t_ns == t_ns).all()
     assert np.array_equal(passed.rate, rate, equal_nan=True)
     last_ns = int(t_ns[-1])
-    counts = StampCounts(used=len(t_ns), first_ns=0, last_ns=last_ns, median_dt_ns=dt_ms * MS)
+    counts = Counts(used=len(t_ns), first_ns=0, last_ns=last_ns, median_dt_ns=dt_ms * MS)
     return list(map(str, watch.remarks(counts)))
 
 

@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from quatprop.cli import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
-from quatprop.plot.files import view_file
+from quatprop.plot.files import View, view_file
 from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
-from quatprop.plot.view import View
 from quatprop.rendering import instant_text
 
 T0 = 1_700_000_000_000_000_000
@@ -679,7 +678,7 @@ def test_only_what_draws_knows_of_matplotlib():
     """What is reduced and shown is told apart from how it is drawn."""
     room = Path(draw.__file__).parent
     know = {path.name for path in room.glob("*.py") if "matplotlib." in path.read_text()}
-    assert know == {"draw.py", "axes.py"}
+    assert know == {"draw.py", "figure.py", "axes.py"}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import quatprop
 from quatprop.cli import cli
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import GyroSeries
-from quatprop.timeline.counts import StampCounts
+from quatprop.timeline.counts import Counts
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = STORE.types
@@ -132,7 +132,7 @@ def remarks(rate, step_ns=5_000_000):
     """Return the remarks on rates at regular times."""
     checks, t_ns = RateChecks(), np.arange(len(rate)) * step_ns
     list(checks.observe([GyroSeries(t_ns, np.asarray(rate, dtype=np.float64))]))
-    counts = StampCounts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
+    counts = Counts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
     return list(map(str, checks.remarks(counts)))
 
 
@@ -207,7 +207,7 @@ def test_recordings_are_plausible(shared_logs):
         found = Recording(shared_logs, name)
         checks = RateChecks()
         list(checks.observe([GyroSeries(found.t_ns, found.rate)]))
-        counts = StampCounts(
+        counts = Counts(
             used=len(found.t_ns),
             first_ns=int(found.t_ns[0]),
             last_ns=int(found.t_ns[-1]),

@@ -26,7 +26,7 @@ from quatprop.text import Setting, plain
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.plot.draw import Style
+    from quatprop.plot.figure import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
 """Settings about attitudes alone."""
@@ -97,8 +97,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """
     from quatprop.cli.progress import progress
     from quatprop.conditioning import Conditioning
+    from quatprop.plot.files import View
     from quatprop.plot.run import plot
-    from quatprop.plot.view import View
     from quatprop.selection import RateSelection
 
     reference = chosen["reference"]
@@ -137,7 +137,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 def _style(chosen: Mapping[str, Any]) -> Style:
     """Return how large the picture is to be."""
-    from quatprop.plot.draw import STYLE, Style
+    from quatprop.plot.figure import STYLE, Style
 
     width, height = chosen["size"] or (STYLE.width, None)
     dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font

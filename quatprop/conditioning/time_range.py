@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.conditioning import Conditioning, ConditioningReport
-    from quatprop.series import GyroSeries
+    from quatprop.series import AttitudeSeries, GyroSeries
+
+Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +109,8 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iter
 
 
 def clipped(
-    batches: Iterable[GyroSeries], start_ns: int | None, end_ns: int | None, outside: list[int]
-) -> Iterator[GyroSeries]:
+    batches: Iterable[Series], start_ns: int | None, end_ns: int | None, outside: list[int]
+) -> Iterator[Series]:
     """Yield the samples with start <= t <= end; None leaves an end open.
 
     The samples before and after are counted in the two numbers of `outside`.

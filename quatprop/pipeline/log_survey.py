@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Loss
     from quatprop.provenance import JsonObject
     from quatprop.text import Text
-    from quatprop.timeline.counts import StampCounts
+    from quatprop.timeline.counts import Counts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +127,7 @@ class LogSurvey:
     losses: tuple[Loss, ...]
 
 
-def timing(counts: StampCounts) -> dict[str, Any]:
+def timing(counts: Counts) -> dict[str, Any]:
     """Return what a survey says of stamps, by name."""
     span_s = counts.span_ns * 1e-9
     return {

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Bool, Float64
     from quatprop.series import GyroSeries
-    from quatprop.timeline.counts import StampCounts
+    from quatprop.timeline.counts import Counts
 
 
 WIDEST_RANGE = math.radians(4000.0)
@@ -134,7 +134,7 @@ class RateChecks:
         self._different += int(np.count_nonzero((~equal & counted)[new]))
         return np.concatenate([[False], equal])
 
-    def remarks(self, counts: StampCounts) -> list[str | Text]:
+    def remarks(self, counts: Counts) -> list[str | Text]:
         """Return a sentence for each finding.
 
         Parameters
@@ -200,7 +200,7 @@ class RateChecks:
             )
 
 
-def _interval_s(counts: StampCounts) -> float | None:
+def _interval_s(counts: Counts) -> float | None:
     """Return the usual interval, s: where several samples share a stamp, that of the samples."""
     if counts.median_dt_ns is None:
         return None

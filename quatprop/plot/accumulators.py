@@ -12,17 +12,14 @@ from quatprop.conventions.representations import euler_angles
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot.lines import TURN, Unwrap
 from quatprop.plot.reduction import Reduction
+from quatprop.signals.rates import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Float64, Int64
     from quatprop.plot.reduction import Reduced
     from quatprop.series import AttitudeSeries, GyroSeries
-
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
 
 ZERO = 1e-6
 """Norms below this are zero: no rotation can be computed from them."""
@@ -95,10 +92,8 @@ ANGLES = (
 COMPONENTS = (*(Quantity(f"q{axis}", "", axis) for axis in "wxyz"), EXPECTED, NORM_ERROR)
 """An attitude as its quaternion."""
 
-GEODESIC = Quantity("geodesic error", "deg", height=2.0)
-
 ERROR = (
-    GEODESIC,
+    Quantity("geodesic error", "deg", height=2.0),
     *(Quantity(f"error {axis}", "deg", axis, least=1e-12, is_error=True) for axis in "xyz"),
 )
 """The angle of an error, and its rotation vector about the body axes."""
@@ -139,11 +134,8 @@ class Accumulator:
         self._reduction = Reduction(len(quantities) * (2 if has_sigmas else 1))
 
     def add(self, t_ns: Int64, values: Float64, sigmas: Float64 | None = None) -> None:
-        """Add samples: stamps ``(N,)``, int64 ns; values, and sigmas, ``(quantities, N)``."""
-        if self.has_sigmas:
-            unknown = np.full(values.shape, np.nan)
-            values = np.concatenate([values, unknown if sigmas is None else sigmas])
-        self._reduction.add(t_ns, values)
+        """Add samples: stamps ``(N,)``, ns; values, and sigmas if any, ``(quantities, N)``."""
+        self._reduction.add(t_ns, values if sigmas is None else np.concatenate([values, sigmas]))
 
     def group(self, gap_limit_ns: int | None) -> Group:
         """Return what was added, with the longest interval that is no gap, ns."""
@@ -157,13 +149,11 @@ class RateAccumulator(Accumulator):
     ----------
     unit
         Unit in which they are drawn.
-    rad_s
-        That unit in rad/s.
     """
 
-    def __init__(self, unit: str, rad_s: float) -> None:
+    def __init__(self, unit: str) -> None:
         super().__init__(tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz"))
-        self._scale = 1.0 / rad_s
+        self._scale = 1.0 / UNITS[unit]
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the batches as they are, having accumulated them."""
@@ -200,27 +190,14 @@ class AttitudeAccumulator(Accumulator):
     def __init__(
         self, *, components: bool = False, unwrap: bool = False, has_sigmas: bool = False
     ) -> None:
-        angles: tuple[Quantity, ...] = ANGLES
-        if unwrap:
-            angles = tuple(replace(angle, wraps=False) for angle in ANGLES)
+        angles = tuple(replace(angle, wraps=angle.wraps and not unwrap) for angle in ANGLES)
         super().__init__(COMPONENTS if components else angles, has_sigmas=has_sigmas)
         self._signs = Signs("continuous") if components else None
         self._unwrap = Unwrap(2)
         self.invalid, self.knows_sigmas = 0, False
         self.norm_error = 0.0
 
-    def add_rows(self, t_ns: Int64, wxyz: Float64, covariance: Float64 | None = None) -> None:
-        """Add quaternions wxyz, shape ``(N, 4)``, of any norm.
-
-        Parameters
-        ----------
-        t_ns
-            Stamps, shape ``(N,)``, ns.
-        wxyz
-            Attitudes.
-        covariance
-            About body axes, shape ``(N, 3, 3)``, rad^2.
-        """
+    def _add_attitudes(self, t_ns: Int64, wxyz: Float64, covariance: Float64 | None) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz))
         good = np.isfinite(length) & (length > ZERO)
@@ -230,18 +207,17 @@ class AttitudeAccumulator(Accumulator):
         )
         values = np.full((len(self.quantities), len(t_ns)), np.nan)
         values[-1] = np.where(good, length - 1, np.nan)
-        sigmas = None
-        if self.has_sigmas and covariance is not None:
-            sigmas = np.full(values.shape, np.nan)
+        sigmas = np.full(values.shape, np.nan) if self.has_sigmas else None
+        if sigmas is not None and covariance is not None:
             sigmas[:-2, good] = self._sigmas(wxyz[good], covariance[good])
             values[-2] = np.degrees(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
             self.knows_sigmas |= bool((values[-2] > 0).any())
         if self._signs is not None:
-            values[:-2, good] = self._signs.applied(wxyz[good]).T
+            drawn = self._signs.applied(wxyz[good]).T
         else:
-            angles = self._drawn(wxyz[good])
-            angles[[0, 2]] = self._unwrap.applied(angles[[0, 2]])
-            values[:-2, good] = angles
+            drawn = self._drawn(wxyz[good])
+            drawn[[0, 2]] = self._unwrap.applied(drawn[[0, 2]])
+        values[:-2, good] = drawn
         self.add(t_ns, values, sigmas)
 
     def _drawn(self, wxyz: Float64) -> Float64:
@@ -261,7 +237,7 @@ class AttitudeAccumulator(Accumulator):
             return np.asarray(np.sqrt(np.minimum(variance, (TURN / 2) ** 2)))
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the batches as they are, having accumulated them."""
+        """Yield attitudes of any norm as they are, having accumulated them."""
         for batch in batches:
-            self.add_rows(batch.t_ns, batch.wxyz, batch.covariance)
+            self._add_attitudes(batch.t_ns, batch.wxyz, batch.covariance)
             yield batch

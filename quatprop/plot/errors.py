@@ -83,7 +83,10 @@ def error_page(
         Writes a sentence that may mention settings.
     """
     first, single = files[0].comparison, len(files) == 1
-    how = f"alignment {first.alignment.name}{_offset(first)}, {_matched(first)}"
+    offset_ns = first.time_offset.added_to_b_ns
+    shifted = f", reference {duration_text(offset_ns)} later" if offset_ns else ""
+    pairs = f"{len(first.t_ns):,} {MATCHES[first.association.match]}"
+    how = f"alignment {first.alignment.name}{shifted}, {pairs}"
     about = "angle, and rotation vector about the body axes"
     if any(file.comparison.sigmas for file in files):
         about += f" ({SIGMA_BAND})"
@@ -106,11 +109,10 @@ def error_page(
 
 def _plotted(file: ComparedFile) -> PlottedFile:
     comparison = file.comparison
-    vectors = np.degrees(comparison.error_vectors)
-    values = np.column_stack([np.degrees(comparison.errors), vectors])
+    values = np.column_stack([comparison.errors, comparison.error_vectors])
     sigmas = None
     if comparison.sigmas:
-        sigmas = np.degrees(np.insert(comparison.sigmas.axes_rad, 0, np.nan, axis=1)).T
+        sigmas = np.insert(comparison.sigmas.axes_rad, 0, np.nan, axis=1).T
     return _line(file.name, comparison.t_ns, values.T, _sizes(comparison), sigmas)
 
 
@@ -119,11 +121,10 @@ def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
     if (window := comparison.window) is not None:
         text = f"max {degrees_text(window.max_rad, DIGITS)}, from where each begins"
         name = f"over {duration_text(window.window_ns)}"
-        yield _line(name, window.begins_ns, np.degrees(window.errors)[None], text)
+        yield _line(name, window.begins_ns, window.errors[None], text)
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigma_text(sigmas.final)}"
-        angles = np.degrees(sigmas.one_sigma_rad)[None]
-        yield _line("expected (1 sigma)", comparison.t_ns, angles, text)
+        yield _line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad[None], text)
 
 
 def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFile]:
@@ -132,59 +133,46 @@ def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFil
         sigmas, is_largest = file.comparison.sigmas, criterion.setting in {"tol", "max_sigma"}
         if sigmas and criterion.unit == "sigma" and is_largest:
             name = f"tolerance ({criterion.limit:g} sigma{'' if single else f', {file.name}'})"
-            angles = np.degrees(criterion.limit * sigmas.one_sigma_rad)[None]
+            angles = criterion.limit * sigmas.one_sigma_rad
             text = f"the largest is {sigma_text(criterion.value)}"
-            yield _line(name, file.comparison.t_ns, angles, text)
+            yield _line(name, file.comparison.t_ns, angles[None], text)
 
 
 def _line(
-    name: str, t_ns: Int64, degrees: Float64, text: str, sigmas: Float64 | None = None
+    name: str, t_ns: Int64, angles: Float64, text: str, sigmas: Float64 | None = None
 ) -> PlottedFile:
-    accumulated = Accumulator(ERROR[: len(degrees)], has_sigmas=sigmas is not None)
-    accumulated.add(t_ns, degrees, sigmas)
+    accumulated = Accumulator(ERROR[: len(angles)], has_sigmas=sigmas is not None)
+    accumulated.add(t_ns, np.degrees(angles), None if sigmas is None else np.degrees(sigmas))
     median = int(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0
     return PlottedFile(name, (accumulated.group(GAP_FACTOR * median or None),), text)
 
 
 def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
     """Draw the tolerance; for a single series also the first sample above it, and the worst."""
-    panel, *others = drawn.panels
     comparison = files[0].comparison
     tolerance, first = comparison.tolerance_rad, comparison.first_exceeding
     worst = comparison.worst
     level = None
     if tolerance is not None:
         level = (math.degrees(tolerance), f"tolerance {degrees_text(tolerance, DIGITS)}")
-    marks: tuple[Mark, ...] = ()
+
+    def mark(sample: ComparedSample, sign: str, text: str) -> Mark:
+        seconds = (sample.t_ns - drawn.starts[0]) * 1e-9
+        return Mark(seconds, math.degrees(sample.error_rad), f"{text} at {seconds:.6g} s", sign)
+
+    marks = []
     if len(files) == 1:
-        start_ns, above = drawn.starts[0], "first above the tolerance"
-        text = f"worst: {degrees_text(worst.error_rad, DIGITS)}"
-        if first == worst:
-            text = f"{above}, and {text}"
-        marks = (_mark(worst, start_ns, "worst", text),)
+        above, text = "first above the tolerance", f"worst: {degrees_text(worst.error_rad, DIGITS)}"
         if first is not None and first != worst:
-            marks = (_mark(first, start_ns, "first", above), *marks)
-    return replace(drawn, panels=(replace(panel, level=level, marks=marks), *others))
-
-
-def _mark(sample: ComparedSample, start_ns: int, sign: str, text: str) -> Mark:
-    seconds = (sample.t_ns - start_ns) * 1e-9
-    return Mark(seconds, math.degrees(sample.error_rad), f"{text} at {seconds:.6g} s", sign)
+            marks.append(mark(first, "first", above))
+        marks.append(mark(worst, "worst", f"{above}, and {text}" if first == worst else text))
+    errors = replace(drawn.panels[0], level=level, marks=tuple(marks))
+    return replace(drawn, panels=(errors, *drawn.panels[1:]))
 
 
 def _sizes(comparison: Comparison) -> str:
     largest, rms = comparison.error_rad.max, comparison.error_rad.rms
     return f"max {degrees_text(largest, DIGITS)}, RMS {degrees_text(rms, DIGITS)}"
-
-
-def _matched(comparison: Comparison) -> str:
-    return f"{len(comparison.t_ns):,} {MATCHES[comparison.association.match]}"
-
-
-def _offset(comparison: Comparison) -> str:
-    """Return how far the reference was shifted in time, if it was."""
-    offset_ns = comparison.time_offset.added_to_b_ns
-    return f", reference {duration_text(offset_ns)} later" if offset_ns else ""
 
 
 def _verdict(file: ComparedFile) -> str:

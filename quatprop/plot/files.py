@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
-from quatprop.conditioning import condition
-from quatprop.conditioning.time_range import absolute_range
+from quatprop.conditioning import Conditioning, condition
+from quatprop.conditioning.time_range import absolute_range, clipped
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -24,31 +23,85 @@ from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import PlottedFile
-from quatprop.plot.view import FileView
 from quatprop.rendering import count_text, instant_text, samples_text, source_text
+from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.signals.signal import RateSignal
 from quatprop.text import Setting, plain
 from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Counts
 from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
+    from quatprop.containers.base import Loss
     from quatprop.plot.accumulators import Accumulator
-    from quatprop.plot.view import View
     from quatprop.rendering import Row
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
-    from quatprop.timeline.counts import StampCounts
+    from quatprop.text import Text
+    from quatprop.timeline.counts import Counts
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What to draw of files.
+
+    Parameters
+    ----------
+    kind
+        A key of :data:`quatprop.log_kinds.READERS`; None: by content and suffix.
+    show
+        None: the rates of a file that has some, else its attitudes.
+    rates, attitudes
+        Which samples.
+    components
+        Draw quaternions as they are instead of as angles.
+    unwrap
+        Draw angles beyond half a turn.
+    part
+        Start and end of the part to draw, ends included.
+    """
+
+    kind: str | None = None
+    show: Literal["rates", "attitude"] | None = None
+    rates: RateSelection = field(default_factory=RateSelection)
+    attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
+    components: bool = False
+    unwrap: bool = False
+    part: Conditioning = field(default_factory=Conditioning)
+
+
+@dataclass(frozen=True, slots=True)
+class FileView:
+    """What is shown of one file.
+
+    Parameters
+    ----------
+    plotted
+        What is drawn of it, labelled with its path.
+    meaning
+        Unit and clock of its numbers, or convention and method.
+    samples
+        How many, over which time.
+    facts
+        Rows of its table.
+    remarks
+        What a reader should know.
+    losses
+        What could not be read.
+    """
+
+    plotted: PlottedFile
+    meaning: str
+    samples: str
+    facts: tuple[Row, ...]
+    remarks: tuple[str | Text, ...]
+    losses: tuple[Loss, ...]
+
 
 DRAWN_AS = {
     False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
@@ -75,10 +128,10 @@ def view_file(path: str, view: View) -> FileView:
         It can be read only once, and would have to be read twice.
     """
     with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
-        name, signal = without_secret(path), _choose(log, view)
+        signal = _choose(log, view)
         if isinstance(signal, RateSignal):
-            return _view_rates(name, log, signal, view)
-        return _view_attitudes(name, log, signal, view)
+            return _view_rates(without_secret(path), log, signal, view)
+        return _view_attitudes(without_secret(path), log, signal, view)
 
 
 def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
@@ -116,27 +169,22 @@ def _neither(log: AnyLog, rates: LogError, attitudes: LogError) -> LogError:
 
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
     batches, done = condition(source.batches, view.part, UNITS[source.unit])
-    drawn, checks = RateAccumulator(source.unit, UNITS[source.unit]), RateChecks()
-    timeline = Timeline(OBSERVE, path)
+    drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
     counts = timeline.counts
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside)
-    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts)]
-    remarks += log.remarks
+    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts), *log.remarks]
     if path != "-":
         remarks += log_remarks(log, source)
+    convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
+    about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
+    last = ("largest rate", f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}")
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns),
-        facts=(
-            *_source_facts(path, log, source),
-            ("convention", "rates as recorded, in the axes of the sensor; nothing subtracted"),
-            ("rate", f"{source.field} in {source.unit}"),
-            *_time_facts(counts),
-            ("largest rate", f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}"),
-        ),
+        facts=(*_facts(path, log, source, about, counts), last),
         remarks=tuple(remarks),
         losses=tuple(log.losses),
     )
@@ -148,7 +196,10 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     )
     outside, stamps = [0, 0], StampChecks(path)
     counts = stamps.counts
-    deque(stamps.observe(_drawn(source, view, drawn, outside)), maxlen=0)
+    covariances = source.may_have_covariances
+    read = (AttitudeSeries(*row) for row in source.read(covariances=covariances))
+    part = clipped(read, *_range(source, view), outside)
+    deque(stamps.observe(batch.t_ns for batch in drawn.passing(part)), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside)
     remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
@@ -161,38 +212,41 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
     propagated = f", propagated with method {method}" if method else ""
     stored = f"{source.meaning.convention} {source.meaning.direction}"
+    about = [
+        ("convention", HAMILTON.description),
+        ("drawn as", DRAWN_AS[view.components]),
+        ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
+        *([("method", method)] if method else []),
+    ]
+    last = ("norm error", f"at most {drawn.norm_error:.3g}")
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns),
-        facts=(
-            *_source_facts(path, log, source),
-            ("convention", HAMILTON.description),
-            ("drawn as", DRAWN_AS[view.components]),
-            ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
-            *((("method", method),) if method else ()),
-            *_time_facts(counts),
-            ("norm error", f"at most {drawn.norm_error:.3g}"),
-        ),
+        facts=(*_facts(path, log, source, about, counts), last),
         remarks=tuple(remarks),
         losses=tuple(log.losses),
     )
 
 
 def _plotted(
-    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: StampCounts
+    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
 ) -> PlottedFile:
     shown = source_text(source.name, source.type_name)
     return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
 
 
-def _source_facts(path: str, log: AnyLog, source: RateSignal | AttitudeSignal) -> Iterator[Row]:
+def _facts(
+    path: str,
+    log: AnyLog,
+    source: RateSignal | AttitudeSignal,
+    about: Iterable[Row],
+    counts: Counts,
+) -> Iterator[Row]:
     yield "file", f"{path} ({log.kind})"
     yield "source", source_text(source.name, source.type_name)
     yield "clock", source.clock
-
-
-def _time_facts(counts: StampCounts) -> Iterator[Row]:
+    yield from about
     yield "samples", samples_text(counts.used, counts.span_ns)
     for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
         yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
@@ -201,38 +255,25 @@ def _time_facts(counts: StampCounts) -> Iterator[Row]:
         yield "interval", f"median {median}, longest {longest}"
 
 
-def _irregularities(counts: StampCounts) -> Iterator[str]:
+def _irregularities(counts: Counts) -> Iterator[str]:
     """Yield a sentence for each kind of irregularity."""
     limit = duration_text(counts.gap_limit_ns or 0)
     longest = duration_text(counts.max_dt_ns or 0)
-    events = [
+    for event, noun, details in (
         (counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
         (counts.duplicates, "repeated timestamp", ""),
         (counts.backwards, "non-monotonic timestamp", ""),
-    ]
-    if isinstance(counts, Counts):
-        events.append((counts.nonfinite, "non-finite rate", " (not drawn)"))
-    for event, noun, details in events:
+        (counts.nonfinite, "non-finite rate", " (not drawn)"),
+    ):
         if event.count:
             yield f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
 
 
-def _drawn(
-    source: AttitudeSignal, view: View, drawn: AttitudeAccumulator, outside: list[int]
-) -> Iterator[Int64]:
-    """Accumulate the part to draw and yield its stamps; count the samples before and after it."""
+def _range(source: AttitudeSignal, view: View) -> tuple[int | None, int | None]:
+    """Return the first and the last stamp to draw, ns; None is open."""
     ends = (0, 0)
     if view.part.looks_ahead:
         stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
         if stamps:
             ends = stamps[0][0], stamps[-1][1]
-    start_ns, end_ns = absolute_range(view.part, *ends)
-    for t_ns, wxyz, _, covariance in source.read(covariances=source.may_have_covariances):
-        before = np.zeros(len(t_ns), np.bool_) if start_ns is None else t_ns < start_ns
-        after = np.zeros(len(t_ns), np.bool_) if end_ns is None else t_ns > end_ns
-        outside[0] += int(np.count_nonzero(before))
-        outside[1] += int(np.count_nonzero(after))
-        inside = ~(before | after)
-        known = None if covariance is None else covariance[inside]
-        drawn.add_rows(t_ns[inside], wxyz[inside], known)
-        yield t_ns[inside]
+    return absolute_range(view.part, *ends)

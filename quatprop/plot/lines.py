@@ -63,8 +63,6 @@ class Unwrap:
 def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
     """Return the gaps between bins as first and last stamps, shape ``(G, 2)``, int64 ns.
 
-    Gaps inside a bin are narrower than a dot.
-
     Parameters
     ----------
     reduced
@@ -72,11 +70,8 @@ def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
     limit_ns
         Intervals longer than this are gaps, ns; None: there are no gaps.
     """
-    if limit_ns is None:
-        return np.empty((0, 2), np.int64)
-    before, after = reduced.last_ns[:-1], reduced.first_ns[1:]
-    long = after - before > limit_ns
-    return np.stack([before[long], after[long]], axis=1)
+    gaps = reduced.gaps(limit_ns)
+    return np.stack([reduced.last_ns[:-1][gaps], reduced.first_ns[1:][gaps]], axis=1)
 
 
 def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = None) -> Line:
@@ -98,16 +93,13 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
     middle, breaks = (begin + end) / 2, np.full(len(reduced), np.nan)
     first, last = reduced.first[trace], reduced.last[trace]
     low, high = reduced.low[trace], reduced.high[trace]
-    broken = np.zeros(len(reduced), dtype=np.bool_)
-    if limit_ns is not None:
-        broken[:-1] = reduced.first_ns[1:] - reduced.last_ns[:-1] > limit_ns
     # An extreme that is also the first or last value would turn a slope into a step.
     drawn = [
         np.ones(len(reduced), dtype=np.bool_),
         ~(low >= np.fmin(first, last)) & ~np.isnan(low),
         ~(high <= np.fmax(first, last)) & ~np.isnan(high),
         ~((begin == end) & (first == last)),
-        broken,
+        np.append(reduced.gaps(limit_ns), False),
     ]
     chosen = np.stack(drawn, axis=1)
     return Line(

@@ -11,6 +11,7 @@ from quatprop.errors import UsageError
 from quatprop.plot.lines import TURN, folded, gaps_in, line
 from quatprop.rendering import instant_text
 from quatprop.text import Setting, plain
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,20 +20,6 @@ if TYPE_CHECKING:
     from quatprop.plot.accumulators import Group, Quantity
     from quatprop.plot.lines import Line
     from quatprop.plot.reduction import Reduced
-
-
-class Band(NamedTuple):
-    """An area between two lines.
-
-    Parameters
-    ----------
-    seconds, low, high
-        Its edges, shape ``(P,)``; NaN in all where it breaks.
-    """
-
-    seconds: Float64
-    low: Float64
-    high: Float64
 
 
 class Curve(NamedTuple):
@@ -45,12 +32,13 @@ class Curve(NamedTuple):
     colour
         A key of :data:`quatprop.plot.palette.AXES`, or the number of the file.
     band
-        The area of one standard deviation; None where it is unknown.
+        The area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each, NaN
+        where it breaks; None where it is unknown.
     """
 
     drawn: Line
     colour: str | int
-    band: Band | None
+    band: tuple[Float64, ...] | None
 
 
 class Mark(NamedTuple):
@@ -200,10 +188,7 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
     return Picture(
         time=time,
         panels=tuple(panels),
-        gaps=tuple(
-            1e-9 * np.asarray(one - start, np.float64)
-            for one, start in zip(gaps, starts, strict=True)
-        ),
+        gaps=tuple((one - start) / NS_PER_S for one, start in zip(gaps, starts, strict=True)),
         starts=tuple(starts),
         bin_s=1e-9 * max(map(_bin_ns, reduced)),
         legend=tuple(file.name for file in files) if several else (),
@@ -220,27 +205,25 @@ def _bin_ns(reduced: Reduced) -> float:
 def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: int) -> Curve:
     group, place = file.traces[quantity]
     drawn = line(group.reduced, place, start_ns, group.gap_limit_ns)
-    band = None
-    if np.isfinite(group.reduced.high[len(group.quantities) + place :][:1]).any():
-        band = _band(group, place, start_ns)
+    band = _band(group, place, start_ns)
     return Curve(folded(drawn) if quantity.wraps else drawn, colour, band)
 
 
-def _band(group: Group, place: int, start_ns: int) -> Band:
+def _band(group: Group, place: int, start_ns: int) -> tuple[Float64, ...] | None:
     """Return the area within a standard deviation of a trace, or, of an error, of zero."""
     quantity, reduced = group.quantities[place], group.reduced
-    sigma = reduced.high[len(group.quantities) + place]
+    sigmas = reduced.high[len(group.quantities) :]
+    if not np.isfinite(sigmas[place : place + 1]).any():
+        return None
+    sigma = sigmas[place]
     low, high = np.zeros(len(sigma)), np.zeros(len(sigma))
     if not quantity.is_error:
         low, high = reduced.low[place], reduced.high[place]
     turns = TURN * np.rint((low + high) / 2 / TURN) if quantity.wraps else np.zeros(len(sigma))
-    breaks = np.diff(turns) != 0
-    if group.gap_limit_ns is not None:
-        breaks |= reduced.first_ns[1:] - reduced.last_ns[:-1] > group.gap_limit_ns
-    (after,) = np.nonzero(breaks)
+    (after,) = np.nonzero((np.diff(turns) != 0) | reduced.gaps(group.gap_limit_ns))
     seconds = ((reduced.first_ns - start_ns) * 1e-9 + (reduced.last_ns - start_ns) * 1e-9) / 2
     edges = (seconds, low - sigma - turns, high + sigma - turns)
-    return Band(*(np.insert(edge, after + 1, np.nan) for edge in edges))
+    return tuple(np.insert(edge, after + 1, np.nan) for edge in edges)
 
 
 def _content(file: PlottedFile) -> str:

@@ -65,7 +65,7 @@ class PropagationPicture(PictureFile):
         inputs = [job.log, *settings.inputs.values()]
         super().__init__(target, inputs, [output.path, output.report], command=command)
         self._spell = spell
-        self._rates = RateAccumulator("rad/s", 1.0)
+        self._rates = RateAccumulator("rad/s")
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
         # Attitudes at other times than those of the samples have other intervals.
         self._resampled = settings.rate is not None or settings.at is not None

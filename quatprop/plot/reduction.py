@@ -22,13 +22,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.timeline.stamps import LONGEST_NS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Bool, Float64, Int64, Intp
 
 BINS = 2048
 """Most bins that are kept; they cover at least half as many dots of a printed page."""
@@ -62,6 +61,14 @@ class Reduced:
 
     def __len__(self) -> int:
         return len(self.first_ns)
+
+    def gaps(self, limit_ns: int | None) -> Bool:
+        """Return after which bins there is a gap, longer than a limit, ns, shape ``(M - 1,)``.
+
+        Gaps inside a bin are narrower than a dot. No limit means no gaps.
+        """
+        limit_ns = LONGEST_NS if limit_ns is None else limit_ns
+        return np.asarray(self.first_ns[1:] - self.last_ns[:-1] > limit_ns)
 
 
 class Reduction:
@@ -130,17 +137,11 @@ class Reduction:
         before = self._shift
         while (high_ns >> self._shift) - (low_ns >> self._shift) >= self._bins:
             self._shift += 1
-        index, new = _merge(
-            t_ns >> self._shift,
-            Reduced(t_ns, t_ns, values, values, values, values),
-        )
+        samples = Reduced(t_ns, t_ns, values, values, values, values)
+        index, new = _merge(t_ns >> self._shift, samples)
         old, kept = self._index >> (self._shift - before), self._kept
-        joined = Reduced(
-            *(
-                np.concatenate([getattr(kept, name), getattr(new, name)], axis=-1)
-                for name in Reduced.__slots__
-            )
-        )
+        both = ((getattr(kept, name), getattr(new, name)) for name in Reduced.__slots__)
+        joined = Reduced(*(np.concatenate(parts, axis=-1) for parts in both))
         self._index, self._kept = _merge(np.concatenate([old, index]), joined)
 
 
@@ -170,16 +171,14 @@ def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
     return index[starts], merged
 
 
-def _rising(t_ns: Int64) -> slice | NDArray[np.intp]:
+def _rising(t_ns: Int64) -> slice | Intp:
     """Return the index that sorts stamps; a slice, which copies nothing, where they are sorted."""
     if (t_ns[1:] >= t_ns[:-1]).all():
         return slice(None)
     return np.argsort(t_ns, kind="stable")
 
 
-def _extremes(
-    plain: np.ufunc, skipping_nan: np.ufunc, values: Float64, starts: NDArray[np.intp]
-) -> Float64:
+def _extremes(plain: np.ufunc, skipping_nan: np.ufunc, values: Float64, starts: Intp) -> Float64:
     """Return the extremes of each run of values; skipping NaN is slower."""
     extreme = skipping_nan if np.isnan(values).any() else plain
     return np.asarray(extreme.reduceat(values, starts, axis=1))

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
-from quatprop.plot.draw import STYLE, Style
 from quatprop.plot.errors import ComparedFile, error_page
+from quatprop.plot.figure import STYLE, Style
 from quatprop.plot.files import view_file
 from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.plot.view import FileView, View
+    from quatprop.plot.files import FileView, View
     from quatprop.rendering import Spell
 
 

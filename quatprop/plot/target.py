@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 from quatprop.containers.stores import without_secret
 from quatprop.errors import OutputError
 from quatprop.pipeline.report import digest_of_input
-from quatprop.plot.draw import STYLE, render, require_matplotlib
+from quatprop.plot.draw import render, require_matplotlib
+from quatprop.plot.figure import STYLE
 from quatprop.plot.page import html
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile, output_errors
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import Self
 
-    from quatprop.plot.draw import Style
+    from quatprop.plot.figure import Style
     from quatprop.plot.page import Page
     from quatprop.rendering import Row
 

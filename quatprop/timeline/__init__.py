@@ -16,7 +16,6 @@ import numpy as np
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
 from quatprop.text import Setting
-from quatprop.timeline.counts import Counts
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 if TYPE_CHECKING:
@@ -26,8 +25,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Int64, Intp
     from quatprop.timeline.stamps import Policy
 
-    Places: TypeAlias = Intp
-    Kept: TypeAlias = tuple[GyroSeries, Places | None]
+    Kept: TypeAlias = tuple[GyroSeries, Intp | None]
     """A batch, and which samples of what was read it holds; None: all."""
 
 
@@ -42,10 +40,8 @@ class Timeline(StampChecks):
         The log, for errors.
     """
 
-    counts: Counts
-
     def __init__(self, policy: Policy, path: Path | str) -> None:
-        super().__init__(path, policy, Counts())
+        super().__init__(path, policy)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -105,8 +101,7 @@ class Timeline(StampChecks):
             before = block.t_ns[0] if last_ns is None else last_ns
             last_ns = block.t_ns[-1]
             starts = np.flatnonzero(np.diff(block.t_ns, prepend=before) > limit)
-            edges = [0, *starts.tolist(), len(block)]
-            for start, stop in pairwise(edges):
+            for start, stop in pairwise([0, *starts.tolist(), len(block)]):
                 # Every edge but the block's own beginning is the end of a gap.
                 number += start in starts
                 if stop > start:
@@ -151,7 +146,7 @@ class Timeline(StampChecks):
         self._last_finite = rate[-1]
         return batch.with_rate(rate)
 
-    def _in_order(self, batch: GyroSeries, kept: Places | None) -> GyroSeries:
+    def _in_order(self, batch: GyroSeries, kept: Intp | None) -> GyroSeries:
         """Find stamps that are earlier than one before, and drop them."""
         back = self.backward(batch.t_ns, kept) if len(batch) else None
         return batch if back is None or self.policy.on_backwards == "keep" else batch[~back]
@@ -179,14 +174,11 @@ class Timeline(StampChecks):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))
         first = len(batch) - len(intervals)
-        duration = intervals
         if batch.span_ns is not None:
             rate, duration = magnitude[first:], batch.span_ns[first:]
             counts.integrated_ns = (counts.integrated_ns or 0) + int(duration.sum())
-        elif first:
-            rate = magnitude[:-1]
         else:
-            rate = np.append(self._last_magnitude, magnitude[:-1])
+            rate, duration = np.append(self._last_magnitude, magnitude[:-1])[first:], intervals
         if self.policy.cuts_at_gaps and counts.gap_limit_ns is not None:
             duration = np.where(intervals > counts.gap_limit_ns, 0, duration)
         # Not by a dot product: how that adds up depends on the number of threads.

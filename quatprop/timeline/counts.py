@@ -46,13 +46,7 @@ class Event:
     first_index: int | None = None
     first_ns: int | None = None
 
-    def add(
-        self,
-        where: Intp,
-        start: int,
-        t_ns: Int64,
-        kept: Intp | None = None,
-    ) -> None:
+    def add(self, where: Intp, start: int, t_ns: Int64, kept: Intp | None = None) -> None:
         """Count the sample positions `where` of a batch that starts at index `start`.
 
         Where samples of the batch were dropped, `kept` holds the positions of those that are left.
@@ -64,8 +58,8 @@ class Event:
 
 
 @dataclass(slots=True)
-class StampCounts:
-    """What was observed of the time stamps; complete when the last batch has passed.
+class Counts:
+    """What was observed of time stamps and rates; complete when the last batch has passed.
 
     Parameters
     ----------
@@ -84,6 +78,15 @@ class StampCounts:
         by the sample after it.
     gap_list
         The first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns.
+    max_rate
+        Largest finite magnitude of the angular rate, rad/s.
+    path_angle_rad
+        Total angle traversed, rad: the sum of abs(w) dt with the rate at each interval's start,
+        or of the increments.
+    integrated_ns
+        For increments: the time over which the sensor integrated them, ns, in all intervals.
+    nonfinite
+        Rates that are not finite.
     """
 
     read: int = 0
@@ -98,6 +101,10 @@ class StampCounts:
     backwards: Event = field(default_factory=Event)
     gaps: Event = field(default_factory=Event)
     gap_list: list[tuple[int, int]] = field(default_factory=list)
+    max_rate: float = 0.0
+    path_angle_rad: float = 0.0
+    integrated_ns: int | None = None
+    nonfinite: Event = field(default_factory=Event)
 
     @property
     def span_ns(self) -> int:
@@ -108,29 +115,6 @@ class StampCounts:
     def dropped(self) -> int:
         """Samples that were read but not used."""
         return self.read - self.used
-
-
-@dataclass(slots=True)
-class Counts(StampCounts):
-    """What was observed of time stamps and rates.
-
-    Parameters
-    ----------
-    max_rate
-        Largest finite magnitude of the angular rate, rad/s.
-    path_angle_rad
-        Total angle traversed, rad: the sum of abs(w) dt with the rate at each interval's start,
-        or of the increments.
-    integrated_ns
-        For increments: the time over which the sensor integrated them, ns, in all intervals.
-    nonfinite
-        Rates that are not finite.
-    """
-
-    max_rate: float = 0.0
-    path_angle_rad: float = 0.0
-    integrated_ns: int | None = None
-    nonfinite: Event = field(default_factory=Event)
 
 
 HANDLED = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.errors import TimelineError
 from quatprop.text import Setting
-from quatprop.timeline.counts import LISTED_GAPS, StampCounts
+from quatprop.timeline.counts import LISTED_GAPS, Counts
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -79,17 +79,12 @@ class StampChecks:
         The log, for errors.
     policy
         How irregular stamps are handled.
-    counts
-        Where to count; None for new counts.
     """
 
-    def __init__(
-        self, path: Path | str, policy: Policy = OBSERVE, counts: StampCounts | None = None
-    ) -> None:
+    def __init__(self, path: Path | str, policy: Policy = OBSERVE) -> None:
         self.path = path
         self.policy = policy
-        self.counts = StampCounts() if counts is None else counts
-        self.counts.gap_limit_ns = policy.max_gap_ns
+        self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
         self._latest: int | None = None
 
     def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
@@ -100,12 +95,8 @@ class StampChecks:
         batches
             Stamps in the order of the log, each shape ``(N,)``, int64 ns.
         """
-
-        def in_order(t_ns: Int64) -> Int64:
-            self.backward(t_ns)
-            return t_ns
-
-        for t_ns in self.with_gap_limit(self.each(batches, in_order), lambda t_ns: t_ns):
+        checked = (t_ns for t_ns, _ in self.each(batches, lambda t_ns: (t_ns, self.backward(t_ns))))
+        for t_ns in self.with_gap_limit(checked, lambda t_ns: t_ns):
             self.intervals(t_ns)
             yield t_ns
 
@@ -210,7 +201,7 @@ class StampChecks:
         before = t_ns[:0] if counts.last_ns is None else np.int64(counts.last_ns)
         intervals = np.diff(t_ns, prepend=before)
         if len(intervals):
-            self._count_intervals(intervals, t_ns[len(t_ns) - len(intervals) :])
+            self._count_intervals(intervals, t_ns[-len(intervals) :])
         counts.last_ns = int(t_ns[-1])
         counts.used += len(t_ns)
         return intervals
