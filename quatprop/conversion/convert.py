@@ -15,13 +15,12 @@ from quatprop.conversion.job import ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
-from quatprop.into import copy_kind
+from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import DigestThread
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, listed, quoted
-from quatprop.writers import keeps_provenance
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -31,6 +30,8 @@ if TYPE_CHECKING:
     from quatprop.conversion.job import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
+    from quatprop.tables.base import AnyLog
+    from quatprop.writers.attitudes import AttitudeWriter
 
 
 def convert(job: Conversion) -> ConversionReport:
@@ -54,60 +55,61 @@ def convert(job: Conversion) -> ConversionReport:
     wanted, output = job.source, job.output
     refuse_overlap([wanted.path], [output.path, output.report])
     with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
-        if output.into:
-            output = replace(output, to=copy_kind(log, output.path, output.to))
-            job = replace(job, output=output)
+        job = replace(job, output=with_format(output, log))
         source = choose_attitudes(log, wanted.selection)
-        known = _covariances(source)
-        sigma = kept_sigma(job, source) if known else None
-        check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        signs = Signs(job.applied_sign)
-        # The digest takes another pass over the source: only where something keeps it.
-        kept = keeps_provenance(output.path, output.to, comment=output.comment)
+        stored = _stored_sigma(source)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, log, sigma) as target,
-            DigestThread(wanted.path, hashed=kept or output.report is not None) as digest,
+            open_destination(job, log, source, kept_sigma(job, source, stored)) as target,
         ):
-            # A reference that is turned into the body is no place for a position.
-            keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
-            rows = source.read(
-                positions=keeps and source.has_positions, covariances=sigma is not None
-            )
-            write: Callable[[Any], None] = target.write
-            order = _Order()
-            for series in _as_written(job, order.watched(check.apply(rows)), signs):
-                write(series)
-            if not check.counts.used:
-                raise NoSamplesError(wanted.path, source.name)
-            columns = job.columns(sigma)
-            remarks = (
-                *(*source.remarks, *log.remarks, *order.remarks()),
-                *remarks_on(
-                    job,
-                    getattr(target, "locked_rows", 0),
-                    positions_lost=source.has_positions and not keeps,
-                    sigma_lost=known and sigma is None,
-                    lost_columns=[name for name in source.rotation_columns if name not in columns],
-                ),
-            )
-            report = ConversionReport(
-                job=job,
-                path=without_secret(wanted.path),
-                kind=log.kind,
-                digest=digest.result(),
-                signal=source,
-                columns=columns,
-                counts=check.counts,
-                losses=tuple(log.losses),
-                remarks=remarks,
-            )
+            report = _written(job, log, source, stored, target)
             provenance = report.provenance()
             target.finish(provenance)
             report_file.finish(provenance)
             target.publish()
             report_file.publish()
     return report
+
+
+def _written(
+    job: Conversion,
+    log: AnyLog,
+    source: AttitudeSignal,
+    stored: str | None,
+    target: AttitudeWriter,
+) -> ConversionReport:
+    """Write the attitudes of a source and return the report on them."""
+    wanted, sigma = job.source, kept_sigma(job, source, stored)
+    check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
+    order = _Order()
+    # A reference that is turned into the body is no place for a position.
+    keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
+    rows = source.read(positions=keeps and source.has_positions, covariances=sigma is not None)
+    write: Callable[[Any], None] = target.write
+    with DigestThread(wanted.path, hashed=job.output.keeps_report) as digest:
+        for series in _as_written(job, order.watched(check.apply(rows))):
+            write(series)
+        if not check.counts.used:
+            raise NoSamplesError(wanted.path, source.name)
+        columns = job.columns(sigma)
+        lost = remarks_on(
+            job,
+            getattr(target, "locked_rows", 0),
+            positions_lost=source.has_positions and not keeps,
+            sigma_lost=stored is not None and sigma is None,
+            lost_columns=[name for name in source.rotation_columns if name not in columns],
+        )
+        return ConversionReport(
+            job=job,
+            path=without_secret(wanted.path),
+            kind=log.kind,
+            digest=digest.result(),
+            signal=source,
+            columns=columns,
+            counts=check.counts,
+            losses=tuple(log.losses),
+            remarks=(*source.remarks, *log.remarks, *order.remarks(), *lost),
+        )
 
 
 class _Order:
@@ -136,21 +138,22 @@ class _Order:
             )
 
 
-def _covariances(source: AttitudeSignal) -> bool:
-    """Tell whether a source has standard deviations, or covariances that are no constant."""
+def _stored_sigma(source: AttitudeSignal) -> str | None:
+    """Return the axes of the standard deviations of a source, or of covariances that vary."""
     if source.sigma_axes is not None or not source.may_have_covariances:
-        return source.sigma_axes is not None
+        return source.sigma_axes
     first = next(source.read(covariances=True), None)
-    return first is not None and first[-1] is not None
+    return None if first is None or first[-1] is None else "body"
 
 
 def _as_written(
-    job: Conversion, batches: Iterable[AttitudeSeries], signs: Signs
+    job: Conversion, batches: Iterable[AttitudeSeries]
 ) -> Iterator[AttitudeSeries | GyroSeries]:
     """Yield rates, or attitudes with the meaning and the signs that are written."""
     if job.representation in RATES:
         yield from rate_batches(job.source.path, batches, RATES[job.representation])
         return
+    signs = Signs(job.applied_sign)
     for series in batches:
         yield replace(series, wxyz=signs.applied(job.meaning.converted(series.wxyz)))
 

@@ -9,15 +9,8 @@ from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPR
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text, listed, quoted
-from quatprop.writers import (
-    WRITERS,
-    format_remarks,
-    holds_covariances,
-    keeps_provenance,
-    open_table,
-)
+from quatprop.writers import WRITERS, format_remarks, holds_covariances, open_table
 from quatprop.writers.attitudes import ColumnTable
 
 if TYPE_CHECKING:
@@ -30,27 +23,28 @@ if TYPE_CHECKING:
     from quatprop.writers.base import TableWriter
 
 
-def kept_sigma(job: Conversion, source: AttitudeSignal) -> str | None:
-    """Return the axes of the standard deviations that are kept; None where there are none.
+def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
+    """Return the axes of the standard deviations that are kept, of those that are stored.
 
     They are kept where both sides have a place for them, and are Hamilton and body to reference:
     another direction or convention changes what they are about.
     """
-    has_place = holds_covariances(job.kind, job.output.message)
+    has_place = holds_covariances(job.output.kind, job.output.message)
     is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
-    kept = has_place and is_plain and source.may_have_covariances
-    return (source.sigma_axes or "body") if kept else None
+    return stored if has_place and is_plain and source.may_have_covariances else None
 
 
-def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> AttitudeWriter:
+def open_destination(
+    job: Conversion, log: AnyLog, source: AttitudeSignal, sigma: str | None
+) -> AttitudeWriter:
     """Return the file to be committed, which takes attitudes, or rates where those are written.
 
     Parameters
     ----------
     job
         The conversion.
-    log
-        The source.
+    log, source
+        The log, and the attitudes of it.
     sigma
         Of :func:`kept_sigma`.
     """
@@ -67,9 +61,7 @@ def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> Attitud
     if job.representation in RATES:
         return ColumnTable(table(RATE_COLUMNS), lambda series: series.rate)
     if job.meaning == HAMILTON:
-        return open_output(
-            output, log, lambda again: choose_attitudes(again, job.source.selection).stamps(), sigma
-        )
+        return open_output(output, log, source.stamps, sigma)
     _refuse_other_conventions(job)
     layout = job.layout
     return ColumnTable(table(layout.columns), lambda series: series.wxyz[:, list(layout.order)])
@@ -77,7 +69,7 @@ def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> Attitud
 
 def _refuse_other_conventions(job: Conversion) -> None:
     """Refuse formats that define a convention themselves."""
-    output, kind = job.output, job.kind
+    output, kind = job.output, job.output.kind
     if not WRITERS[kind].columns:
         raise OutputError(
             output.path,
@@ -139,7 +131,7 @@ def remarks_on(
             "together they are still the attitude"
         )
     output, meaning = job.output, job.meaning
-    if meaning != HAMILTON and not keeps_provenance(output.path, output.to, comment=output.comment):
+    if meaning != HAMILTON and not output.keeps_provenance:
         yield Text(
             f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
             f"reader has to know it; {Setting('header_comment')}, or Parquet, would"

@@ -11,7 +11,7 @@ from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
 from quatprop.series import SIGMA_COLUMNS
-from quatprop.writers import WRITERS, kind_of, layout_of
+from quatprop.writers import WRITERS, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -52,14 +52,9 @@ class Conversion:
     representation: str = QUATERNION
 
     @property
-    def kind(self) -> str:
-        """The format that is written, a key of :data:`quatprop.writers.WRITERS`."""
-        return kind_of(self.output.path, self.output.to)
-
-    @property
     def layout(self) -> Layout:
         """The layout of quaternions, where those are written."""
-        return layout_of(self.kind, self.output.layout)
+        return layout_of(self.output.kind, self.output.layout)
 
     @property
     def applied_sign(self) -> str:
@@ -77,7 +72,7 @@ class Conversion:
         columns, beside = self.layout.columns, self.output.beside
         if beside is not None:
             columns += REPRESENTATIONS[beside].columns
-        return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.kind].columns else ())
+        return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.output.kind].columns else ())
 
 
 @dataclass(frozen=True, slots=True)

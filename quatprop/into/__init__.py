@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
 
-    Stamps = Callable[[AnyLog], Iterator[tuple[Int64, Int64]]]
+    Stamps = Callable[[], Iterator[tuple[Int64, Int64]]]
 
 COPIERS: Mapping[str, tuple[str, str]] = {
     "mcap": ("mcap", "mcap:McapCopyWriter"),
@@ -101,7 +101,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     target
         Where the copy goes.
     stamps
-        Given the log, yields the stamps of the messages that the attitudes come from, and when
+        Yields the stamps of the messages that the attitudes come from, and when
         they were logged: an attitude is logged when its message was.
     layout, comment, message, sigma, beside
         As for :func:`quatprop.writers.open_writer`.
@@ -133,7 +133,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
     container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
-    return AttitudeMessages(container, container.encoder, target, LogTimes(stamps(log)).at)
+    return AttitudeMessages(container, container.encoder, target, LogTimes(stamps()).at)
 
 
 class LogTimes:

@@ -18,21 +18,17 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import DigestThread
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
-from quatprop.writers import format_remarks, keeps_provenance, kind_of, layout_of, open_writer
+from quatprop.writers import format_remarks, layout_of, open_writer
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from quatprop.arrays import Int64
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.pipeline.report import RunReport
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
-
-    Stamps = Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]
 
 
 SMALL_BYTES = 1 << 18
@@ -87,56 +83,35 @@ def run(
 
     Raises
     ------
-    LogError
-        The log cannot be used as asked.
-    OutputError
-        The result cannot be written.
+    LogError, OutputError
+        The log cannot be used as asked, or the result cannot be written.
     """
     began = time.perf_counter()
     settings = job.settings
     _refuse_contradictions(job)
-    stored = digest_of_object(job.log) if is_address(job.log) else None
     with (
         use_threads(1 if _is_small(job.log) else settings.threads),
         open_log(
             job.log, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
         ) as log,
     ):
-        output = _with_layout(job.output, log)
+        output = with_format(job.output, log)
+        job = replace(job, output=output)
         source = choose_rates(log, settings.selection)
-        # Where no file keeps it, reading the source once more is not worth its time.
-        kept = output.report is not None or keeps_provenance(
-            output.path, output.to, comment=output.comment
-        )
         stream = AttitudeStream(
             job.log,
             source,
             settings,
             log,
             observer=observer,
-            sensitivity=summary or kept,
+            sensitivity=summary or output.keeps_report,
             rate=output.message is not None and "rate" in output.message.definition.parts,
         )
         with (
             ReportFile(output.report) as report_file,
-            open_output(
-                output,
-                log,
-                lambda again: choose_rates(again, settings.selection).stamps(),
-                settings.errors.columns_axes,
-            ) as writer,
-            DigestThread(job.log, hashed=kept and stream.reads_all) as digest,
-            closing(in_background(stream)) as attitudes,
+            open_output(output, log, source.stamps, settings.errors.columns_axes) as writer,
         ):
-            for series in attitudes:
-                writer.write(series)
-            report = stream.report(layout=output.layout, digest=stored or digest.result())
-            report = replace(
-                report,
-                settings={**report.settings, **output.given},
-                files=digests_of_inputs(settings.inputs, log) if kept else {},
-                remarks=(*report.remarks, *format_remarks(output.path, output.to)),
-            )
+            report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
             writer.finish(report.as_json())
             report = replace(report, seconds=time.perf_counter() - began)
@@ -148,14 +123,33 @@ def run(
     return report
 
 
-def _with_layout(output: OutputSettings, log: AnyLog) -> OutputSettings:
-    """Return where attitudes go, with the format and the order of its columns."""
+def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyLog) -> RunReport:
+    """Write the attitudes of a log and return the report on them."""
+    output = job.output
+    stored = digest_of_object(job.log) if is_address(job.log) else None
+    with (
+        DigestThread(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
+        closing(in_background(stream)) as attitudes,
+    ):
+        for series in attitudes:
+            writer.write(series)
+        report = stream.report(layout=output.layout, digest=stored or digest.result())
+    return replace(
+        report,
+        settings={**report.settings, **output.given},
+        files=digests_of_inputs(job.settings.inputs, log) if output.keeps_report else {},
+        remarks=(*report.remarks, *format_remarks(output.path, output.to)),
+    )
+
+
+def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:
+    """Return where attitudes of a log go, with the format and the order of its columns."""
     if output.into:
         from quatprop.into import copy_kind
 
         kind = copy_kind(log, output.path, output.to)
     else:
-        kind = kind_of(output.path, output.to)
+        kind = output.kind
     return replace(output, to=kind, layout=layout_of(kind, output.layout).name)
 
 
@@ -167,7 +161,7 @@ def _is_small(log: str) -> bool:
 def open_output(
     output: OutputSettings,
     log: AnyLog,
-    stamps: Callable[[AnyLog], Stamps],
+    stamps: Callable[[], Iterator[tuple[Int64, Int64]]],
     sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added.
@@ -200,7 +194,7 @@ def open_output(
 def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
-        layout_of(kind_of(output.path, output.to), output.layout)
+        layout_of(output.kind, output.layout)
     refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
     if job.log == "-" and settings.needs_second_read:
         raise UsageError(

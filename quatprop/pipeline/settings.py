@@ -22,6 +22,7 @@ from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
 from quatprop.settings.values import as_text, parse_all
 from quatprop.text import Setting
 from quatprop.timeline.stamps import Policy
+from quatprop.writers import keeps_provenance, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -157,6 +158,21 @@ class OutputSettings:
     beside: str | None = None
     comment: bool = False
     report: str | None = None
+
+    @property
+    def kind(self) -> str:
+        """The format, a key of :data:`quatprop.writers.WRITERS`."""
+        return kind_of(self.path, self.to)
+
+    @property
+    def keeps_provenance(self) -> bool:
+        """Whether the file of attitudes says how they were made."""
+        return keeps_provenance(self.path, self.to, comment=self.comment)
+
+    @property
+    def keeps_report(self) -> bool:
+        """Whether a file does; otherwise reading the source once more is not worth its time."""
+        return self.report is not None or self.keeps_provenance
 
     @property
     def given(self) -> Mapping[str, str | bool]:
