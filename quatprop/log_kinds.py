@@ -61,7 +61,7 @@ READERS: dict[str, Reader] = {
         (".feather", ".arrow", ".arrows"),
         True,
     ),
-    "npy": Reader("quatprop.tables.npy:NpyLog", (b"\x93NUMPY",), (".npy",)),
+    "npy": Reader("quatprop.tables.numpy_table:NpyLog", (b"\x93NUMPY",), (".npy",)),
     "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
     "hdf5": Reader(
         "quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), (".h5", ".hdf5")

@@ -1,8 +1,9 @@
-"""Columns of NumPy arrays, block by block: what a single array and archives of them share."""
+"""Columns of NumPy arrays, block by block: a single array, and what archives of them share."""
 
 from __future__ import annotations
 
 import lzma
+import math
 import zipfile
 import zlib
 from contextlib import ExitStack, contextmanager
@@ -12,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.arrow_arrays import to_arrow
-from quatprop.errors import UnsupportedLogError
-from quatprop.tables.npy_format import ArrayColumn, read_header
+from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, RowGroup, TypedTable
 from quatprop.text import listed, plain
 
@@ -178,3 +179,42 @@ class _ArrayBlock:
                 (self.rows,), column.dtype, self._data, column.offset, (column.step,)
             )
             yield name, stored.astype(column.dtype.newbyteorder("="))
+
+
+class NpyLog(NumpyTable):
+    """An array in a file by itself.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    DamagedLogError
+        Its header cannot be used.
+    """
+
+    kind = "npy"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        with path.open("rb") as stream:
+            try:
+                header = read_header(stream)
+                columns = columns_of(header)
+            except HeaderError as error:
+                raise DamagedLogError(path, str(error)) from error
+            begin, size = stream.tell(), stream.seek(0, 2)
+        for column in columns:
+            # Columns without names have numbers, as those of text have.
+            name = column.name if header.dtype.names else (column.name or "[0]")[1:-1]
+            self._add_column(name, "", column)
+        beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
+        if beyond > 0:
+            self.losses.note("end of the file", f"{beyond} bytes follow its array")
+
+    def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
+        return self.path.open("rb")

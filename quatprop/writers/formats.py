@@ -83,8 +83,8 @@ def _messages(
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": _text((".csv",), "tables.csv:CsvTable", columns=True, comments=True),
-    "tsv": _text((".tsv",), "tables.csv:TsvTable", columns=True, comments=True),
+    "csv": _text((".csv",), "tables.text:CsvTable", columns=True, comments=True),
+    "tsv": _text((".tsv",), "tables.text:TsvTable", columns=True, comments=True),
     "jsonl": _text((".jsonl", ".ndjson"), "tables.jsonl:JsonLinesTable", columns=True),
     "parquet": Format(
         (".parquet", ".pq"),
@@ -94,7 +94,7 @@ WRITERS: Mapping[str, Format] = {
         compressions=("zstd",),
     ),
     "feather": Format(
-        (".feather", ".arrow"), "tables.feather:FeatherTable", columns=True, keeps_provenance=True
+        (".feather", ".arrow"), "tables.arrow:FeatherTable", columns=True, keeps_provenance=True
     ),
     "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
     "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),

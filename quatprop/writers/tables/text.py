@@ -1,4 +1,4 @@
-"""Tables as text, formatted in threads.
+"""Tables as text, formatted in threads; CSV and TSV.
 
 Finding the shortest decimal of a float64 costs more than propagating it. pyarrow does it without
 holding the interpreter lock, so the next rows are propagated or formatted meanwhile.
@@ -104,3 +104,32 @@ def delimited(separator: str, names: Sequence[str]) -> Formatter:
 
 def _arrow(column: pa.Array | AnyArray) -> pa.Array:
     return column if isinstance(column, pa.Array) else to_arrow(column)
+
+
+class CsvTable(TextTable):
+    """Write columns as CSV: one header line, no quotes, a newline after every row.
+
+    The provenance may be in a comment before the header line, for readers that skip comments.
+
+    Parameters
+    ----------
+    target
+        A path, or ``"-"`` for stdout.
+    names
+        Names of the float64 columns that follow ``t_ns``.
+    comment
+        Begin with the provenance, in a comment.
+    """
+
+    separator = ","
+
+    def __init__(self, target: Path | str, names: Sequence[str], *, comment: bool = False) -> None:
+        names = ("t_ns", *names)
+        header = self.separator.join(names) + "\n"
+        super().__init__(target, header, delimited(self.separator, names), comment=comment)
+
+
+class TsvTable(CsvTable):
+    """Write columns with tabs between them; parameters as above."""
+
+    separator = "\t"
