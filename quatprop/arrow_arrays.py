@@ -51,10 +51,20 @@ def to_arrow(values: NDArray[Any]) -> pa.Array:
     )
 
 
-def struct_fields(tree: Mapping[str, Any]) -> list[pa.Field]:
-    """Return the fields of a tree of types by name, which are mappings where they are structs."""
+def nested_schema(fields: Mapping[tuple[str, ...], pa.DataType]) -> pa.Schema:
+    """Return the schema that has some fields, inside of each other as their paths say."""
+    tree: dict[str, Any] = {}
+    for path, kind in fields.items():
+        place = tree
+        for name in path[:-1]:
+            place = place.setdefault(name, {})
+        place[path[-1]] = kind
+    return pa.schema(_struct_fields(tree))
+
+
+def _struct_fields(tree: dict[str, Any]) -> list[pa.Field]:
     return [
-        pa.field(name, pa.struct(struct_fields(kind)) if isinstance(kind, dict) else kind)
+        pa.field(name, pa.struct(_struct_fields(kind)) if isinstance(kind, dict) else kind)
         for name, kind in tree.items()
     ]
 

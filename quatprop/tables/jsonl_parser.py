@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 from pyarrow import json as arrow_json
 
-from quatprop.arrow_arrays import readable, struct_fields
+from quatprop.arrow_arrays import nested_schema, readable
 from quatprop.concurrency.threads import thread_count
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.tables.typed_table import Leaf
-
-    Fields = dict[tuple[str, ...], pa.DataType]
 
 _TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
 
@@ -77,7 +75,7 @@ class LineParser:
             is_date = pa.types.is_timestamp(leaf.type)
             fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, self._spare)
         self._options = arrow_json.ParseOptions(
-            explicit_schema=_nested(fields), unexpected_field_behavior="ignore"
+            explicit_schema=nested_schema(fields), unexpected_field_behavior="ignore"
         )
 
     def parse(self, data: bytes | memoryview) -> Iterator[pa.RecordBatch | int]:
@@ -177,17 +175,6 @@ class LineParser:
             f"{self._rejected} of its first {self._count} rows do not fit{example}; "
             "check the columns and units",
         )
-
-
-def _nested(fields: Fields) -> pa.Schema:
-    """Return the schema that has the fields, inside of each other as their paths say."""
-    tree: dict[str, Any] = {}
-    for path, kind in fields.items():
-        place = tree
-        for name in path[:-1]:
-            place = place.setdefault(name, {})
-        place[path[-1]] = kind
-    return pa.schema(struct_fields(tree))
 
 
 def _is_object(line: bytes) -> bool:

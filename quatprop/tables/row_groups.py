@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from quatprop.tables.base import Span
-from quatprop.tables.timestamps import TimestampRangeError
-from quatprop.tables.typed_table import nanoseconds
+from quatprop.tables.timestamps import TimestampRangeError, nanoseconds
 
 if TYPE_CHECKING:
     from pyarrow.parquet import FileMetaData

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from quatprop.arrow_arrays import to_numpy
 from quatprop.errors import UsageError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_stamps
@@ -79,13 +80,13 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
             raise TimestampRangeError
 
 
-def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
-    """Return a decimal128 column as nanoseconds, rounded half to even.
+def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
+    """Return a time column without nulls as int64 nanoseconds.
 
     Parameters
     ----------
     column
-        Numbers of `unit`, without nulls.
+        Numbers of `unit` of any type, rounded half to even where they are finer; or times.
     unit
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
 
@@ -99,9 +100,21 @@ def from_decimals(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     TimestampRangeError
         A stamp does not fit.
     """
-    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
-    stamps = [_unscaled(_rounded(chunk, PLACES[unit])) for chunk in chunks]
-    return np.concatenate([np.empty(0, np.int64), *stamps])
+    if pa.types.is_decimal128(column.type):
+        chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+        stamps = [_unscaled(_rounded(chunk, PLACES[unit])) for chunk in chunks]
+        return np.concatenate([np.empty(0, np.int64), *stamps])
+    if pa.types.is_floating(column.type):
+        return from_floats(to_numpy(column.cast(pa.float64())), unit)
+    try:
+        integers: Int64 = to_numpy(column.cast(pa.int64()))
+    except pa.ArrowInvalid as error:
+        raise TimestampRangeError from error
+    factor = 10 ** PLACES[unit]
+    largest = _LIMITS.max // factor
+    if len(integers) and (integers.max() > largest or integers.min() < -largest):
+        raise TimestampRangeError
+    return integers * factor
 
 
 def _rounded(chunk: pa.Array, places: int) -> pa.Array:
@@ -171,16 +184,6 @@ def likely_unit(text: str) -> str:
         if _FROM_2000_NS <= t_ns < _UNTIL_2100_NS:
             return unit
     return ""
-
-
-def from_integers(values: Int64, unit: str) -> Int64:
-    """Return whole numbers of `unit` as nanoseconds, shape ``(N,)``, int64."""
-    factor = 10 ** PLACES[unit]
-    largest = _LIMITS.max // factor
-    if len(values) and (values.max() > largest or values.min() < -largest):
-        raise TimestampRangeError
-    stamps: Int64 = values * factor
-    return stamps
 
 
 def from_floats(values: Float64, unit: str) -> Int64:

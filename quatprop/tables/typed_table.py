@@ -208,7 +208,7 @@ class TypedTable(TableLog):
     def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
         try:
             return timestamps.sum_parts(
-                nanoseconds(values_of(batch, self._leaves[k]), unit)
+                timestamps.nanoseconds(values_of(batch, self._leaves[k]), unit)
                 for k, unit in zip(columns.time, columns.units, strict=True)
             )
         except timestamps.TimestampRangeError:
@@ -244,16 +244,3 @@ def _has_value(column: pa.Array) -> Bool:
         valid = pc.and_kleene(valid, pc.is_finite(column))
     values: Bool = to_numpy(valid)
     return values
-
-
-def nanoseconds(column: pa.Array, unit: str) -> Int64:
-    """Return a time column without nulls as int64 nanoseconds, shape ``(N,)``."""
-    if pa.types.is_decimal128(column.type):
-        return timestamps.from_decimals(column, unit)
-    if pa.types.is_floating(column.type):
-        return timestamps.from_floats(to_numpy(column.cast(pa.float64())), unit)
-    try:
-        integers = column.cast(pa.int64())
-    except pa.ArrowInvalid as error:
-        raise timestamps.TimestampRangeError from error
-    return timestamps.from_integers(to_numpy(integers), unit)

@@ -148,7 +148,7 @@ class BlockParser:
         columns = [table.column(str(k)) for k in self.columns.time]
         if any(column.null_count for column in columns):
             raise pa.ArrowInvalid("a row without a time")
-        return timestamps.sum_parts(map(_nanoseconds, columns, self.columns.units))
+        return timestamps.sum_parts(map(timestamps.nanoseconds, columns, self.columns.units))
 
 
 @lru_cache(maxsize=1)
@@ -159,12 +159,6 @@ def _other_thread(_process: int) -> ThreadPoolExecutor:
     and a process that is told to end at that moment aborts.
     """
     return ThreadPoolExecutor(1)
-
-
-def _nanoseconds(column: pa.ChunkedArray, unit: str) -> Int64:
-    if pa.types.is_timestamp(column.type):
-        return to_numpy(column.cast(pa.int64()))
-    return timestamps.from_decimals(column, unit)
 
 
 def squeeze_blanks(data: bytes | memoryview) -> bytes:
