@@ -107,14 +107,15 @@ def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     if pa.types.is_floating(column.type):
         return from_floats(to_numpy(column.cast(pa.float64())), unit)
     try:
-        integers: Int64 = to_numpy(column.cast(pa.int64()))
+        integers = to_numpy(column.cast(pa.int64()))
     except pa.ArrowInvalid as error:
         raise TimestampRangeError from error
     factor = 10 ** PLACES[unit]
     largest = _LIMITS.max // factor
     if len(integers) and (integers.max() > largest or integers.min() < -largest):
         raise TimestampRangeError
-    return integers * factor
+    stamps: Int64 = integers * factor
+    return stamps
 
 
 def _rounded(chunk: pa.Array, places: int) -> pa.Array:
