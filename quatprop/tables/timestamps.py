@@ -102,8 +102,8 @@ def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     """
     if pa.types.is_decimal128(column.type):
         chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
-        stamps = [_unscaled(_rounded(chunk, PLACES[unit])) for chunk in chunks]
-        return np.concatenate([np.empty(0, np.int64), *stamps])
+        parts = [_unscaled(_rounded(chunk, PLACES[unit])) for chunk in chunks]
+        return np.concatenate([np.empty(0, np.int64), *parts])
     if pa.types.is_floating(column.type):
         return from_floats(to_numpy(column.cast(pa.float64())), unit)
     try:
