@@ -77,11 +77,31 @@ def test_a_backward_step_is_an_error_by_default(batches):
         applied(Policy(), *map(gyro, batches))
 
 
-def test_a_stamp_far_ahead_is_named_where_time_steps_back():
-    """Not the sample that the clock steps back to is wrong, but the one before it."""
-    sentence = r"at sample 3 \(t = 20000000 ns\) because the stamp before it, 300000000000 ns, is "
-    with pytest.raises(TimelineError, match=sentence + "299.99 s ahead; choose"):
-        applied(Policy(), gyro([0, 10, 300_000, 20, 30]))
+CAUSES = [
+    ([0, 10, 300_000, 20], "because the stamp before it, 300000000000 ns, is 299.99 s ahead"),
+    ([4_294_950, 4_294_960, 3, 13], "as if a counter of 32 bits in us had wrapped around"),
+    ([-20 + 2**31, -10 + 2**31, -(2**31), 10 - 2**31], "as if a counter of 32 bits in ms had "),
+]
+
+
+@pytest.mark.parametrize(("stamps", "cause"), CAUSES)
+@pytest.mark.parametrize("cut", [1, 2, 3, 4])
+def test_what_the_stamps_show_is_named_where_time_steps_back(stamps, cause, cut):
+    """Not the sample that the clock steps back to is wrong, but the stamp before it, or neither."""
+    batches = gyro(stamps[:cut]), gyro(stamps[cut:])
+    with pytest.raises(TimelineError, match=rf" ns\) {cause}.*; choose"):
+        applied(Policy(), *batches)
+    for choice in ("drop", "sort", "keep"):
+        policy = Policy(on_backwards=choice)
+        _, _, counts = applied(policy, *batches)
+        said = next(text for text in map(str, remarks(counts, policy)) if "non-mono" in text)
+        assert f" ns {cause}" in said
+
+
+def test_no_sample_rate_is_remarked_on_where_time_goes_back():
+    """Inspection keeps stamps as they are, and a log may end before it begins."""
+    _, _, counts = applied(OBSERVE, gyro([*range(10_000, 10_400, 10), *range(0, 400, 10)]))
+    assert [text for text in map(str, remarks(counts, OBSERVE)) if "gyroscope" in text] == []
 
 
 def test_drop_waits_until_the_clock_has_caught_up():

@@ -16,7 +16,7 @@ import numpy as np
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries, reblock
 from quatprop.text import Setting
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks, cause_of_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -160,6 +160,8 @@ class Timeline(StampChecks):
             return
         log = GyroSeries.joined(whole)
         back = np.flatnonzero(log.t_ns < np.maximum.accumulate(log.t_ns))
+        if len(back):
+            self.counts.backwards.cause = cause_of_step(log.t_ns, int(back[0]))
         self.counts.backwards.add(back, 0, log.t_ns, np.concatenate(places))
         yield log[np.argsort(log.t_ns, kind="stable")]
 

@@ -40,11 +40,14 @@ class Event:
         that go backwards as read, of repeated stamps and gaps among the samples used.
     first_ns
         Its time stamp, ns.
+    cause
+        What the stamps around it show of why it happened; ``""`` where they do not.
     """
 
     count: int = 0
     first_index: int | None = None
     first_ns: int | None = None
+    cause: str = ""
 
     def add(self, where: Intp, start: int, t_ns: Int64, kept: Intp | None = None) -> None:
         """Count the sample positions `where` of a batch that starts at index `start`.
@@ -155,7 +158,7 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
             yield Text(
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
                 handled,
-                f"), first at sample {event.first_index}, t = {event.first_ns} ns",
+                f"), first at sample {event.first_index}, t = {event.first_ns} ns{event.cause}",
             )
     yield from _time_remarks(counts)
 
@@ -185,7 +188,9 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
             f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
             f"time column, or are they in another {Setting('time_unit')}?",
         )
-    elif counts.used >= MIN_SAMPLES and FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S:
+    elif counts.used >= MIN_SAMPLES and (
+        0 < FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S
+    ):
         rate = (counts.used - 1) * NS_PER_S / counts.span_ns
         yield Text(
             f"{rate:,.0f} samples per second are beyond any gyroscope; if the timestamps are in "

@@ -28,6 +28,9 @@ GAP_FACTOR = 10
 _FAR = 10
 """A stamp so many times as far ahead as the one after it is taken for the wrong one of the two."""
 
+COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
+"""After how many ns a counter of 32 bits begins again, by its unit."""
+
 LONGEST_NS = int(np.iinfo(np.int64).max)
 """The longest interval that fits in 64 bits."""
 
@@ -86,6 +89,7 @@ class StampChecks:
         self.policy = policy
         self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
         self._latest: int | None = None
+        self._last_two = np.empty(0, np.int64)
 
     def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
         """Yield stamps unchanged, and count them.
@@ -125,6 +129,7 @@ class StampChecks:
             There is one, and the policy refuses it.
         """
         latest = int(t_ns[0]) if self._latest is None else self._latest
+        before, self._last_two = self._last_two, np.append(self._last_two, t_ns[-2:])[-2:]
         if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
             self._latest = int(t_ns[-1])
             return None
@@ -138,14 +143,16 @@ class StampChecks:
             back = t_ns < reached
             self._latest = int(reached[-1])
         event = self.counts.backwards
-        event.add(np.flatnonzero(back), self.counts.read, t_ns, kept)
+        where = np.flatnonzero(back)
+        if not event.count:
+            event.cause = cause_of_step(np.append(before, t_ns), len(before) + int(where[0]))
+        event.add(where, self.counts.read, t_ns, kept)
         if self.policy.on_backwards == "error":
-            first = int(np.flatnonzero(back)[0])
-            step = duration_text(int(reached[first]) - int(t_ns[first]))
+            step = duration_text(int(reached[where[0]]) - int(t_ns[where[0]]))
             raise TimelineError(
                 self.path,
                 f"time steps back by {step} at sample {event.first_index} (t = {event.first_ns} "
-                f"ns){_outlier(t_ns[max(first - 2, 0) : first + 1])}; choose "
+                f"ns){event.cause}; choose "
                 f"{Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}",
             )
         return back
@@ -231,11 +238,23 @@ class StampChecks:
             )
 
 
-def _outlier(t_ns: Int64) -> str:
-    """Return a remark if the middle one of three stamps is far ahead of its neighbours."""
-    if len(t_ns) < 3:  # noqa: PLR2004  # a stamp and its neighbours
+def cause_of_step(t_ns: Int64, first: int) -> str:
+    """Return what stamps show of the cause, if they do, why time steps back at one of them.
+
+    Parameters
+    ----------
+    t_ns
+        Stamps, ns.
+    first
+        The first that is earlier than one before.
+    """
+    if first < 2:  # noqa: PLR2004  # it and two before
         return ""
-    before, middle, after = t_ns.tolist()
-    if not 0 <= _FAR * (after - before) < middle - before:
-        return ""
-    return f" because the stamp before it, {middle} ns, is {duration_text(middle - before)} ahead"
+    before, middle, after = t_ns[first - 2 : first + 1].tolist()
+    for unit, period in COUNTERS.items():
+        if 0 < period - (middle - after) <= _FAR * (middle - before):
+            return f" as if a counter of 32 bits in {unit} had wrapped around"
+    if 0 <= _FAR * (after - before) < middle - before:
+        ahead = duration_text(middle - before)
+        return f" because the stamp before it, {middle} ns, is {ahead} ahead"
+    return ""
