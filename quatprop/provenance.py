@@ -12,9 +12,9 @@ import math
 import os
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from quatprop.concurrency.threads import thread_count, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
@@ -39,9 +39,9 @@ COMMENT = b"# quatprop "
 def as_json(value: object) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
-    Dataclasses become objects with their fields as keys (those of a digest among them), arrays and
-    other sequences become lists, paths and sentences become strings; sentences with settings as
-    the library spells them. Numbers that are not finite become null.
+    Dataclasses and named tuples become objects with their fields as keys (those of a digest among
+    them), arrays and other sequences become lists, paths and sentences become strings; sentences
+    with settings as the library spells them. Numbers that are not finite become null.
 
     Examples
     --------
@@ -55,8 +55,11 @@ def as_json(value: object) -> Any:
         return value
     if isinstance(value, Digest):
         return value.as_json()
+    names = getattr(value, "_fields", None)
     if is_dataclass(value):
-        items = {field.name: as_json(getattr(value, field.name)) for field in fields(value)}
+        names = [field.name for field in fields(value)]
+    if names is not None:
+        items = {name: as_json(getattr(value, name)) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})
         return {**items, **digest}
@@ -141,8 +144,7 @@ def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
     return {topic: text for (key, topic), text in named.items() if key == METADATA_KEY.decode()}
 
 
-@dataclass(frozen=True, slots=True)
-class Digest:
+class Digest(NamedTuple):
     """By what a source is recognised.
 
     Parameters

@@ -7,8 +7,7 @@ A choice of the user's is a :class:`Setting` in a :class:`Text`: ``clock='log'``
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -25,8 +24,7 @@ _MARK = re.compile("\ue000(.*?)\ue001")
 """A setting in an f-string: :func:`quoted` and :func:`plain` let no such characters pass."""
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """A choice of the user's, to be mentioned in a sentence.
 
     In an f-string it is a mark, which :class:`Text` reads; ``str()`` spells it as Python does.

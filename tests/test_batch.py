@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet
@@ -644,7 +643,7 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         CliRunner().invoke(cli, ["propagate", "a.mcap", "-o", str(out), *beside, *words])
         run("a.mcap", "-o", tmp_path, *beside, *words)
     alone, among, plain, plain_among = [
-        replace(job, output=replace(job.output, to=None)) for job in jobs
+        job._replace(output=job.output._replace(to=None)) for job in jobs
     ]
     assert alone == among
     assert plain == plain_among

@@ -3,7 +3,6 @@
 import shutil
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -221,7 +220,7 @@ def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
 def test_what_is_sorted_is_read_whole(logs, tmp_path):
     """Samples far out of order may belong to the range."""
     report, _ = attitudes(
-        logs / "log.mcap", tmp_path, "-30s", None, policy=replace(Policy(), on_backwards="sort")
+        logs / "log.mcap", tmp_path, "-30s", None, policy=Policy(on_backwards="sort")
     )
     assert report.conditioning.part is None
 

@@ -1,6 +1,5 @@
 """The growth of a gyroscope's errors: closed forms, and simulated errors propagated by scipy."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -149,7 +148,7 @@ def test_simulated_errors_are_as_large_as_predicted(name, motion):
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_a_prediction_that_is_off_by_a_tenth_is_caught(name, motion, factor):
     """The band of 1,000 runs is narrow enough."""
-    wrong = replace(EACH[name], **{name: factor * getattr(EACH[name], name)})
+    wrong = EACH[name]._replace(**{name: factor * getattr(EACH[name], name)})
     assert not all_as_predicted(name, motion, wrong)
 
 

@@ -9,7 +9,7 @@ import glob
 import os.path
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.stores import below, exists, find, is_address, list_objects, without_secret
 from quatprop.errors import UnreadableLogError, UsageError
@@ -35,8 +35,7 @@ TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("qu
 """Kinds of files that hold many other things, too."""
 
 
-@dataclass(frozen=True, slots=True)
-class FoundLog:
+class FoundLog(NamedTuple):
     """A log of a batch.
 
     Parameters

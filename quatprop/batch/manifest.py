@@ -11,10 +11,9 @@ import hashlib
 import json
 import os
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop import __version__
 from quatprop.containers.stores import is_address, objects_of, without_secret
@@ -32,8 +31,7 @@ COMPLETE = {"done", "data lost"}
 """States of logs whose output is complete."""
 
 
-@dataclass(frozen=True, slots=True)
-class ManifestEntry:
+class ManifestEntry(NamedTuple):
     """What a batch records of a log.
 
     Parameters
@@ -168,7 +166,7 @@ def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
 
 def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
     """Return an entry as a line of JSON."""
-    text = json.dumps(entry, ensure_ascii=False, default=as_json) + "\n"
+    text = json.dumps(as_json(entry), ensure_ascii=False) + "\n"
     return text.encode(errors="surrogateescape")
 
 
@@ -183,7 +181,7 @@ def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
         "final_wxyz": pa.list_(number), "remarks": pa.list_(text), "losses": pa.list_(text),
         "seconds": number, "log_bytes": count, "output_bytes": count,
     }  # fmt: skip
-    names = ManifestEntry.__dataclass_fields__
+    names = ManifestEntry._fields
     schema = pa.schema([(name, types.get(name, text)) for name in names])
     output = OutputFile(path)
     try:
@@ -195,7 +193,7 @@ def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
 
 def options_digest(job: Job) -> str:
     """Return a digest of all settings of a job but its paths."""
-    return hashlib.sha256(repr((job.settings, replace(job.output, path=""))).encode()).hexdigest()
+    return hashlib.sha256(repr((job.settings, job.output._replace(path=""))).encode()).hexdigest()
 
 
 def origin_digest(inputs: Iterable[str], options: str) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -60,8 +60,7 @@ class BatchTask(NamedTuple):
         return without_secret(self.path)
 
 
-@dataclass(frozen=True, slots=True)
-class BatchSettings:
+class BatchSettings(NamedTuple):
     """What all logs of a batch share.
 
     Parameters
@@ -87,7 +86,7 @@ class BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""
         settings = self.job.settings
         settings = replace(settings, threads=settings.threads or count)
-        return replace(self, job=replace(self.job, settings=settings))
+        return self._replace(job=self.job._replace(settings=settings))
 
     def origin(self, task: BatchTask) -> str | None:
         """Return the digest of what the output of a log is made from; None if it is not known."""
@@ -96,8 +95,7 @@ class BatchSettings:
         return origin_digest([task.path, *named], self.options)
 
 
-@dataclass(frozen=True, slots=True)
-class BatchResult:
+class BatchResult(NamedTuple):
     """The result of one log.
 
     Parameters
@@ -206,8 +204,8 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
             raise
         result = failed(task, Text(f"{plain(task.log)}: ", user_error.text))
     seconds = time.perf_counter() - began
-    entry = replace(result.entry, seconds=seconds, options=settings.options, origin=origin)
-    return replace(result, entry=entry)
+    entry = result.entry._replace(seconds=seconds, options=settings.options, origin=origin)
+    return result._replace(entry=entry)
 
 
 def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
@@ -228,7 +226,7 @@ def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
 def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
     """Propagate one log into a file of this machine."""
     job = settings.job
-    job = replace(job, log=task.path, output=replace(job.output, path=path))
+    job = job._replace(log=task.path, output=job.output._replace(path=path))
     report = run(job, summary=False)
     log, output, result = report.source.digest, digest_of(path), report.result
     if log.sha256 is None and not is_address(task.path):

@@ -12,10 +12,9 @@ import threading
 from collections import deque
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
-from dataclasses import dataclass
 from itertools import chain, islice
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
@@ -65,8 +64,7 @@ def use_threads(count: int | None) -> Iterator[None]:
         _wanted.reset(token)
 
 
-@dataclass(frozen=True, slots=True)
-class Deferred(Generic[Result]):
+class Deferred(NamedTuple, Generic[Result]):
     """A result that is too large to be computed ahead of its use.
 
     Parameters

@@ -7,9 +7,8 @@ converted to body axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
     from quatprop.times import Instant
 
 
-@dataclass(frozen=True, slots=True)
-class Conditioning:
+class Conditioning(NamedTuple):
     """What to do to the rates; None is nothing.
 
     Parameters
@@ -73,8 +71,7 @@ FROM_TRANSFORMS = "tf:"
 """Begins a mounting that is taken from the transforms of the log."""
 
 
-@dataclass(frozen=True, slots=True)
-class ConditioningInputs:
+class ConditioningInputs(NamedTuple):
     """What is known of a log besides its rates; None where it is not there or not asked for.
 
     Parameters
@@ -98,8 +95,7 @@ class ConditioningInputs:
     topic: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class ConditioningReport:
+class ConditioningReport(NamedTuple):
     """What was done to the rates; None is nothing.
 
     Parameters

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,8 +17,7 @@ if TYPE_CHECKING:
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
-@dataclass(frozen=True, slots=True)
-class FrameMounting:
+class FrameMounting(NamedTuple):
     """A mounting from the static transforms of a log.
 
     Parameters

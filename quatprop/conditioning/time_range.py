@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
 
-@dataclass(frozen=True, slots=True)
-class PartOfLog:
+class PartOfLog(NamedTuple):
     """The part of a log that holds a time range, found by the index of the log.
 
     Parameters

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -120,8 +120,7 @@ class MessageBlock:
         return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.not_before_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
+class Loss(NamedTuple):
     """A part of a damaged log that could not be read.
 
     Parameters

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,8 +20,7 @@ SHARE = 4
 """Selected messages are read by themselves where they are at most 1/SHARE of a chunk."""
 
 
-@dataclass(frozen=True, slots=True)
-class ByteRanges:
+class ByteRanges(NamedTuple):
     """Byte ranges that hold messages.
 
     Parameters

@@ -253,7 +253,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         sizes = [len(content.data) for content in contents]
         if all(content.offsets is not None for content in contents):
             copies = [np.frombuffer(content.data, np.uint8) for content in contents]
-            group = replace(group, sizes=sizes, buffer=np.concatenate(copies))
+            group = group._replace(sizes=sizes, buffer=np.concatenate(copies))
         buffer = group.buffer if sizes == group.sizes else None
         if buffer is not None and not any(content.damage for content in contents):
             every = self._all_at_once(buffer, group)

@@ -10,9 +10,8 @@ from __future__ import annotations
 import weakref
 from collections import deque
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -61,8 +60,7 @@ class Buffers:
         return buffer[:size]
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkGroup(Generic[Chunk]):
+class ChunkGroup(NamedTuple, Generic[Chunk]):
     """Chunks that are loaded together, in one thread.
 
     Parameters

@@ -16,8 +16,7 @@ R' P R of the same rotations about body axes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -39,8 +38,7 @@ DIAGONAL: Final = np.array([True, False, False, True, False, True])
 """Which of them are on the diagonal."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensorErrors:
+class SensorErrors(NamedTuple):
     """Standard deviations of what is wrong with a gyroscope, the same on all axes.
 
     Parameters
@@ -124,7 +122,7 @@ class ErrorGrowth:
         time_s = (gyro.t_ns - self._first_ns) / NS_PER_S
         noise = self._errors.noise_density**2 * time_s[self._rows]
         self.variances = {"noise_density": 3 * float(noise[-1])}
-        if replace(self._errors, noise_density=0.0) != SensorErrors():
+        if self._errors._replace(noise_density=0.0) != SensorErrors():
             for start in range(0, len(gyro), TILE):
                 tile = slice(start, start + TILE)
                 turn = rotation_elements(wxyz[tile])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.uncertainty import SensorErrors
@@ -60,7 +60,7 @@ class ErrorSettings:
 
     def refuse_unknown_errors(self) -> None:
         """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
-        known = (self.imu, *(getattr(self, one.name) for one in fields(SensorErrors)))
+        known = (self.imu, *(getattr(self, name) for name in SensorErrors._fields))
         if self.sigma and all(value is None for value in known):
             raise UsageError(
                 *(Setting("sigma"), " needs the errors of the gyroscope; give "),
@@ -75,8 +75,7 @@ class ErrorSettings:
         return (self.sigma_axes or "body") if self.sigma else None
 
 
-@dataclass(frozen=True, slots=True)
-class UncertaintyReport:
+class UncertaintyReport(NamedTuple):
     """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
 
     Parameters
@@ -121,8 +120,7 @@ def known_errors(
     UsageError
         The file cannot be used.
     """
-    names = [field.name for field in fields(SensorErrors)]
-    given = {name: getattr(settings, name) for name in names}
+    given = {name: getattr(settings, name) for name in SensorErrors._fields}
     found = {name: (value, "given") for name, value in given.items() if value is not None}
     if settings.imu is not None:
         for name, value in read_imu(settings.imu).items():

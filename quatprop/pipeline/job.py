@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import time
 from contextlib import closing
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.stores import digest_of_object, is_address
@@ -35,8 +35,7 @@ SMALL_BYTES = 1 << 18
 """A smaller log is not worth a thread."""
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(NamedTuple):
     """What to do with one log.
 
     Parameters
@@ -51,7 +50,7 @@ class Job:
 
     log: str
     output: OutputSettings
-    settings: PropagationSettings = field(default_factory=PropagationSettings)
+    settings: PropagationSettings = PropagationSettings()
 
 
 def run(
@@ -96,7 +95,7 @@ def run(
         ) as log,
     ):
         output = with_format(job.output, log)
-        job = replace(job, output=output)
+        job = job._replace(output=output)
         source = choose_rates(log, settings.selection)
         stream = AttitudeStream(
             job.log,
@@ -150,7 +149,7 @@ def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:
         kind = copy_kind(log, output.path, output.to)
     else:
         kind = output.kind
-    return replace(output, to=kind, layout=layout_of(kind, output.layout).name)
+    return output._replace(to=kind, layout=layout_of(kind, output.layout).name)
 
 
 def _is_small(log: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop import __version__
 from quatprop.containers.stores import digest_of_object, is_address, without_secret
@@ -35,8 +35,7 @@ CONVENTION = {
 """The convention as every output states it."""
 
 
-@dataclass(frozen=True, slots=True)
-class SourceReport:
+class SourceReport(NamedTuple):
     """Where the samples came from.
 
     Parameters
@@ -125,8 +124,7 @@ class ConventionReport:
         return CONVENTION[self.rates]
 
 
-@dataclass(frozen=True, slots=True)
-class ResultReport:
+class ResultReport(NamedTuple):
     """What came out.
 
     Parameters

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.conditioning import Conditioning
 from quatprop.containers.stores import is_address, without_secret
@@ -124,8 +124,7 @@ class PropagationSettings:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class OutputSettings:
+class OutputSettings(NamedTuple):
     """Where attitudes go, and as what.
 
     Parameters

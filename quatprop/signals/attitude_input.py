@@ -112,7 +112,7 @@ class ReadAttitudes:
             "first_ns": self.first_ns,
             "last_ns": self.last_ns,
             "rows": asdict(self.counts),
-            "losses": [asdict(loss) for loss in self.losses],
+            "losses": [loss._asdict() for loss in self.losses],
             "remarks": list(self.signal.remarks),
         }
 

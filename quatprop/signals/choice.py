@@ -7,7 +7,7 @@ the remarks of the signal, what is ambiguous is refused with the setting that se
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from quatprop.containers.merge import Columns, merge_by_time
@@ -45,8 +45,7 @@ SignalT = TypeVar("SignalT", bound=Signal)
 SelectionT = TypeVar("SelectionT", bound="SignalSelection")
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate(Generic[SignalT]):
+class Candidate(NamedTuple, Generic[SignalT]):
     """A signal that a log seems to hold.
 
     Parameters

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -38,8 +37,7 @@ MEDIAN_WINDOW = 65_536
 """The median interval is that of the first so many intervals: exact, in constant memory."""
 
 
-@dataclass(frozen=True, slots=True)
-class Policy:
+class Policy(NamedTuple):
     """How each kind of irregularity is handled.
 
     Parameters

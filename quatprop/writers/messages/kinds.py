@@ -9,7 +9,6 @@ define the quaternion as x, y, z, w: there is no other layout.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UsageError
@@ -78,8 +77,7 @@ MESSAGES: Mapping[str, MessageType] = {
 """Every message that attitudes can be written as."""
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """The message that attitudes are written as, and its topic and frames.
 
     Parameters
