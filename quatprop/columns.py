@@ -95,7 +95,7 @@ def seconds_in_ns(name: str, values: object) -> NDArray[np.int64]:
     return np.asarray(whole.astype(np.int64) * NS_PER_S + rest)
 
 
-def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.float64]:
+def rows_of(name: str, values: object, *shape: int) -> NDArray[np.float64]:
     """Return rows of numbers.
 
     Parameters
@@ -103,14 +103,14 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
     name
         What errors call them.
     values
-        Numbers of any type, shape ``(count, width)``; a table with `width` columns too.
-    count, width
-        The shape that is needed.
+        Numbers of any type; a table, too.
+    *shape
+        The shape that is needed, such as ``len(t_ns), 4``.
 
     Returns
     -------
     ndarray
-        Shape ``(count, width)``, float64; the same array where it is one already.
+        Float64; the same array where it is one already.
 
     Raises
     ------
@@ -130,11 +130,9 @@ def rows_of(name: str, values: object, count: int, width: int) -> NDArray[np.flo
             array = array.astype(np.float64)
         except (TypeError, ValueError) as error:
             raise SeriesError(f"`{name}` has values that are missing or not numbers") from error
-    if array.shape != (count, width):
-        hint = "; transpose it" if array.shape == (width, count) else ""
-        raise SeriesError(
-            f"Expected `{name}` to have shape ({count}, {width}), got {array.shape}{hint}"
-        )
+    if array.shape != shape:
+        hint = "; transpose it" if array.shape == shape[::-1] else ""
+        raise SeriesError(f"Expected `{name}` to have shape {shape}, got {array.shape}{hint}")
     if array.dtype.kind not in "iuf":
         raise SeriesError(f"Expected `{name}` to be numbers, got {array.dtype}")
     return array.astype(np.float64, copy=False)

@@ -16,26 +16,15 @@ from quatprop.errors import SeriesError, UsageError
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from typing import Any, Self
 
     import pyarrow as pa
-    from numpy.typing import NDArray
 
-    Int64 = NDArray[np.int64]
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import AnyArray, Bool, Float64, Int64, Intp
 
 SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
 """Names of the columns of standard deviations, rad."""
-
-BLOCK = 131_072
-"""Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
-
-
-def blocks(rows: int) -> Iterator[slice]:
-    """Yield slices of so many rows: what is computed of each needs no memory for all of them."""
-    for start in range(0, rows, BLOCK):
-        yield slice(start, start + BLOCK)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -45,7 +34,7 @@ class _Series:
     t_ns: Int64
     _rows: ClassVar[str]
 
-    def _keep(self, **columns: NDArray[Any] | None) -> None:
+    def _keep(self, **columns: AnyArray | None) -> None:
         """Keep columns as read-only arrays."""
         for name, values in columns.items():
             if values is not None:
@@ -56,7 +45,7 @@ class _Series:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def __getitem__(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Self:
+    def __getitem__(self, chosen: slice | Bool | Intp) -> Self:
         """Return some rows: views for a slice, copies for a mask or positions."""
 
         def column(name: str) -> Any:
@@ -180,38 +169,6 @@ class GyroSeries(_Series):
         return replace(self, rate=rate)
 
 
-def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
-    """Cut a stream of samples at fixed sample indices, wherever its batches ended.
-
-    What is computed block by block is then the same to the bit however the samples arrived.
-
-    Parameters
-    ----------
-    batches
-        Samples in order; empty batches are passed over.
-    size
-        Samples in every block but the last.
-
-    Yields
-    ------
-    GyroSeries
-        Blocks of `size` samples; the last may be shorter, none is empty.
-    """
-    held: list[GyroSeries] = []
-    count = 0
-    for batch in batches:
-        start = 0
-        while count + len(batch) - start >= size:
-            stop = start + size - count
-            yield GyroSeries.joined([*held, batch[start:stop]])
-            held, count, start = [], 0, stop
-        if start < len(batch):
-            held.append(batch[start:])
-            count += len(batch) - start
-    if count:
-        yield GyroSeries.joined(held)
-
-
 @dataclass(frozen=True, slots=True, repr=False)
 class AttitudeSeries(_Series):
     """Attitudes of the body, in time.
@@ -251,17 +208,10 @@ class AttitudeSeries(_Series):
     def __post_init__(self) -> None:
         t_ns = stamps_of("t_ns", self.t_ns)
         rows = {"wxyz": rows_of("wxyz", self.wxyz, len(t_ns), 4)}
-        for name in ("position", "rate"):
+        for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
-                rows[name] = rows_of(name, values, len(t_ns), 3)
-        covariance = self.covariance
-        if covariance is not None:
-            covariance = np.asarray(covariance, np.float64)
-            if covariance.shape != (len(t_ns), 3, 3):
-                raise SeriesError(
-                    f"Expected `covariance` of shape ({len(t_ns)}, 3, 3), got {covariance.shape}"
-                )
-        self._keep(t_ns=t_ns, covariance=covariance, **rows)
+                rows[name] = rows_of(name, values, len(t_ns), *shape)
+        self._keep(t_ns=t_ns, **rows)
 
     @classmethod
     def from_seconds(cls, t_s: Float64, wxyz: Float64) -> Self:

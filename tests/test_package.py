@@ -69,7 +69,7 @@ LAYERS = (
         "progress",
         "temp_files",
     },
-    {"series", "selection", "settings", "arrow_arrays", "columns"},
+    {"series", "blocks", "selection", "settings", "arrow_arrays", "columns"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "log_kinds", "formats"},

@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from streams import propagated
 
+from quatprop.blocks import reblock
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
-from quatprop.series import AttitudeSeries, GyroSeries, reblock
+from quatprop.series import AttitudeSeries, GyroSeries
 
 S = 1_000_000_000
 

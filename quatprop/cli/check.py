@@ -127,9 +127,8 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     _report_to_ci(loaded, results, options["junit"])
     if deleted:
         _report_deleted(all_cases, deleted, updating=lock is not None)
-    strict = options["strict"]
-    missing = strict and deleted and lock is None
-    return exit_code(results, strict=strict) or int(bool(missing))
+    missing = options["strict"] and deleted and lock is None
+    return exit_code(results, strict=options["strict"]) or int(bool(missing))
 
 
 @contextmanager

@@ -17,11 +17,11 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from quatprop.arrays import Float64
     from quatprop.conditioning.static_detection import Rest
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
     from quatprop.rendering import Row
-    from quatprop.series import Float64
 
 
 INDENT = 12

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.blocks import blocks
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, associate, shifted
 from quatprop.comparison.clocks import find_offset
@@ -18,13 +19,13 @@ from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle, normalize
-from quatprop.series import AttitudeSeries, blocks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64
     from quatprop.comparison.association import Pairs
+    from quatprop.series import AttitudeSeries
 
 
 UNIT_LENGTH = 1e-3
@@ -57,6 +58,7 @@ def compare(
     Examples
     --------
     >>> t_ns = np.arange(3) * 10_000_000
+    >>> from quatprop.series import AttitudeSeries
     >>> a = AttitudeSeries(t_ns, np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
     >>> b = AttitudeSeries(t_ns, -a.wxyz)
     >>> compare(a, b).error_rad.max

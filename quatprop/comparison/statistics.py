@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.blocks import blocks
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
-from quatprop.series import blocks
 from quatprop.text import Setting
 from quatprop.times import duration_text
 

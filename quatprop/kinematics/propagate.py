@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from quatprop.blocks import BLOCK, reblock
 from quatprop.errors import SeriesError
 from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
 from quatprop.kinematics.product import product, product_scan, tile_steps, write_rows
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
-from quatprop.series import BLOCK, AttitudeSeries, GyroSeries, reblock
+from quatprop.series import AttitudeSeries, GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -183,7 +184,7 @@ class Propagation(_Composition):
         Parameters
         ----------
         series
-            Samples that follow the last ones: a block of :func:`quatprop.series.reblock`, so that
+            Samples that follow the last ones: a block of :func:`quatprop.blocks.reblock`, so that
             tiles begin at fixed sample indices.
         following
             The samples after those, of which the method ``cubic`` takes the first into account;

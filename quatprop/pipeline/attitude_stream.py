@@ -6,6 +6,7 @@ from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING
 
+from quatprop.blocks import reblock
 from quatprop.concurrency.threads import in_background
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
@@ -20,7 +21,6 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
-from quatprop.series import reblock
 from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.rates import UNITS

@@ -23,10 +23,10 @@ from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
+    from quatprop.arrays import Float64, Int64
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
-    from quatprop.series import Float64, Int64
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
     from quatprop.tables.matching.choose import ColumnMatch

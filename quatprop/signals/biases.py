@@ -23,9 +23,9 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.selection import SignalSelection
-    from quatprop.series import Float64, Int64
     from quatprop.tables.base import AnyLog
 
 

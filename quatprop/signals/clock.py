@@ -17,11 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.arrays import AnyArray, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.stamps import Stamp
     from quatprop.selection import SignalSelection
-    from quatprop.series import Int64
 
 
 class Clock(NamedTuple):

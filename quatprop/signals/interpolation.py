@@ -35,8 +35,9 @@ from quatprop.times import NS_PER_UNIT, duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from quatprop.arrays import Float64, Int64
     from quatprop.selection import SignalSelection
-    from quatprop.series import AttitudeSeries, Float64, Int64
+    from quatprop.series import AttitudeSeries
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 

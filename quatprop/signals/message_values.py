@@ -23,10 +23,9 @@ from quatprop.series import GyroSeries
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from quatprop.arrays import AnyArray
+    from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.time_range import TimeRange
-    from quatprop.series import Float64, Int64
     from quatprop.signals.clock import Clock
 
 

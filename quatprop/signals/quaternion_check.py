@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.arrays import Bool
-    from quatprop.series import Float64, Int64
+    from quatprop.arrays import Bool, Float64, Int64
 
 
 ZERO = 1e-6

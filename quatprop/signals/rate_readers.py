@@ -13,10 +13,10 @@ from quatprop.text import quoted
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
+    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
-    from quatprop.series import Float64, Int64
     from quatprop.signals.clock import Clock
     from quatprop.signals.message_values import MessageReader
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
     from quatprop.containers.merge import Columns
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
-    from quatprop.series import Float64, GyroSeries, Int64
+    from quatprop.series import GyroSeries
     from quatprop.text import Text
 
     Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]

@@ -24,8 +24,8 @@ from quatprop.tables.base import TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
+    from quatprop.arrays import Float64
     from quatprop.containers.base import MessageLog
-    from quatprop.series import Float64
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 

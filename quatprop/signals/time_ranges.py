@@ -24,7 +24,8 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.series import GyroSeries, Int64
+    from quatprop.arrays import Int64
+    from quatprop.series import GyroSeries
     from quatprop.tables.base import Span
 
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from quatprop.blocks import reblock
 from quatprop.errors import TimelineError
-from quatprop.series import GyroSeries, reblock
+from quatprop.series import GyroSeries
 from quatprop.text import Setting
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks, cause_of_step
 
