@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables.jsonl_parser import LineParser
-from quatprop.tables.text_stream import note_lines, open_text, record_blocks
+from quatprop.tables.text_stream import RejectedRows, open_text, record_blocks
 from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leaves
 from quatprop.text import quoted
 
@@ -90,17 +90,13 @@ class JsonLinesLog(TypedTable):
 
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
         parser = LineParser(
-            self.path,
+            RejectedRows(self.path, self.losses),
             [self._leaves[k] for k in columns.numbers],
             [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
         )
         with closing(open_text(self.path)) as text:
             for block in record_blocks(text, 1):
-                yield from parser.parse(block.data)
-                if parser.rejected:
-                    rejected = [(block.line + number, why) for number, why in parser.rejected]
-                    note_lines(self.losses, rejected)
-                    parser.rejected.clear()
+                yield from parser.parse(block.data, block.line)
             if text.damage:
                 self.losses.note("end of the file", text.damage)
 

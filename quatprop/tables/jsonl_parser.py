@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
@@ -11,14 +12,13 @@ from pyarrow import json as arrow_json
 
 from quatprop.arrow_arrays import nested_schema, readable
 from quatprop.concurrency.threads import thread_count
-from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
 
+    from quatprop.tables.text_stream import RejectedRows
     from quatprop.tables.typed_table import Leaf
 
 _TASK_BYTES = 1 << 20  # what one thread of pyarrow parses at a time
@@ -41,45 +41,35 @@ class LineParser:
 
     Parameters
     ----------
-    path
-        The file, for errors.
+    rejected
+        Where rows that do not fit are noted.
     numbers
         Columns of numbers.
     time
         The columns of the time and their units.
-
-    Attributes
-    ----------
-    rejected
-        Number of each line that was rejected, from 0 at the beginning of a block, and why.
     """
 
     def __init__(
-        self, path: Path, numbers: Sequence[Leaf], time: Sequence[tuple[Leaf, str]]
+        self, rejected: RejectedRows, numbers: Sequence[Leaf], time: Sequence[tuple[Leaf, str]]
     ) -> None:
-        self.rejected: list[tuple[int, str]] = []
-        self._path = path
+        self._rejected = rejected
         self._numbers = numbers
         self._time = time
-        self._spare = 0
-        self._count = 0
-        self._rejected = 0
-        self._set_types()
+        # Stamps finer than ns are tried for once; without stamps there is nothing to try.
+        self._spare = 0 if time else timestamps.SPARE_PLACES
 
-    def _set_types(self) -> None:
+    def _schema(self, spare: int) -> pa.Schema:
         fields = {
             leaf.path: leaf.type if leaf.element is None else pa.list_(leaf.type)
             for leaf in self._numbers
         }
         for leaf, unit in self._time:
             is_date = pa.types.is_timestamp(leaf.type)
-            fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, self._spare)
-        self._options = arrow_json.ParseOptions(
-            explicit_schema=nested_schema(fields), unexpected_field_behavior="ignore"
-        )
+            fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, spare)
+        return nested_schema(fields)
 
-    def parse(self, data: bytes | memoryview) -> Iterator[pa.RecordBatch | int]:
-        """Yield the rows of a block; for rejected rows, how many.
+    def parse(self, data: bytes | memoryview, line: int) -> Iterator[pa.RecordBatch | int]:
+        """Yield the rows of a block that begins with a line; for rejected rows, how many.
 
         Raises
         ------
@@ -89,27 +79,17 @@ class LineParser:
         try:
             yield from self._whole(data)
         except _MISFITS:
-            yield from self._by_halves(bytes(data).split(b"\n"), 0)
-        if 2 * self._rejected > self._count:
-            self._refuse()
+            misfits: list[tuple[int, str]] = []
+            yield from self._by_halves(bytes(data).split(b"\n"), line, misfits)
+            self._rejected.note(misfits)
+        self._rejected.refuse_if_most()
 
     def _whole(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
-        """Return all rows; stamps finer than ns are here, and likely further on."""
-        try:
-            return self._batches(data)
-        except _MISFITS:
-            if self._spare or not self._time:
-                raise
-        self._spare = timestamps.SPARE_PLACES
-        self._set_types()
-        try:
-            return self._batches(data)
-        except _MISFITS:
-            self._spare = 0
-            self._set_types()
-            raise
+        parse = partial(self._batches, data)
+        batches, self._spare = timestamps.with_spare_places(parse, self._spare, _MISFITS)
+        return batches
 
-    def _batches(self, data: bytes | memoryview) -> list[pa.RecordBatch]:
+    def _batches(self, data: bytes | memoryview, spare: int) -> list[pa.RecordBatch]:
         try:
             timestamps.refuse_tiny_numbers(data)
         except timestamps.TimestampRangeError:
@@ -126,9 +106,11 @@ class LineParser:
             read_options=arrow_json.ReadOptions(
                 use_threads=len(data) > _TASK_BYTES and thread_count() > 1, block_size=_TASK_BYTES
             ),
-            parse_options=self._options,
+            parse_options=arrow_json.ParseOptions(
+                explicit_schema=self._schema(spare), unexpected_field_behavior="ignore"
+            ),
         )
-        self._count += table.num_rows
+        self._rejected.count += table.num_rows
         batches: list[pa.RecordBatch] = table.combine_chunks().to_batches()
         return batches
 
@@ -146,7 +128,9 @@ class LineParser:
                 if isinstance(value, str):
                     yield value
 
-    def _by_halves(self, lines: list[bytes], first: int) -> Iterator[pa.RecordBatch | int]:
+    def _by_halves(
+        self, lines: list[bytes], first: int, misfits: list[tuple[int, str]]
+    ) -> Iterator[pa.RecordBatch | int]:
         if not any(map(bytes.strip, lines)):
             return
         try:
@@ -154,27 +138,16 @@ class LineParser:
         except _MISFITS as error:
             if len(lines) > 1:
                 middle = len(lines) // 2
-                yield from self._by_halves(lines[:middle], first)
-                yield from self._by_halves(lines[middle:], first + middle)
+                yield from self._by_halves(lines[:middle], first, misfits)
+                yield from self._by_halves(lines[middle:], first + middle, misfits)
                 return
-            self.rejected.append((first, _reason(error)))
-            self._count += 1
-            self._rejected += 1
+            misfits.append((first, _reason(error)))
+            self._rejected.count += 1
             # Line by line is slow: what is no such table must not take forever.
-            if self._rejected > _MANY_REJECTED and 2 * self._rejected > self._count:
-                self._refuse()
+            if len(misfits) > _MANY_REJECTED and 2 * len(misfits) > self._rejected.count:
+                self._rejected.note(misfits)
+                self._rejected.refuse_if_most()
             yield 1
-
-    def _refuse(self) -> None:
-        example = ""
-        if self.rejected:
-            number, reason = self.rejected[0]
-            example = f" (such as line {number + 1}: {reason})"
-        raise UnsupportedLogError(
-            self._path,
-            f"{self._rejected} of its first {self._count} rows do not fit{example}; "
-            "check the columns and units",
-        )
 
 
 def _is_object(line: bytes) -> bool:

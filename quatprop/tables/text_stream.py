@@ -10,8 +10,8 @@ import numpy as np
 
 from quatprop.containers.compressed_files import file_compression
 from quatprop.containers.compression import CompressionError, decompressed_pieces
-from quatprop.errors import UnreadableLogError, os_reason
-from quatprop.text import plain
+from quatprop.errors import UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -171,20 +171,50 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
     return cut or last
 
 
-def note_lines(losses: Losses, rejected: list[tuple[int, str]]) -> None:
-    """Note rejected lines of a block, together where they are many.
+class RejectedRows:
+    """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
 
     Parameters
     ----------
+    path
+        The table, for errors.
     losses
         Where to note them.
-    rejected
-        Number and reason of each line.
+
+    Attributes
+    ----------
+    count
+        How many rows were read so far, those that do not fit among them.
     """
-    if len(rejected) <= _LOSSES_A_BLOCK:
-        for line, reason in rejected:
-            losses.note(f"line {line}", reason, 1)
-        return
-    first, last = rejected[0], rejected[-1]
-    reason = f"{len(rejected)} of these rows do not fit; the first: {first[1]}"
-    losses.note(f"lines {first[0]} to {last[0]}", reason, len(rejected))
+
+    def __init__(self, path: Path, losses: Losses) -> None:
+        self.count = 0
+        self._path = path
+        self._losses = losses
+        self._first = (0, "")
+        self._rejected = 0
+
+    def note(self, rows: list[tuple[int, str]]) -> None:
+        """Note line number and reason of rejected rows of a block, together where they are many."""
+        if not rows:
+            return
+        if not self._rejected:
+            self._first = rows[0]
+        self._rejected += len(rows)
+        if len(rows) <= _LOSSES_A_BLOCK:
+            for line, reason in rows:
+                self._losses.note(f"line {line}", reason, 1)
+            return
+        reason = f"{len(rows)} of these rows do not fit; the first: {rows[0][1]}"
+        self._losses.note(f"lines {rows[0][0]} to {rows[-1][0]}", reason, len(rows))
+
+    def refuse_if_most(self) -> None:
+        """Refuse a table of which more rows were rejected than read."""
+        if 2 * self._rejected > self.count:
+            line, reason = self._first
+            raise UnsupportedLogError(
+                self._path,
+                f"{self._rejected} of its first {self.count} rows do not fit (line {line}: "
+                f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
+                "whether it is one table",
+            )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation, Overflow
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +20,7 @@ from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from quatprop.arrays import Float64, Int64
 
@@ -37,6 +37,9 @@ _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 
 
+ParsedT = TypeVar("ParsedT")
+
+
 class TimestampRangeError(ValueError):
     """A stamp that int64 nanoseconds cannot hold."""
 
@@ -49,6 +52,33 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
     """
     scale = PLACES[unit] + spare
     return pa.decimal128(_DIGITS - scale, scale)
+
+
+def with_spare_places(
+    parse: Callable[[int], ParsedT], spare: int, misfits: tuple[type[Exception], ...]
+) -> tuple[ParsedT, int]:
+    """Parse text with so many spare places or, where it does not fit, with all of them.
+
+    Parameters
+    ----------
+    parse
+        Parses it with some spare places.
+    spare
+        What fitted before: stamps finer than a nanosecond are rare, but come together.
+    misfits
+        What `parse` raises where a row does not fit.
+
+    Returns
+    -------
+    tuple
+        What was parsed, and with how many spare places.
+    """
+    try:
+        return parse(spare), spare
+    except misfits:
+        if spare:
+            raise
+    return parse(SPARE_PLACES), SPARE_PLACES
 
 
 def refuse_tiny_numbers(data: bytes | memoryview) -> None:

@@ -16,7 +16,13 @@ from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import TextStream, open_text, record_blocks, record_end
+from quatprop.tables.text_stream import (
+    RejectedRows,
+    TextStream,
+    open_text,
+    record_blocks,
+    record_end,
+)
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -103,7 +109,8 @@ class CsvLog(TableLog):
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
-        reader = BlockReader(self.path, self._layout, columns, self.losses)
+        rejected = RejectedRows(self.path, self.losses)
+        reader = BlockReader(rejected, self.path, self._layout, columns)
         tail = b""
         try:
             for block in record_blocks(text, self._layout.line):
@@ -112,7 +119,7 @@ class CsvLog(TableLog):
                 if not len(whole.data):
                     continue
                 t_ns, numbers = reader.read(whole)
-                reader.refuse_if_mostly_rejected()
+                rejected.refuse_if_most()
                 if len(t_ns):
                     yield t_ns, numbers
             if text.damage:

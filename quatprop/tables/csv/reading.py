@@ -7,23 +7,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import UnsupportedLogError
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser
-from quatprop.tables.text_stream import TextStream, note_lines, record_blocks
+from quatprop.tables.text_stream import TextStream, record_blocks
 from quatprop.tables.timestamps import row_stamps
-from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.containers.base import Losses
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
     from quatprop.tables.csv.rows import ParsedRows
-    from quatprop.tables.text_stream import TextBlock
+    from quatprop.tables.text_stream import RejectedRows, TextBlock
 
 
 _PIECE_BYTES = 1 << 16
@@ -36,28 +33,24 @@ class BlockReader:
 
     Parameters
     ----------
+    rejected
+        Where rows that do not fit are noted.
     path
         The table.
     layout
         How it is laid out.
     columns
         Which columns to read.
-    losses
-        Where rejected rows are noted.
     """
 
     def __init__(
-        self, path: Path, layout: CsvLayout, columns: TimedColumns, losses: Losses
+        self, rejected: RejectedRows, path: Path, layout: CsvLayout, columns: TimedColumns
     ) -> None:
-        self._path = path
+        self._rejected = rejected
         self._layout = layout
         self._columns = columns
         self._block_parser = BlockParser(layout, columns)
         self._row_parser = RowParser(path, layout, columns)
-        self._losses = losses
-        self._first_rejected: tuple[int, str] | None = None
-        self._count = 0
-        self._rejected = 0
 
     def read(self, block: TextBlock) -> tuple[Int64, Float64]:
         """Return stamps, shape ``(N,)``, ns, and numbers, ``(N, k)``, of the rows that fit."""
@@ -69,17 +62,6 @@ class BlockReader:
         if len(parts) == 1:
             return stamps[0], parts[0].numbers
         return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
-
-    def refuse_if_mostly_rejected(self) -> None:
-        """Refuse a table of which more rows were rejected than read."""
-        if self._first_rejected and 2 * self._rejected > self._count:
-            line, reason = self._first_rejected
-            raise UnsupportedLogError(
-                self._path,
-                f"{self._rejected} of its first {self._count} rows do not fit (line {line}: "
-                f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
-                "whether it is one table",
-            )
 
     def _parse(
         self, data: bytes | memoryview, *, quoted: bool, task: int = TASK_BYTES
@@ -101,17 +83,14 @@ class BlockReader:
                 rejected += rows.rejected
             yield rows
             count += rows.total
-            if count > _ENOUGH_ROWS and 2 * len(rejected) > self._count + count:
+            if count > _ENOUGH_ROWS and 2 * len(rejected) > self._rejected.count + count:
                 break  # it will be refused: nobody waits for the rest
-        if rejected:
-            self._first_rejected = self._first_rejected or rejected[0]
-            self._rejected += len(rejected)
-            note_lines(self._losses, rejected)
+        self._rejected.note(rejected)
 
     def _stamps(self, rows: ParsedRows) -> Int64:
         t_ns = rows.t_ns
         if t_ns is None:
-            t_ns = row_stamps(self._count, rows.total, self._columns.sample_rate or 1.0)
+            t_ns = row_stamps(self._rejected.count, rows.total, self._columns.sample_rate or 1.0)
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
-        self._count += rows.total
+        self._rejected.count += rows.total
         return t_ns

@@ -76,7 +76,8 @@ class BlockParser:
         self.layout = layout
         self.columns = columns
         self._names = [str(k) for k in range(len(layout.names))]
-        self._spare = 0
+        # Stamps finer than ns are tried for once; without stamps there is nothing to try.
+        self._spare = 0 if columns.time else timestamps.SPARE_PLACES
 
     def parse(
         self, data: bytes | memoryview, *, line_breaks: bool, task: int = TASK_BYTES
@@ -101,17 +102,12 @@ class BlockParser:
         """
         if self.layout.delimiter == " ":
             data = squeeze_blanks(data)
-        try:
-            return self._parse(data, self._spare, line_breaks, task)
-        except MISFITS:
-            if self._spare or not self.columns.time:
-                raise
-        rows = self._parse(data, timestamps.SPARE_PLACES, line_breaks, task)
-        self._spare = timestamps.SPARE_PLACES  # stamps finer than ns, here and likely further on
+        parse = partial(self._parse, data, line_breaks, task)
+        rows, self._spare = timestamps.with_spare_places(parse, self._spare, MISFITS)
         return rows
 
     def _parse(
-        self, data: bytes | memoryview, spare: int, line_breaks: bool, task: int
+        self, data: bytes | memoryview, line_breaks: bool, task: int, spare: int
     ) -> ParsedRows:
         if self.columns.time:
             timestamps.refuse_tiny_numbers(data)
