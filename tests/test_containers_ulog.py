@@ -316,6 +316,18 @@ def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
     assert {loss.reason for loss in log.losses} == {"the file has become shorter"}
 
 
+def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
+    """The other messages of its topic are read."""
+    short = record(b"D", struct.pack("<H", 1) + b"four")
+    messages = gyro(1, range(1000, 101_000, 1000))
+    path = write(tmp_path / "a.ulg", added("sensor_gyro", 0, 1), *messages, short, *messages)
+    series, losses = read(path)
+    assert len(series) == 200
+    (loss,) = losses
+    assert (loss.place, loss.messages) == ("topic sensor_gyro/0", 1)
+    assert loss.reason == "it ends before its time stamp; the log is damaged"
+
+
 def test_dropouts_are_losses(tmp_path, shared_logs):
     """What the recorder could not write is as lost as what cannot be read."""
     dropouts = [record(b"O", (20).to_bytes(2, "little")), record(b"O", (300).to_bytes(2, "little"))]

@@ -20,7 +20,7 @@ import numpy as np
 
 from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog, by_topic
 from quatprop.containers.file_source import source_of
-from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
 from quatprop.times import NS_PER_UNIT
@@ -159,10 +159,11 @@ class UlogLog(MessageLog):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                self.losses.note(
-                    f"topic {channel.topic}", str(error.reason), len(places), int(places[0])
-                )
-                continue
+                lost = list(error.positions)
+                reason = "it ends before its time stamp; the log is damaged"
+                self.losses.note(f"topic {channel.topic}", reason, len(lost), int(places[0]))
+                block = block.at(np.delete(np.arange(len(block)), lost))
+                (timestamp,) = stamps.columns(block)
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)
 
@@ -180,17 +181,16 @@ class UlogLog(MessageLog):
         """Read messages; those beyond a file that has become shorter are noted as lost."""
         offsets, sizes = self._offsets[places], self._sizes[places]
         base = int(offsets[0])
+        data, reason = b"", "the file has become shorter"
         try:
             data = self._source.read(base, int(offsets[-1] + sizes[-1]) + _HEAD.size - base)
         except OSError as error:
-            data = b""
-            self.losses.note(f"byte {base}", f"it cannot be read: {error.strerror}")
+            reason = os_reason(error)
         begin = offsets - base + _HEAD.size
         ends = begin + sizes
         whole = int(ends.searchsorted(len(data), "right"))
         if whole < len(places):
-            place = f"byte {base + len(data)}"
-            self.losses.note(place, "the file has become shorter", len(places) - whole)
+            self.losses.note(f"byte {base + len(data)}", reason, len(places) - whole)
         # The subscription id before the message is not part of it.
         begin, ends = begin[:whole] + 2, ends[:whole]
         return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
