@@ -6,7 +6,7 @@ one are the same type: readers yield many short series in order, writers take th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -52,7 +52,7 @@ class _Series:
             values = getattr(self, name)
             return values[chosen] if isinstance(values, np.ndarray) else values
 
-        return type(self)(*(column(field.name) for field in fields(self)))
+        return type(self)(*map(column, self.__match_args__))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -64,7 +64,7 @@ class _Series:
             values = [getattr(part, name) for part in parts]
             return np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
 
-        return cls(*(column(field.name) for field in fields(cls)))
+        return cls(*map(column, cls.__match_args__))
 
     def __repr__(self) -> str:
         name, t_ns = type(self).__name__, self.t_ns
