@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
     Pairs = NDArray[np.complex128]
+    Wxyz = tuple[float, float, float, float]
 
 LEVELS: Final = 8
 """Of the tree: so often steps are composed in pairs. The few that are left are composed by a loop,
@@ -55,37 +56,31 @@ def tile_steps(rotvec: Float64) -> Pairs:
     return steps
 
 
-def product_scan(first: Pairs, steps: Pairs, levels: int = LEVELS) -> Pairs:
-    """Return the attitudes ``(2, n + 1)`` that `n` steps lead through from the first, ``(2,)``."""
+def product_scan(first: Wxyz, steps: Pairs, levels: int = LEVELS) -> Pairs:
+    """Return the attitudes ``(2, n + 1)`` that `n` steps lead through from the first."""
     if not levels:
-        return _product_loop(first, steps)
+        return np.array(product_loop(first, steps)).view(np.complex128).T.copy()
     even = steps[:, 0::2]
     every = np.empty((2, steps.shape[1] + 1), np.complex128)
-    every[:, 0::2] = every_other = product_scan(first, _double_steps(steps), levels - 1)
+    every[:, 0::2] = every_other = product_scan(first, compose_pairs(steps, 1), levels - 1)
     _multiply(every_other[:, :-1], even, out=every[:, 1::2])
     return every
 
 
-def product(first: Pairs, steps: Pairs) -> Pairs:
-    """Return the last attitude of :func:`product_scan`, ``(2, 1)``, by the same products."""
-    for _ in range(LEVELS):
-        steps = _double_steps(steps)
-    return _product_loop(first, steps)[:, -1:]
+def compose_pairs(steps: Pairs, levels: int) -> Pairs:
+    """Return the steps of a higher level of the tree, each the product of 2**levels."""
+    for _ in range(levels):
+        even, odd = steps[:, 0::2], steps[:, 1::2]
+        steps = np.empty_like(odd)
+        _multiply(even, odd, out=steps)
+    return steps
 
 
-def _double_steps(steps: Pairs) -> Pairs:
-    """Return each step of even index times the one after it."""
-    even, odd = steps[:, 0::2], steps[:, 1::2]
-    double = np.empty_like(odd)
-    _multiply(even, odd, out=double)
-    return double
-
-
-def _product_loop(first: Pairs, steps: Pairs) -> Pairs:
+def product_loop(first: Wxyz, steps: Pairs) -> list[Wxyz]:
     """Return the same as :func:`product_scan`, one step after the other."""
     # Real numbers: some interpreters are compiled to fuse the terms of a complex product.
-    w, x, y, z = first.view(np.float64).tolist()
-    attitudes = [(w, x, y, z)]
+    w, x, y, z = first
+    attitudes = [first]
     for a, b, c, d in np.ascontiguousarray(steps.T).view(np.float64).tolist():
         w, x, y, z = (
             w * a - x * b - y * c - z * d,
@@ -94,7 +89,7 @@ def _product_loop(first: Pairs, steps: Pairs) -> Pairs:
             w * d + x * c - y * b + z * a,
         )
         attitudes.append((w, x, y, z))
-    return np.array(attitudes).view(np.complex128).T.copy()
+    return attitudes
 
 
 def _multiply(p: Pairs, q: Pairs, out: Pairs) -> None:
@@ -121,3 +116,10 @@ def write_rows(pairs: Pairs, rows: Float64) -> None:
     scale = 1.5 - 0.5 * squares
     for component, column in zip(components, rows.T, strict=True):
         np.multiply(component, scale, out=column)
+
+
+def unit(wxyz: Wxyz) -> Wxyz:
+    """Return what :func:`write_rows` makes of one attitude."""
+    w, x, y, z = wxyz
+    scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
+    return w * scale, x * scale, y * scale, z * scale

@@ -14,18 +14,25 @@ import numpy as np
 from quatprop.blocks import BLOCK, reblock
 from quatprop.errors import SeriesError
 from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
-from quatprop.kinematics.product import product, product_scan, tile_steps, write_rows
+from quatprop.kinematics.product import (
+    LEVELS,
+    compose_pairs,
+    product_loop,
+    product_scan,
+    tile_steps,
+    unit,
+    write_rows,
+)
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
 from quatprop.series import AttitudeSeries, GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from quatprop.arrays import Float64, Int64
-
-    Pairs = NDArray[np.complex128]
+    from quatprop.kinematics.product import Pairs, Wxyz
 
 Item = TypeVar("Item")
 
@@ -77,9 +84,6 @@ def attitudes(
     array([[1.      , 0.      , 0.      , 0.      ],
            [0.707107, 0.      , 0.      , 0.707107]])
     """
-    # The C library hands memory back to the system after every tile, and asks for it again page by
-    # page, until it has seen one large array freed. This costs nothing, and saves a third.
-    np.empty((BLOCK, 4))
     return Propagation(q0, method, rates).advance(GyroSeries(t_ns, rate))
 
 
@@ -93,11 +97,14 @@ class _Composition:
     """
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
+        # The C library hands memory back to the system after every tile, and asks for it again page
+        # by page, until it has seen one large array freed; it takes note of up to 32 MiB.
+        np.empty(31 << 20, np.uint8)
         self._inertial = is_inertial(rates)
         integration_rule(method)
         self._method = method
         q0 = unit_q0(q0)
-        self._attitude: Pairs = (conjugate(q0) if self._inertial else q0).view(np.complex128)
+        self._attitude: Wxyz = tuple((conjugate(q0) if self._inertial else q0).tolist())
         self._previous: GyroSeries | None = None
 
     def _steps(
@@ -195,7 +202,7 @@ class Propagation(_Composition):
         SeriesError
             An attitude is not finite.
         """
-        rows = np.empty((len(series), 4))
+        rows = np.empty((4, len(series))).T  # which is faster by column, here and for writers
         with np.errstate(over="ignore", invalid="ignore"):
             for tile, steps in self._steps(series, following):
                 self._fill_tile(steps, rows[tile])
@@ -203,7 +210,7 @@ class Propagation(_Composition):
 
     def _fill_tile(self, steps: Pairs, rows: Float64) -> None:
         write_rows(product_scan(self._attitude, steps)[:, 1 : len(rows) + 1], rows)
-        self._attitude = rows[-1].copy().view(np.complex128)
+        self._attitude = tuple(rows[-1].tolist())
         # What is not finite spreads to all components, and to all attitudes that follow.
         if not np.isfinite(rows[-1, 0]):
             first = self._count + int(np.isfinite(rows[:, 0]).argmin())
@@ -246,15 +253,17 @@ class FinalAttitude(_Composition):
         """Return the attitude at the last sample, wxyz, shape ``(4,)``."""
         if self._held is not None:
             self._advance(self._held, None)
-        wxyz = self._attitude.view(np.float64)
+        wxyz = np.array(self._attitude)
         return conjugate(wxyz) if self._inertial else wxyz
 
     def _advance(self, series: GyroSeries, following: GyroSeries | None) -> None:
-        row = np.empty((1, 4))
         with np.errstate(over="ignore", invalid="ignore"):
-            for _, steps in self._steps(series, following):
-                write_rows(product(self._attitude, steps), row)
-                self._attitude = row[0].copy().view(np.complex128)
+            # Many calls on short arrays take long: high in the tree, all tiles are one array.
+            parts = [compose_pairs(steps, 3) for _, steps in self._steps(series, following)]
+            steps = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3)
+            for start in range(0, steps.shape[1], TILE >> LEVELS):
+                tile = steps[:, start : start + (TILE >> LEVELS)]
+                self._attitude = unit(product_loop(self._attitude, tile)[-1])
 
 
 def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
