@@ -10,17 +10,19 @@ import hashlib
 import json
 import math
 import os
-import threading
+import sys
+from collections import deque
 from collections.abc import Mapping
+from contextlib import closing, contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
+from quatprop.concurrency.threads import in_background, use_threads
+from quatprop.errors import DamagedLogError, UnreadableLogError
 
 if TYPE_CHECKING:
-    from typing import Self
+    from collections.abc import Callable, Generator, Iterator
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
@@ -177,12 +179,13 @@ class Digest(NamedTuple):
 
 def digest_of(path: Path | str) -> Digest:
     """Return the digest of a file or a folder; pipes and ``"-"`` cannot be read again."""
-    with use_threads(1), DigestThread(path) as thread:
-        return thread.result()
+    with use_threads(1), digest_ahead(path) as digest:
+        return digest()
 
 
-class DigestThread:
-    """Computes the digest of a source while others read it.
+@contextmanager
+def digest_ahead(path: Path | str, *, hashed: bool = True) -> Iterator[Callable[[], Digest]]:
+    """Compute the digest of a source while others read it; yield what waits for it.
 
     Parameters
     ----------
@@ -190,67 +193,50 @@ class DigestThread:
         As for :func:`digest_of`.
     hashed
         Whether to compute the SHA-256, which reads everything once more; otherwise only the size.
+
+    Raises
+    ------
+    UnreadableLogError
+        The source cannot be read to its end.
     """
+    with closing(in_background(_digest_at_end(Path(path), hashed), ahead=sys.maxsize)) as steps:
+        next(steps)  # starts it
+        yield lambda: deque(steps, maxlen=1)[0] or Digest()
 
-    def __init__(self, path: Path | str, *, hashed: bool = True) -> None:
-        self._path = Path(path)
-        self._hashed = hashed
-        self._stopped = threading.Event()
-        self._digest = Digest()
-        self._error: OSError | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        if thread_count() > 1:
-            self._thread.start()
 
-    def result(self) -> Digest:
-        """Wait for the digest and return it.
-
-        Raises
-        ------
-        UnreadableLogError
-            The source cannot be read to its end.
-        """
-        if self._thread.ident is None:
-            self._run()
+def _digest_at_end(path: Path, hashed: bool) -> Iterator[Digest | None]:
+    """Yield None for whatever has been read, so that reading can be stopped, and the digest."""
+    yield None
+    try:
+        if path.is_file():
+            digest = yield from _of_file(path, hashed)
+            yield digest
+        elif path.is_dir() and (files := sorted(file for file in path.iterdir() if file.is_file())):
+            digests = {}
+            for file in files:
+                digests[file.name] = yield from _of_file(file, hashed)
+            yield _of_folder(digests)
         else:
-            self._thread.join()
-        if self._error is not None:
-            raise UnreadableLogError(self._path, os_reason(self._error)) from self._error
-        return self._digest
+            yield None
+    except OSError as error:
+        raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_error: object) -> None:
-        self._stopped.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-
-    def _run(self) -> None:
-        try:
-            if self._path.is_dir():
-                files = sorted(file for file in self._path.iterdir() if file.is_file())
-                if files:
-                    self._digest = _of_folder({file.name: self._of_file(file) for file in files})
-            elif self._path.is_file():
-                self._digest = self._of_file(self._path)
-        except OSError as error:
-            self._error = error
-
-    def _of_file(self, file: Path) -> Digest:
-        sha256 = hashlib.sha256()
-        with file.open("rb", buffering=0) as stream:
-            size = stream.seek(0, os.SEEK_END)
-            if not self._hashed:
-                return Digest(size)
-            stream.seek(0)
-            # Memory costs time: a small file gets little.
-            block = memoryview(bytearray(max(1, min(size, _BLOCK_BYTES))))
-            size = 0
-            while not self._stopped.is_set() and (count := stream.readinto(block)):
-                sha256.update(block[:count])
-                size += count
-        return Digest(size, sha256.hexdigest())
+def _of_file(file: Path, hashed: bool) -> Generator[None, None, Digest]:
+    sha256 = hashlib.sha256()
+    with file.open("rb", buffering=0) as stream:
+        size = stream.seek(0, os.SEEK_END)
+        if not hashed:
+            return Digest(size)
+        stream.seek(0)
+        # Memory costs time: a small file gets little.
+        block = memoryview(bytearray(max(1, min(size, _BLOCK_BYTES))))
+        size = 0
+        while count := stream.readinto(block):
+            sha256.update(block[:count])
+            size += count
+            yield
+    return Digest(size, sha256.hexdigest())
 
 
 def _of_folder(files: Mapping[str, Digest]) -> Digest:

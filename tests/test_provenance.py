@@ -16,7 +16,7 @@ from quatprop import GyroSeries, propagate
 from quatprop.cli import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
-from quatprop.provenance import Digest, DigestThread, as_json, digest_of
+from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
@@ -226,19 +226,20 @@ def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
 def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
     """A CSV keeps no provenance, so none is found out: unless a comment or a report asks for it."""
     began = []
-    original = DigestThread.__init__
 
-    def begin(self, path, *, hashed=True):
+    def begin(path, *, hashed=True):
         began.append(hashed)
-        original(self, path, hashed=hashed)
+        return digest_ahead(path, hashed=hashed)
 
-    monkeypatch.setattr(DigestThread, "__init__", begin)
+    for module in ("quatprop.pipeline.job", "quatprop.conversion.convert"):
+        monkeypatch.setattr(f"{module}.digest_ahead", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
         run("propagate", rates, "-o", out, *options)
         run("convert", out, tmp_path / "converted.csv", *options)
     assert began == [False, False, True, True, True, True]
-    assert DigestThread(rates, hashed=False).result() == Digest(len(RATES))
+    with digest_ahead(rates, hashed=False) as digest:
+        assert digest() == Digest(len(RATES))
     assert not keeps_provenance("a.csv")
     assert keeps_provenance("a.csv", comment=True)
     assert keeps_provenance("a.npz")
@@ -284,7 +285,7 @@ def test_a_pipe_is_not_waited_for(tmp_path):
 def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):
     """A large source is not read to its end for a result that there will not be."""
     threads = threading.active_count()
-    with DigestThread(rates):
+    with digest_ahead(rates):
         pass
     assert threading.active_count() == threads
     (tmp_path / "bad.csv").write_text("t_ns,wx,wy,wz\n5,0,0,1\n1,0,0,1\n")

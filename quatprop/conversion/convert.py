@@ -17,7 +17,7 @@ from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
-from quatprop.provenance import DigestThread
+from quatprop.provenance import digest_ahead
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, listed, quoted
@@ -86,7 +86,7 @@ def _written(
     keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
     rows = source.read(positions=keeps and source.has_positions, covariances=sigma is not None)
     write: Callable[[Any], None] = target.write
-    with DigestThread(wanted.path, hashed=job.output.keeps_report) as digest:
+    with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
         for series in _as_written(job, order.watched(check.apply(rows))):
             write(series)
         if not check.counts.used:
@@ -103,7 +103,7 @@ def _written(
             job=job,
             path=without_secret(wanted.path),
             kind=log.kind,
-            digest=digest.result(),
+            digest=digest(),
             signal=source,
             columns=columns,
             counts=check.counts,

@@ -15,7 +15,7 @@ from quatprop.formats import open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.provenance import DigestThread
+from quatprop.provenance import digest_ahead
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
 from quatprop.writers import format_remarks, layout_of, open_writer
@@ -127,12 +127,12 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyL
     output = job.output
     stored = digest_of_object(job.log) if is_address(job.log) else None
     with (
-        DigestThread(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
+        digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
         closing(in_background(stream)) as attitudes,
     ):
         for series in attitudes:
             writer.write(series)
-        report = stream.report(layout=output.layout, digest=stored or digest.result())
+        report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
         report,
         settings={**report.settings, **output.given},
