@@ -279,6 +279,20 @@ def test_of_a_damaged_log_what_can_be_saved_is_compared(folder):
     )
 
 
+def test_rows_that_are_left_out_of_an_independent_series_are_noted(folder):
+    """What is not compared cannot fail, so an update says it, too."""
+    truth = folder / "truth.csv"
+    lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines()
+    truth.write_text("\n".join([*lines[:500], "1,2", *lines[600:]]) + "\n")
+    case = '[case.spin]\nlog = "logs/spin.csv"\nreference-log = "truth.csv"\ntol = "0.1deg"\n'
+    suite = write(folder, case)
+    note = f"note on spin: data of {truth} were lost or left out, see compare"
+    for options in (("--update",), ()):
+        result = check(suite, *options)
+        assert result.exit_code == 0
+        assert note in map(str.strip, result.stdout.splitlines())
+
+
 # Updates.
 
 

@@ -210,3 +210,26 @@ def test_a_file_that_says_nothing_of_its_making_is_refused(tmp_path):
     shown = run("info", tmp_path / "b.npz", "--as-config").stdout.splitlines()
     assert shown[2] == "# converted afterwards, which this does not repeat"
     assert shown[3:] == ['layout = "scalar-first"', 'method = "mean"']
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("sigma = 1", "'sigma' is true or false, not 1"),
+        ("quiet = 'no'", "'quiet' is true or false, not 'no'"),
+    ],
+)
+def test_a_flag_is_true_or_false(tmp_path, line, reason):
+    """As in a suite: a number of the option of the same name may be meant."""
+    path = tmp_path / "a.toml"
+    path.write_text(line)
+    result = run("propagate", SAMPLES / "spin.csv", "-o", tmp_path / "a.csv", "--config", path)
+    assert (result.exit_code, result.stderr.splitlines()[-1]) == (2, f"Error: {path}: {reason}")
+
+
+def test_a_configuration_may_begin_with_a_byte_order_mark(tmp_path):
+    """Editors on Windows write one."""
+    path = tmp_path / "a.toml"
+    path.write_text('method = "mean"\n', encoding="utf-8-sig")
+    result = run("propagate", SAMPLES / "spin.csv", "-o", tmp_path / "a.csv", "--config", path)
+    assert "method      mean" in result.stderr

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from quatprop.check.case import Case
     from quatprop.check.case_run import CaseComparison, CaseRun
     from quatprop.check.lock import Pin
+    from quatprop.signals.attitude_input import AttitudeInput
 
 OTHER_VERSION = "the reference was made by quatprop"
 """How the note on another version begins."""
@@ -72,25 +73,51 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
             raise
         reason = f"{sentence(error)}; the same bytes could be used by quatprop {pin.quatprop}"
         return CaseResult(case.name, "error", reason)
-    if run.report.data_lost:
-        notes.append(f"data of {plain(case.log)} were lost or left out, see propagate")
     failures = []
     if run.samples != pin.samples and case.pins_log:
         failures.append(f"{run.samples} samples were propagated, and {pin.samples} when pinned")
     if case.external is not None:
-        comparison = compare_case(case, run.series, load_attitudes(case.external).series)
-    else:
-        reference = read_reference(str(case.reference)).series
-        if case.strict:
-            failures.append(compare_timestamps(run.series, reference))
-        comparison = try_compare(case, run.series, reference)
-        if not comparison.failure:
-            failures.append(_compare_last(case, pin, run))
-    return judged(case, comparison, failures, notes)
+        return judge_by(case.external, case, run, failures, notes)
+    reference = read_reference(str(case.reference)).series
+    if case.strict:
+        failures.append(compare_timestamps(run.series, reference))
+    comparison = try_compare(case, run.series, reference)
+    if not comparison.failure:
+        failures.append(_compare_last(case, pin, run))
+    return _judged(case, comparison, failures, [*notes, *loss_notes(case, run)])
 
 
-def judged(
-    case: Case, comparison: CaseComparison, failures: Iterable[str] = (), notes: Iterable[str] = ()
+def judge_by(
+    external: AttitudeInput,
+    case: Case,
+    run: CaseRun,
+    failures: Iterable[str] = (),
+    notes: Iterable[str] = (),
+) -> CaseResult:
+    """Return the result of a case by an independent series.
+
+    Parameters
+    ----------
+    external
+        The series.
+    case, run, failures, notes
+        As for :func:`_judged`, and the attitudes of the case.
+    """
+    loaded = load_attitudes(external)
+    notes = [*notes, *loss_notes(case, run)]
+    if loaded.data_lost:
+        notes.append(f"data of {plain(external.path)} were lost or left out, see compare")
+    return _judged(case, compare_case(case, run.series, loaded.series), failures, notes)
+
+
+def loss_notes(case: Case, run: CaseRun) -> list[str]:
+    """Return a note where data of the log were lost."""
+    lost = f"data of {plain(case.log)} were lost or left out, see propagate"
+    return [lost] if run.report.data_lost else []
+
+
+def _judged(
+    case: Case, comparison: CaseComparison, failures: Iterable[str], notes: Iterable[str]
 ) -> CaseResult:
     """Return the result of a case.
 

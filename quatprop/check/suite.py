@@ -74,7 +74,7 @@ def read_suite(path: Path | str) -> Suite:
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode()
+        text = path.read_bytes().decode("utf-8-sig")
         tables = tomllib.loads(text)
     except OSError as error:
         raise SuiteError(path, os_reason(error)) from error

@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.check.case import CaseResult
-from quatprop.check.case_run import (
-    angle_text,
-    chooses_rows,
-    compare_case,
-    propagate_case,
-    try_compare,
-)
+from quatprop.check.case_run import angle_text, chooses_rows, propagate_case, try_compare
 from quatprop.check.judge import (
     OTHER_VERSION,
     differences,
     hash_inputs,
     judge,
-    judged,
+    judge_by,
+    loss_notes,
     option_differences,
     option_text,
 )
@@ -34,7 +29,6 @@ from quatprop.check.reference import (
 )
 from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
-from quatprop.signals.attitude_input import load_attitudes
 from quatprop.text import plain
 from quatprop.writers.targets import refuse_overlap
 
@@ -77,7 +71,7 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
     changes = [] if pin is None else _changes(case, pin, run, hashes)
     digest = None
     if case.external is not None:
-        result = judged(case, compare_case(case, run.series, load_attitudes(case.external).series))
+        result = judge_by(case.external, case, run)
         errors = (pin.error_rad if pin else None, result.error_rad)
         if errors[0] != errors[1] and None not in errors:
             old, new = (angle_text(e, in_degrees=case.in_degrees) for e in errors if e is not None)
@@ -88,7 +82,8 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         write_reference(case, run, hashes, every)
         digest = sha256_of(reference)
         written = f"{len(run.series)} of {run.samples} attitudes in {plain(reference)}"
-        result = CaseResult(case.name, "pass", summary=written)
+        losses = tuple(loss_notes(case, run))
+        result = CaseResult(case.name, "pass", summary=written, notes=losses)
     pinned = Pin(
         quatprop=__version__,
         inputs=hashes,

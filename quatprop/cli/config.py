@@ -28,7 +28,7 @@ def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> 
     import tomllib
 
     try:
-        table = tomllib.loads(Path(name).read_bytes().decode())
+        table = tomllib.loads(Path(name).read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise click.UsageError(f"{name}: {os_reason(error)}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -39,7 +39,7 @@ def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> 
 def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dict[str, object]:
     """Return the defaults that a file gives, by parameter."""
     parameters = {
-        option[2:]: str(parameter.name)
+        option[2:]: parameter
         for parameter in ctx.command.params
         if isinstance(parameter, click.Option) and parameter.name not in ONE_RUN
         for option in parameter.opts
@@ -50,7 +50,9 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
         if key not in parameters:
             hint = did_you_mean(key, parameters, "the keys are options without their dashes")
             raise click.UsageError(f"{name}: no such key {quoted(key)}{hint}")
-        parameter = parameters[key]
+        parameter = str(parameters[key].name)
+        if parameters[key].is_flag and not isinstance(value, bool):
+            raise click.UsageError(f"{name}: {quoted(key)} is true or false, not {value!r}")
         text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
         text = str(file_beside(parameter, text, Path(name).parent) or text)
         defaults[parameter] = value if isinstance(value, bool) else text
