@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -316,6 +317,26 @@ def test_a_log_is_unpacked_once_for_each_topic(shared_logs, monkeypatch):
     )
     (surveyed,), _ = info(shared_logs / "two_imus" / "test1_2014_xsens.bag")
     assert len(surveyed["sources"]) == len(surveyed["attitudes"]) == len(read) == len(set(read))
+
+
+def test_a_long_topic_is_not_kept(monkeypatch):
+    """Once there is no room for a topic, nothing of it is held, by whoever reads on either."""
+    monkeypatch.setattr(kept_blocks, "ROOM", 1000)
+    freed = []
+
+    class Long:
+        kept = None
+
+        def blocks(self, _channel):
+            for _ in range(100):
+                data = np.zeros(100, np.uint8)
+                weakref.finalize(data, freed.append, None)
+                yield MessageBlock(data, *(np.zeros(0, np.int64) for _ in range(4)))
+
+    log = Long()
+    with beginnings_kept(log):
+        held = [number - len(freed) for number, _ in enumerate(blocks_of(log, "topic"))]
+    assert max(held) < 15  # ten have room
 
 
 def test_an_error_is_not_taken_for_the_end_of_a_topic():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import tee
 from typing import TYPE_CHECKING
 
 from quatprop.containers.coalesce import compacted
@@ -18,11 +17,19 @@ ROOM = 1 << 25
 """Bytes of messages that are kept of all channels of a log at most."""
 
 
+@dataclass(slots=True)
+class _Place:
+    """A place in a stream of blocks, and what follows there once somebody has read it."""
+
+    following: tuple[MessageBlock, _Place] | None = None
+
+
 @dataclass(slots=True, eq=False)
 class _Beginning:
-    """The blocks of a channel that were read, before those that are still to be read."""
+    """Where a channel begins, and what of it is still to be read."""
 
-    blocks: Iterator[MessageBlock]
+    place: _Place
+    rest: Iterator[MessageBlock]
     size: int = 0
 
 
@@ -40,11 +47,10 @@ class KeptBlocks:
         """Return the blocks of a channel."""
         own = self._kept.pop(channel, None)
         if own is None:
-            own = _Beginning(iter(()))
-            own.blocks = self._read(log, channel, own)
+            own = _Beginning(_Place(), iter(()))
+            own.rest = self._read(log, channel, own)
         self._kept[channel] = own
-        own.blocks, blocks = tee(own.blocks)
-        return blocks
+        return _blocks_from(own.place, own.rest)
 
     def _read(self, log: MessageLog, channel: Channel, own: _Beginning) -> Iterator[MessageBlock]:
         try:
@@ -56,11 +62,23 @@ class KeptBlocks:
                 own.size += len(kept.data)
                 yield kept
                 while sum(each.size for each in self._kept.values()) > ROOM:
-                    del self._kept[next(iter(self._kept))]
+                    self._kept.pop(next(iter(self._kept))).place = _Place()
         except Exception:
             # Who begins later would take the blocks before an error for all that there are.
             self._kept.clear()
             raise
+
+
+def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    """Yield blocks; unlike `tee`, which keeps up to 57, hold none that all readers are past."""
+    while True:
+        if place.following is None:
+            block = next(rest, None)
+            if block is None:
+                return
+            place.following = block, _Place()
+        block, place = place.following
+        yield block
 
 
 @contextmanager

@@ -122,14 +122,13 @@ class QuaternionCheck:
         """
         for t_ns, wxyz, *beside in batches:
             valid, scaled = self._valid(t_ns, wxyz)
-            if self.counts.invalid and not self._drop:
+            if not valid.any() or (self.counts.invalid and not self._drop):
                 continue
             series = AttitudeSeries(t_ns, scaled, *beside)
             if not valid.all():
                 series = series[valid]
             self.counts.used += len(series)
-            if len(series):
-                yield series
+            yield series
         if self.counts.invalid and not self._drop:
             raise NotRotationsError(self._path, self._reason())
 

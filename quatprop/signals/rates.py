@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -151,10 +150,9 @@ def _of_field(
 
     def rows(within: TimeRange | None = None) -> Iterator[Columns]:
         for columns in logged_values(log, channel, reader(), within):
-            t_ns, rate, *spans = columns.values
             if factor != 1.0:
-                rate *= factor
-            yield replace(columns, values=(t_ns, rate, *spans))
+                np.multiply(columns.values[1], factor, out=columns.values[1])
+            yield columns
 
     def batches(within: TimeRange | None = None) -> Iterator[GyroSeries]:
         return series_of(rows(within), averages=averages)

@@ -66,11 +66,10 @@ def selected_messages(
     others = indexed_offsets(index, region, [id_ for id_ in region.holds or () if id_ not in ids])
     if selected is None or others is None or not len(selected):
         return None
-    offsets = np.concatenate([selected, others])
-    order = np.argsort(offsets, kind="stable")
-    is_wanted = order < len(selected)
-    begins = offsets[order]
-    nexts = np.append(begins[1:], len(whole.data) if whole else region.size)
+    places = np.concatenate([selected, others, [len(whole.data) if whole else region.size]])
+    order = np.argsort(places, kind="stable")
+    places, is_wanted = places[order], order[:-1] < len(selected)
+    begins, nexts = places[:-1], places[1:]
     lengths = nexts - begins
     read = (whole.data, begins) if whole else _read(source, region, begins, nexts, is_wanted)
     if read is None:
