@@ -86,24 +86,21 @@ class RemoteSource(FileSource):
             self._object = store.open_input_file(place)
             self.size = self._object.size()
             self.etag = etag_of(self._object)
-        ends = [self.size] if self.size <= SMALL_BYTES else [HEAD_BYTES, self.size]
-        self._announce([0, self.size - TAIL_BYTES][: len(ends)], ends)
+        is_small = self.size <= SMALL_BYTES
+        ends = [(0, HEAD_BYTES), (self.size - TAIL_BYTES, self.size)]
+        self._announce([(0, self.size)] if is_small else ends)
 
     def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
         """Announce which ranges will be read next, as a rule in this order."""
         if self.size > SMALL_BYTES and self._copy is None:
-            self._announce(*_requests(begins, ends))
+            self._announce(_requests(begins, ends))
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another."""
         if self._copy is not None or self.size <= SMALL_BYTES:
             return super().read_ranges(begins, ends)
         self._single_reads = 0
-        parts = [
-            self._pool.submit(self._fetch, begin, end - begin)
-            for begin, end in zip(begins, ends, strict=True)
-        ]
-        return b"".join([part.result() for part in parts])
+        return b"".join(self._pool.map(self._fetch, begins, ends))
 
     def as_arrow(self) -> NativeFile:
         """Return the object as Arrow reads it."""
@@ -112,39 +109,38 @@ class RemoteSource(FileSource):
         # Not the object itself: errors of the store would look like damage of the log.
         return pa.PythonFile(_Stream(self), mode="r")
 
-    def _announce(self, begins: Sequence[int], ends: Sequence[int]) -> None:
+    def _announce(self, ranges: list[tuple[int, int]]) -> None:
         with self._lock:
-            self._begins, self._ends = list(begins), list(ends)
+            self._ranges = ranges
             self._single_reads = 0
 
     def _read(self, length: int, start: int) -> bytes:
         if self._copy is not None:
             return self._copy.read(start, length)
         with self._lock:
-            number = bisect_right(self._begins, start) - 1
-            if number >= 0 and start + length <= self._ends[number]:
-                begin, part = self._begins[number], self._requested(number)
+            number = bisect_right(self._ranges, (start, self.size)) - 1
+            if number >= 0 and start + length <= self._ranges[number][1]:
+                begin, part = self._ranges[number][0], self._requested(number)
             else:
                 self._single_reads += length <= GAP_BYTES
                 begin, part = start, None
         if part is None and self._single_reads > SINGLE_READS:
             return self._local().read(start, length)
         if part is None:
-            part = self._pool.submit(self._fetch, start, length)
+            part = self._pool.submit(self._fetch, start, start + length)
         return part.result()[start - begin : start - begin + length]
 
     def _requested(self, number: int) -> Future[bytes]:
         """Return a range that was announced, and request those after it."""
         ahead = 0
         # The more has been read, the more is expected to be.
-        for following in range(number, min(len(self._begins), 2 * number + 1)):
+        for begin, end in self._ranges[number : 2 * number + 1]:
             if ahead > AHEAD_BYTES:
                 break
-            begin, end = self._begins[following], self._ends[following]
             ahead += end - begin
             if (begin, end) not in self._parts:
-                self._parts[begin, end] = self._pool.submit(self._fetch, begin, end - begin)
-        wanted = self._begins[number], self._ends[number]
+                self._parts[begin, end] = self._pool.submit(self._fetch, begin, end)
+        wanted = self._ranges[number]
         self._parts.move_to_end(wanted)
         kept = sum(end - begin for begin, end in self._parts)
         for begin, end in list(self._parts)[:-1]:
@@ -154,9 +150,9 @@ class RemoteSource(FileSource):
             kept -= end - begin
         return self._parts[wanted]
 
-    def _fetch(self, begin: int, length: int) -> bytes:
+    def _fetch(self, begin: int, end: int) -> bytes:
         with reading(self._address):
-            return bytes(self._object.read_at(length, begin))
+            return bytes(self._object.read_at(end - begin, begin))
 
     def _local(self) -> FileSource:
         """Return a temporary copy of the whole object."""
@@ -203,25 +199,21 @@ class _Stream(io.RawIOBase):
         return data
 
 
-def _requests(begins: Sequence[int], ends: Sequence[int]) -> tuple[list[int], list[int]]:
+def _requests(begins: Sequence[int], ends: Sequence[int]) -> list[tuple[int, int]]:
     """Return the ranges of the requests for some ranges: close ones together.
 
     Examples
     --------
     >>> _requests([0, 200_000, 9_000_000, 150_000], [150_000, 300_000, 9_000_001, 200_000])
-    ([0, 9000000], [300000, 9000001])
+    [(0, 300000), (9000000, 9000001)]
     """
-    together: tuple[list[int], list[int]] = ([], [])
+    together: list[tuple[int, int]] = []
     for begin, end in sorted(zip(begins, ends, strict=True)):
-        if not together[0] or begin > together[1][-1] + GAP_BYTES:
-            is_new = True
-        else:
-            overlaps = begin < together[1][-1]
-            most = min(REQUEST_BYTES, FIRST_REQUEST_BYTES << min(len(together[0]), 9))
-            is_new = not overlaps and end - together[0][-1] > most
-        if is_new:
-            together[0].append(begin)
-            together[1].append(end)
-        else:
-            together[1][-1] = max(together[1][-1], end)
+        if together and begin <= together[-1][1] + GAP_BYTES:
+            first, last = together[-1]
+            most = min(REQUEST_BYTES, FIRST_REQUEST_BYTES << min(len(together), 9))
+            if begin < last or end - first <= most:
+                together[-1] = first, max(last, end)
+                continue
+        together.append((begin, end))
     return together

@@ -265,20 +265,13 @@ class TypeBuilder:
         return self.own[name] if name in self.own else _standard(self.ros1).get(name)
 
     def _type(self, kind: Kind) -> Type:
-        if kind[0] == BASE:
-            return self._base(kind[1][0])
-        if kind[0] == NAME:
-            return self._named(kind[1])
-        element, length = kind[1]
-        inner = self._type(element)
-        return Array(inner, length) if kind[0] == ARRAY else Sequence(inner)
-
-    def _base(self, name: str) -> Type:
-        if name in STRINGS:
-            return String(wide=name == "wstring")
-        return NUMBERS.get(name) or Unknown(name)
-
-    def _named(self, name: str) -> Type:
-        if name in self.types or self._definition(name) is not None:
-            return self.struct(name)
-        return Unknown(name)
+        form, content = kind
+        if form == BASE:
+            name = content[0]
+            is_text = name in STRINGS
+            return String(name == "wstring") if is_text else NUMBERS.get(name) or Unknown(name)
+        if form == NAME:
+            is_known = content in self.types or self._definition(content) is not None
+            return self.struct(content) if is_known else Unknown(content)
+        element, length = self._type(content[0]), content[1]
+        return Array(element, length) if form == ARRAY else Sequence(element)

@@ -93,15 +93,13 @@ def _message_class(type_name: str, schema: bytes) -> Any:
 
 def _add(pool: Any, files: Mapping[str, Any]) -> None:
     """Add files to a pool, those that others import first, in whatever order the log has them."""
-    added: set[str] = set()
+    waiting = dict(files)
 
     def add(name: str) -> None:
-        if name in added:
-            return
-        added.add(name)
-        for imported in files[name].dependency:
-            add(imported)
-        pool.Add(files[name])
+        if name in waiting:
+            for imported in waiting.pop(name).dependency:
+                add(imported)
+            pool.Add(files[name])
 
     for name in files:
         add(name)
