@@ -48,7 +48,7 @@ def as_json(value: object) -> Any:
     Examples
     --------
     >>> from quatprop.text import Setting, Text
-    >>> as_json({"path": Path("a.bag"), "remarks": (Text("see ", Setting("clock", "log")),)})
+    >>> as_json({"path": Path("a.bag"), "remarks": (Text(f"see {Setting('clock', 'log')}"),)})
     {'path': 'a.bag', 'remarks': ["see clock='log'"]}
     """
     if isinstance(value, float) and not math.isfinite(value):
@@ -74,13 +74,13 @@ def as_json(value: object) -> Any:
     return str(value) if convert is None else convert()
 
 
-def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> JsonObject:
-    """Return the provenance in the metadata of a file; empty where there is none.
+def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
+    """Return the provenance that a file keeps; empty where there is none.
 
     Parameters
     ----------
-    metadata
-        All of the file's own keys and values.
+    text
+        The JSON; None where there is none.
     path
         The file, for errors.
 
@@ -91,10 +91,9 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> JsonObje
 
     Examples
     --------
-    >>> provenance_in({b"quatprop": b'{"quatprop": "1.0"}'}, "attitude.parquet")
+    >>> provenance_in('{"quatprop": "1.0"}', "attitude.parquet")
     {'quatprop': '1.0'}
     """
-    text = metadata.get(METADATA_KEY)
     if text is None:
         return {}
     try:
@@ -108,34 +107,8 @@ def provenance_in(metadata: Mapping[bytes, bytes], path: Path | str) -> JsonObje
     return provenance
 
 
-def provenance_of(metadata: Mapping[str, str], topic: str, path: Path | str) -> JsonObject:
-    """Return the provenance of one topic; empty where there is none.
-
-    Parameters
-    ----------
-    metadata
-        The provenance of each topic of a log, as JSON; under ``""`` that of all others.
-    topic
-        The topic.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    DamagedLogError
-        It is not what this package writes.
-
-    Examples
-    --------
-    >>> provenance_of({"": "{}", "/attitude": '{"quatprop": "1.0"}'}, "/attitude", "a.mcap")
-    {'quatprop': '1.0'}
-    """
-    text = metadata.get(topic, metadata.get(""))
-    return {} if text is None else provenance_in({METADATA_KEY: text.encode()}, path)
-
-
 def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
-    """Return the provenance of each topic, for :func:`provenance_of`.
+    """Return the provenance of each topic, as JSON; under ``""`` that of all others.
 
     Parameters
     ----------

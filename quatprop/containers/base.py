@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.provenance import JsonObject, provenance_of
+from quatprop.provenance import JsonObject, provenance_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -293,7 +293,8 @@ class MessageLog(Log):
         DamagedLogError
             The provenance is not what this package writes.
         """
-        return provenance_of(self.recorded_provenance(), topic, self.path)
+        recorded = self.recorded_provenance()
+        return provenance_in(recorded.get(topic, recorded.get("")), self.path)
 
     def recorded_provenance(self) -> Mapping[str, str]:
         """Return the provenance of each topic as JSON, under ``""`` that of all others."""

@@ -63,10 +63,10 @@ class ErrorSettings:
         known = (self.imu, *(getattr(self, name) for name in SensorErrors._fields))
         if self.sigma and all(value is None for value in known):
             raise UsageError(
-                *(Setting("sigma"), " needs the errors of the gyroscope; give "),
-                *(Setting("noise_density"), ", ", Setting("bias_sigma"), ", "),
-                *(Setting("random_walk"), " or ", Setting("scale_sigma"), ", a file with "),
-                *(Setting("imu"), ", or ", Setting("bias", "static")),
+                f"{Setting('sigma')} needs the errors of the gyroscope; give "
+                f"{Setting('noise_density')}, {Setting('bias_sigma')}, {Setting('random_walk')} or "
+                f"{Setting('scale_sigma')}, a file with {Setting('imu')}, or "
+                f"{Setting('bias', 'static')}"
             )
 
     @property

@@ -197,7 +197,7 @@ def _refuse_contradictions(job: Job) -> None:
     refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
     if job.log == "-" and settings.needs_second_read:
         raise UsageError(
-            *("stdin can be read only once; ", Setting("bias", "static"), ", "),
-            *(Setting("q0", "level|log"), " and relative ", Setting("start"), " and "),
-            *(Setting("end"), " need a file"),
+            f"stdin can be read only once; {Setting('bias', 'static')}, "
+            f"{Setting('q0', 'level|log')} and relative {Setting('start')} and {Setting('end')} "
+            "need a file"
         )

@@ -86,8 +86,8 @@ class PropagationSettings:
     def __post_init__(self) -> None:
         if [self.every, self.rate, self.at].count(None) < 2:  # noqa: PLR2004  # two of three
             raise UsageError(
-                *(Setting("every"), ", ", Setting("rate"), " and ", Setting("at")),
-                " each say which attitudes to write; choose one",
+                f"{Setting('every')}, {Setting('rate')} and {Setting('at')} each say which "
+                "attitudes to write; choose one"
             )
         if self.conditioning.static_ns is None:
             self.errors.refuse_unknown_errors()

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from quatprop.containers.file_source import source_of
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
-from quatprop.provenance import JsonObject, provenance_in
+from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import (
@@ -69,7 +69,7 @@ class _ArrowLog(TypedTable):
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as the metadata of the file say it."""
-        return provenance_in(self._arrow_schema.metadata or {}, self.path)
+        return provenance_in((self._arrow_schema.metadata or {}).get(METADATA_KEY), self.path)
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""

@@ -171,14 +171,14 @@ class NpzLog(NumpyTable):
         member = key + _SUFFIX
         if member not in self._archive.namelist():
             return {}
-        text = b""
+        text = ""
         is_unusable = suppress(DamageError, ValueError, IndexError)
         with is_unusable, archive_damage(), self._open_array(member) as stream:
             dtype = read_header(stream).dtype
             if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
                 data = stream.read(dtype.itemsize)
-                text = str(np.frombuffer(data, dtype)[0]).encode()
-        return provenance_in({METADATA_KEY: text}, self.path)
+                text = str(np.frombuffer(data, dtype)[0])
+        return provenance_in(text, self.path)
 
     def close(self) -> None:
         """Close the file."""

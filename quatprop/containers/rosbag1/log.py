@@ -72,7 +72,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         magic = _MAGIC.fullmatch(line)
         if magic is None:
             raise DamagedLogError(
-                self.path, "it does not begin like a ROS 1 bag; check ", Setting("kind")
+                self.path, f"it does not begin like a ROS 1 bag; check {Setting('kind')}"
             )
         version = magic[1].decode()
         if version != _VERSION:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.provenance import COMMENT, METADATA_KEY, JsonObject, provenance_in
+from quatprop.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
 from quatprop.tables.csv.reading import BlockReader
@@ -88,7 +88,7 @@ class CsvLog(TableLog):
         first, _, _ = self._head.partition(b"\n")
         if not first.startswith(COMMENT):
             return {}
-        return provenance_in({METADATA_KEY: first.removeprefix(COMMENT)}, self.path)
+        return provenance_in(first.removeprefix(COMMENT), self.path)
 
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
