@@ -8,6 +8,7 @@ import numpy as np
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.messages.binary import ENCAPSULATIONS
+from quatprop.messages.columns import TooShortError
 from quatprop.messages.placement import ROS1, XCDR1
 from quatprop.messages.schema import Primitive, String, Struct
 from quatprop.text import quoted
@@ -22,14 +23,6 @@ if TYPE_CHECKING:
 
 _FIRST = 200
 """Messages that :func:`first_names` reads."""
-
-
-class ShortMessageError(Exception):
-    """Some messages end too early."""
-
-    def __init__(self, positions: Int64) -> None:
-        super().__init__()
-        self.positions = positions
 
 
 class SkipError(Exception):
@@ -123,7 +116,7 @@ class Cursor:
         self._at = begin + size
         short = self._at > self._ends
         if short.any():
-            raise ShortMessageError(self.messages[short])
+            raise TooShortError(self.messages[short])
         return begin
 
 
@@ -132,7 +125,7 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
 
     Raises
     ------
-    ShortMessageError
+    TooShortError
         Messages end before their encapsulation does.
     UnsupportedLogError
         Messages are encapsulated in a way that is not read.
@@ -141,7 +134,7 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
         return [Cursor(block, np.arange(len(block)), ROS1, "<")]
     short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
     if len(short):
-        raise ShortMessageError(short)
+        raise TooShortError(short)
     identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
     cursors = []
     for identifier in sorted({*identifiers.tolist()}):
@@ -187,5 +180,5 @@ def first_names(
                 cursor.skip(kind)
         names = cursor.name()
         return [names.text(block, row) for row in range(len(names.begin))]
-    except (ShortMessageError, SkipError):
+    except (TooShortError, SkipError):
         return []

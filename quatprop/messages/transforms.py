@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import MessageError, SchemaError
-from quatprop.messages.cursor import ShortMessageError, cursors_of
+from quatprop.messages.columns import TooShortError
+from quatprop.messages.cursor import cursors_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1
 from quatprop.messages.schema import Primitive, Sequence, Struct, find, numbers
@@ -110,7 +111,7 @@ class TransformDecoder:
         try:
             for cursor in cursors_of(self._channel, block, self._path):
                 elements += self._elements(cursor)
-        except ShortMessageError as error:
+        except TooShortError as error:
             raise MessageError(
                 self._path,
                 f"the message of topic {quoted(self._channel.topic)} recorded at "

@@ -23,6 +23,8 @@ from quatprop.tables.matching.rotations import match_rotation
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from quatprop.arrays import Float64, Int64
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
@@ -75,7 +77,7 @@ def of_table(log: TableLog, selection: AttitudeSelection) -> AttitudeSignal:
         layout=(columns.layout or BY_NAME) if is_quaternion else "",
         meaning=meaning,
         clock=columns.clock,
-        remarks=_remarks(columns),
+        remarks=tuple(_remarks(columns)),
         provenance=provenance,
         read=partial(_read, log, columns, meaning, sigma_axes),
         representation=representation,
@@ -109,24 +111,23 @@ def _match(log: TableLog, selection: AttitudeSelection, recorded: dict[str, str]
     return columns
 
 
-def _remarks(columns: ColumnMatch) -> tuple[str | Text, ...]:
-    if columns.representation == "quaternion":
-        return columns.remarks
-    sign = "which of q and -q is meant is not stored: signs are those of each row by itself"
-    if not columns.representation.startswith("euler-"):
-        return *columns.remarks, sign
-    first, second, third = tuple(columns.representation.removeprefix("euler-"))
-    return (
-        *columns.remarks,
-        sign,
-        f"the angles turn about {first}, the new {second}, and the newest {third}",
-    )
+def _remarks(columns: ColumnMatch) -> Iterator[str | Text]:
+    yield from columns.remarks
+    if columns.representation != "quaternion":
+        yield "which of q and -q is meant is not stored: signs are those of each row by itself"
+    if columns.representation.startswith("euler-"):
+        first, second, third = tuple(columns.representation.removeprefix("euler-"))
+        yield f"the angles turn about {first}, the new {second}, and the newest {third}"
 
 
 def _attitudes(numbers: Float64, columns: ColumnMatch) -> Float64:
     """Return the quaternions that columns hold, in whatever representation."""
     if columns.representation == "quaternion":
-        return _marked(numbers)
+        wxyz = numbers[:, :4]
+        # A mark behind them says where they are absent.
+        for absent in numbers[:, 4:].T:
+            wxyz[absent == ABSENT] = np.nan
+        return wxyz
     values = np.radians(numbers) if columns.unit == "deg" else numbers
     # What is not finite is reported later, row by row.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -218,11 +219,3 @@ def _checked(log: TableLog, sigmas: Float64, wxyz: Float64, t_ns: Int64, first: 
             f"the columns {', '.join(SIGMA_COLUMNS)}",
         )
     return sigmas
-
-
-def _marked(numbers: Float64) -> Float64:
-    """Return quaternions, NaN where a mark behind them says that they are absent."""
-    wxyz = numbers[:, :4]
-    for absent in numbers[:, 4:].T:
-        wxyz[absent == ABSENT] = np.nan
-    return wxyz

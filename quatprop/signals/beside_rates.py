@@ -16,9 +16,12 @@ from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import TableLog
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from quatprop.conditioning import Conditioning
     from quatprop.conditioning.cells import Rows
-    from quatprop.containers.base import MessageLog
+    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.messages.message_types import SignalFields
     from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
@@ -104,17 +107,20 @@ def specific_forces(log: AnyLog, source: RateSignal, selection: RateSelection) -
     """
     if isinstance(log, TableLog):
         return _table_forces(log, selection)
-    for channel in channels_of(log, source.name):
-        if channel.type_name != source.type_name:
-            continue
-        beside = fields_beside(channel, source.field, log.path)
-        if beside.rate is None or beside.acceleration is None:
-            continue
-        name, absent = beside.acceleration
-        clock = choose_clock(log, channel, beside.rate.stamps, selection)
-        reader = FieldReader(log, channel, clock, [name], [absent])
-        return cast("Rows", timed_values(log, channel, reader))
+    for channel, beside in _fields_beside(log, source):
+        if beside.rate is not None and beside.acceleration is not None:
+            name, absent = beside.acceleration
+            clock = choose_clock(log, channel, beside.rate.stamps, selection)
+            reader = FieldReader(log, channel, clock, [name], [absent])
+            return cast("Rows", timed_values(log, channel, reader))
     return None
+
+
+def _fields_beside(log: MessageLog, source: RateSignal) -> Iterator[tuple[Channel, SignalFields]]:
+    """Yield the channels of the rates, and the fields in the same part of their messages."""
+    for channel in channels_of(log, source.name):
+        if channel.type_name == source.type_name:
+            yield channel, fields_beside(channel, source.field, log.path)
 
 
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
@@ -148,18 +154,9 @@ def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -
 
     wanted = AttitudeSelection.like(selection)
     if not isinstance(log, TableLog):
-        beside = _beside(log, source)
-        wanted = replace(wanted, topic=source.name, quat_field=beside)
+        beside = (fields.orientation for _, fields in _fields_beside(log, source))
+        field = next((field.name for field in beside if field is not None), None)
+        wanted = replace(wanted, topic=source.name, quat_field=field)
         if source.clock in {"header", "log", "publish"}:
             wanted = replace(wanted, clock=source.clock)
     return choose_attitudes(log, wanted)
-
-
-def _beside(log: MessageLog, source: RateSignal) -> str | None:
-    """Return the orientation in the same part of the message as the rate, if it has one."""
-    for channel in channels_of(log, source.name):
-        if channel.type_name == source.type_name:
-            beside = fields_beside(channel, source.field, log.path).orientation
-            if beside is not None:
-                return beside.name
-    return None

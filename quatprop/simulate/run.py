@@ -95,19 +95,17 @@ def simulate(  # noqa: PLR0913  # a recording in full
         log = stack.enter_context(
             open_log_writer(target, kind, deviation=gyroscope.deviation, compression=compression)
         )
-        attitudes = stack.enter_context(open_writer(truth)) if truth is not None else None
+        attitudes = [stack.enter_context(open_writer(truth))] if truth is not None else []
         recorded = record(motion_named(motion, shape), gyroscope, q0)
         for series in metered(recorded, gyroscope.samples, len):
-            log.write(series)
-            if attitudes is not None:
-                attitudes.write(series)
-        if attitudes is not None:
-            attitudes.finish(provenance)
+            for writer in (log, *attitudes):
+                writer.write(series)
+        for writer in attitudes:
+            writer.finish(provenance)
         # Recorders put no provenance into their messages.
         log.finish({} if WRITERS[kind_of(target, kind)].encodings else provenance)
-        if attitudes is not None:
-            attitudes.publish()
-        log.publish()
+        for writer in (*attitudes, log):
+            writer.publish()
 
 
 def _provenance(

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from quatprop.containers.file_source import source_of
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
@@ -48,11 +48,7 @@ class _ArrowLog(TypedTable):
         self._source = source_of(log)
         path = self._source.path
         super().__init__(path)
-        try:
-            self._file = self._source.as_arrow()
-        except OSError as error:
-            self._source.close()
-            raise UnreadableLogError(path, os_reason(error)) from error
+        self._file = self._source.as_arrow()
         try:
             self._arrow_schema = self._schema()
             self._leaves = list(_leaves(self._arrow_schema, self._first_lists))
