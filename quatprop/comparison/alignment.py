@@ -124,17 +124,13 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     ComparisonError
         The motion does not show a mounting.
     """
-    match name:
-        case "none":
-            return Alignment(name, IDENTITY)
-        case "first":
-            return Alignment(name, multiply(a[0], conjugate(b[0])))
-        case "mean":
-            return Alignment(name, mean_rotation(multiply(a, conjugate(b))))
-        case _:
-            mount, fit = find_mounting(a, b)
-            reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
-            return Alignment(name, reference, mount_wxyz=mount, mounting=fit)
+    if name == "none":
+        return Alignment(name, IDENTITY)
+    if name == "first":
+        return Alignment(name, multiply(a[0], conjugate(b[0])))
+    mount, fit = find_mounting(a, b) if name == "mount" else (IDENTITY, None)
+    reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
+    return Alignment(name, reference, mount, fit)
 
 
 def mean_rotation(q: Float64) -> Float64:

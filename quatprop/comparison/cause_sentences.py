@@ -134,17 +134,16 @@ def _misreading(trial: Trial) -> tuple[str, Text | None]:
         )
         return sentence, Text(f"propagate with {Setting('rates', 'body|inertial')}")
     sentence = "; also, ".join(MISREADINGS[name] for name in trial.name.split(" and "))
-    remedy: list[Setting | str] = [f"if it is {side.upper()}, read it with "]
+    remedies = []
     if trial.name.startswith("layout"):
         # Where B is scalar-last, or A scalar-first.
         last = trial.name.startswith("layout-first") == (side == "a")
-        remedy.append(Setting("from_layout", "scalar-last" if last else "scalar-first", side))
-    if trial.name.endswith(" and conjugate"):
-        remedy.append(" and ")
+        layout = "scalar-last" if last else "scalar-first"
+        remedies.append(f"{Setting('from_layout', layout, side)}")
     if trial.name.endswith("conjugate"):
         direction = Setting("from_direction", "ref-to-body", side)
-        remedy += [direction, " or ", Setting("from_convention", "jpl", side)]
-    return sentence, Text(*remedy)
+        remedies.append(f"{direction} or {Setting('from_convention', 'jpl', side)}")
+    return sentence, Text(f"if it is {side.upper()}, read it with {' and '.join(remedies)}")
 
 
 def _offset(offset: ClockError, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
@@ -178,8 +177,9 @@ def _drift(drift: ClockError) -> tuple[str, Text]:
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}"
     )
-    auto = Setting("time_offset", "auto")
-    return sentence, Text("correct the stamps; ", auto, " leaves the change in")
+    return sentence, Text(
+        f"correct the stamps; {Setting('time_offset', 'auto')} leaves the change in"
+    )
 
 
 def _rounded(amount_ns: int, std_ns: int) -> str:
@@ -196,22 +196,21 @@ def _methods(of_a: str, of_b: str, interval: float) -> tuple[str, Text]:
     if {of_a, of_b} == {"start", "end"}:
         amount = duration_text(round(interval * NS_PER_S))
         sentence += f", or their timestamps are one interval, {amount}, apart"
-    return sentence, _if_propagated(Setting("method", of_b), Setting("method", of_a))
+    return sentence, _if_propagated("method", of_b, of_a)
 
 
-def _if_propagated(a: Setting, b: Setting) -> Text:
+def _if_propagated(setting: str, a: str, b: str) -> Text:
     """Return how either series may be propagated to arrive at the other: one may be a truth."""
-    return Text("if A was propagated, propagate it with ", a, "; if B was, with ", b)
+    of_a, of_b = Setting(setting, a), Setting(setting, b)
+    return Text(f"if A was propagated, propagate it with {of_a}; if B was, with {of_b}")
 
 
 def _axes(matrix: Float64) -> tuple[str, Text]:
     """Describe y = M x, x in B's axes and y in A's."""
     sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
     if np.linalg.det(matrix) > 0:
-        of_a, of_b = (
-            Setting("mount", _signed(turn).replace(" ", "")) for turn in (matrix.T, matrix)
-        )
-        return sentence, Text(_if_propagated(of_a, of_b), "; ", ALIGN_MOUNT)
+        mounts = (_signed(turn).replace(" ", "") for turn in (matrix.T, matrix))
+        return sentence, Text(_if_propagated("mount", *mounts), "; ", ALIGN_MOUNT)
     return (
         f"{sentence}, which is left-handed: an axis is reversed, or two are swapped",
         Text("see the order and the signs of the rates that were propagated"),

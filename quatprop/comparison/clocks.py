@@ -221,8 +221,6 @@ def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> ClockErro
 def _correlation_at(a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int) -> float:
     start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset)
     stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset, start + MAX_POINTS * step)
-    speed_a, speed_b = (
-        _angles(a, start, stop, step),
-        _angles(b, start - offset, stop - offset, step),
-    )
+    speed_a = _angles(a, start, stop, step)
+    speed_b = _angles(b, start - offset, stop - offset, step)
     return float(np.corrcoef(speed_a, speed_b)[0, 1])

@@ -85,10 +85,7 @@ INNER = slice(2, -3)
 
 
 def likely_cause(
-    a: AttitudeSeries,
-    b: AttitudeSeries,
-    settings: ComparisonSettings,
-    error: Float64,
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings, error: Float64
 ) -> Cause | None:
     """Return what explains an error, if something does.
 
@@ -117,15 +114,17 @@ def likely_cause(
         first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
         seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
         moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
-        totals = [_total(a, other, settings) for other in (b, moved)]
-        mistake = replace(mistake, total_before=totals[0], total_after=totals[1])
-    gross = mistake and mistake.rms_after <= GROSS * mistake.rms_before and not _is_minor(mistake)
+        before, after = (_total(a, other, settings) for other in (b, moved))
+        mistake = replace(mistake, total_before=before, total_after=after)
+    gross = (
+        mistake and mistake.rms_after <= GROSS * mistake.rms_before and not mistake.leaves(GROSS)
+    )
     if gross and mistake and mistake.name not in SMALL:
         return mistake
     main = _cause_of_errors(a, b, settings)
-    if gross and (main is None or main.name != "reference frame"):
+    if main is None or (gross and main.name != "reference frame"):
         return mistake
-    return replace(main, also=mistake) if main else mistake
+    return replace(main, also=mistake)
 
 
 def _total(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> float | None:
@@ -134,13 +133,6 @@ def _total(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -
         pairs = associate(a, b, settings)
         return aligned_rms(settings.align, pairs.a, pairs.b)
     return None
-
-
-def _is_minor(cause: Cause) -> bool:
-    """Tell whether most of the error of the attitudes has another cause."""
-    if cause.total_before is None or cause.total_after is None:
-        return False
-    return cause.total_after > GROSS * cause.total_before
 
 
 def _cause_over_windows(
@@ -220,10 +212,8 @@ def method_trials(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Trial]:
     yield Trial("", (of_a - of_b)[INNER])
     # Rules come in the order in which their rates are found more and more indirectly.
     for known, other in combinations(METHODS, 2):
-        remaining = _after_rules(t_ns, of_a, of_b, known, other)
-        yield Trial("method", remaining, value=(known, other))
-        remaining = _after_rules(t_ns, of_b, of_a, known, other)
-        yield Trial("method", remaining, value=(other, known))
+        yield Trial("method", _after_rules(t_ns, of_a, of_b, known, other), value=(known, other))
+        yield Trial("method", _after_rules(t_ns, of_b, of_a, known, other), value=(other, known))
 
 
 def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other: str) -> Float64:

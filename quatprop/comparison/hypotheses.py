@@ -85,19 +85,21 @@ class Cause:
     total_before: float | None = None
     total_after: float | None = None
 
+    def leaves(self, share: float) -> bool:
+        """Return whether more than this share of the attitudes' error remains without it."""
+        if self.total_before is None or self.total_after is None:
+            return False
+        return self.total_after > share * self.total_before
+
     @property
     def explains_little(self) -> bool:
         """Whether the error of the attitudes is known to be nearly the same without it."""
-        if self.total_before is None or self.total_after is None:
-            return False
-        return self.total_after > NOTICEABLE * self.total_before
+        return self.leaves(NOTICEABLE)
 
     @property
     def advice(self) -> Text:
         """The sentence with the remedy; not for a regression, which the remedy would hide."""
-        return (
-            Text(self.sentence) if self.remedy is None else Text(self.sentence, "; ", self.remedy)
-        )
+        return Text(self.sentence, *(("; ", self.remedy) if self.remedy else ()))
 
 
 def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Cause]:
@@ -117,41 +119,34 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
     ComparisonError
         They cannot be aligned.
     """
-    aligned = align(alignment, pairs.a, pairs.b).apply(pairs.b)
+    a, b = pairs.a, pairs.b
+    aligned = align(alignment, a, b).apply(b)
     frame_is_free = alignment in ("none", "first")
     if frame_is_free:
-        mean = align("mean", pairs.a, pairs.b)
-        yield Cause(
-            "reference frame",
-            f"the reference frames differ by {degrees_text(mean.reference_rad)}",
-            before,
-            rms(geodesic_angle(pairs.a, mean.apply(pairs.b))),
-            Text(f"{ALIGN_MEAN} takes it out"),
-        )
+        mean = align("mean", a, b)
+        sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}"
+        remedy = Text(f"{ALIGN_MEAN} takes it out")
+        yield Cause("reference frame", sentence, before, _rms(a, mean.apply(b)), remedy)
     if alignment != "mount":
-        body = mean_rotation(multiply(conjugate(pairs.b), pairs.a))
-        yield Cause(
-            "body frame",
-            f"the body frames differ by {degrees_text(float(geodesic_angle(IDENTITY, body)))}",
-            before,
-            rms(geodesic_angle(pairs.a, multiply(pairs.b, body))),
-            Text(f"{Setting('align', 'mount')} takes it out"),
-        )
-    b = aligned if alignment == "mount" else pairs.b
-    sentence, unbiased = _without_bias(pairs, b)
+        body = mean_rotation(multiply(conjugate(b), a))
+        angle = degrees_text(float(geodesic_angle(IDENTITY, body)))
+        remedy = Text(f"{Setting('align', 'mount')} takes it out")
+        sentence = f"the body frames differ by {angle}"
+        yield Cause("body frame", sentence, before, _rms(a, multiply(b, body)), remedy)
+    bias, unbiased = _without_bias(pairs, aligned if alignment == "mount" else b)
     with suppress(ComparisonError):
-        yield Cause("rate bias", sentence, before, aligned_rms(alignment, pairs.a, unbiased))
+        yield Cause("rate bias", bias, before, aligned_rms(alignment, a, unbiased))
     if frame_is_free:
-        mean = align("mean", pairs.a, unbiased)
-        yield Cause(
-            "rate bias and reference frame",
-            f"the reference frames differ by {degrees_text(mean.reference_rad, 4)}; also, "
-            f"{sentence}",
-            before,
-            rms(geodesic_angle(pairs.a, mean.apply(unbiased))),
-            Text(f"{ALIGN_MEAN} takes the frames out"),
-        )
+        mean = align("mean", a, unbiased)
+        angle = degrees_text(mean.reference_rad, 4)
+        sentence = f"the reference frames differ by {angle}; also, {bias}"
+        remedy, after = Text(f"{ALIGN_MEAN} takes the frames out"), _rms(a, mean.apply(unbiased))
+        yield Cause("rate bias and reference frame", sentence, before, after, remedy)
     yield from _steady_drifts(pairs, aligned, before)
+
+
+def _rms(a: Float64, b: Float64) -> float:
+    return rms(geodesic_angle(a, b))
 
 
 def aligned_rms(alignment: str, a: Float64, b: Float64) -> float:
@@ -162,7 +157,7 @@ def aligned_rms(alignment: str, a: Float64, b: Float64) -> float:
     ComparisonError
         They cannot be aligned.
     """
-    return rms(geodesic_angle(a, align(alignment, a, b).apply(b)))
+    return _rms(a, align(alignment, a, b).apply(b))
 
 
 def isolated_samples(error: Float64) -> Cause | None:

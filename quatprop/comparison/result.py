@@ -5,7 +5,7 @@ Each limit on errors, drift and coverage is a criterion, judged by itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +20,8 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from _typeshed import DataclassInstance
+
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
@@ -29,10 +31,6 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
     from quatprop.text import Text
-
-_ARRAYS = ("pairs", "errors")
-"""Fields of a comparison that its report leaves out."""
-_ARRAYS_OF = {"window": ("begins_ns", "errors"), "sigmas": ("one_sigma_rad", "axes_rad")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +196,8 @@ class Comparison:
         What else a reader should know.
     """
 
-    pairs: Pairs | None
-    errors: Float64
+    pairs: Pairs | None = field(repr=False)
+    errors: Float64 = field(repr=False)
     association: Matching
     time_offset: AppliedOffset
     alignment: Alignment
@@ -239,9 +237,11 @@ class Comparison:
 
     def report(self) -> Mapping[str, Any]:
         """Return everything but the arrays, JSON-ready."""
-        names = [name for name in self.__slots__ if name not in _ARRAYS]
-        report = {name: as_json(getattr(self, name)) for name in names}
-        for part, arrays in _ARRAYS_OF.items():
-            for name in arrays if report[part] else ():
-                del report[part][name]
-        return report
+        report = _without_arrays(self)
+        for name, part in (("window", self.window), ("sigmas", self.sigmas)):
+            report[name] = part and _without_arrays(part)
+        return {name: as_json(value) for name, value in report.items()}
+
+
+def _without_arrays(result: DataclassInstance) -> dict[str, object]:
+    return {one.name: getattr(result, one.name) for one in fields(result) if one.repr}

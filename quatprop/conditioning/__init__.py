@@ -7,7 +7,6 @@ converted to body axes.
 
 from __future__ import annotations
 
-from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -182,17 +181,10 @@ def condition(
         before it starts.
     """
     inputs = inputs or ConditioningInputs()
-    biases, frames = inputs.biases, inputs.mounting
-    mount = None if frames is None else frames.matrix
-    if settings.mount is not None and frames is None:
+    mount = None if inputs.mounting is None else inputs.mounting.matrix
+    if mount is None and settings.mount is not None:
         mount = mounting(settings.mount)
-    matrix = bias = None
-    remarks: tuple[str, ...] = ()
-    if settings.calibration is not None:
-        from quatprop.conditioning.calibration import read_calibration
-
-        calibration = read_calibration(settings.calibration, inputs.topic)
-        matrix, bias, remarks = calibration.matrix, calibration.bias_rad_s, calibration.remarks
+    matrix, bias, remarks = _calibration_of(settings, inputs)
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips else None
     first_ns, last_ns, rest = _look_ahead(read, settings, inputs, parts)
@@ -201,28 +193,38 @@ def condition(
         bias, remarks = rest.mean_rad_s, (*remarks, *rest.remarks)
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
-    part, part_batches = (parts and parts.read(start_ns, end_ns)) or (None, None)
+    part, batches = (parts and parts.read(start_ns, end_ns)) or (None, iter(read()))
     report = ConditioningReport(
-        bias_rad_s=bias if biases is None else None,
+        bias_rad_s=bias if inputs.biases is None else None,
         rest=rest,
-        bias_series=None if biases is None else biases.report,
+        bias_series=None if inputs.biases is None else inputs.biases.report,
         calibration=matrix,
         mount=mount,
-        mount_frames=None if frames is None else frames.frames,
+        mount_frames=None if inputs.mounting is None else inputs.mounting.frames,
         start_ns=start_ns,
         end_ns=end_ns,
         outside=[0, 0],
         remarks=remarks,
         part=part,
     )
-    batches = iter(read()) if part_batches is None else part_batches
     if clips:
         batches = clipped(batches, start_ns, end_ns, report.outside)
     # Rates in the reference frame are not turned by the mounting.
-    turns = [mount if settings.rates == "body" else None, matrix]
-    matrices = [turn for turn in turns if turn is not None]
-    matrix = reduce(np.matmul, matrices) if matrices else None
-    return conditioned(batches, bias=biases or bias, matrix=matrix), report
+    if mount is not None and settings.rates == "body":
+        matrix = mount if matrix is None else mount @ matrix
+    return conditioned(batches, bias=inputs.biases or bias, matrix=matrix), report
+
+
+def _calibration_of(
+    settings: Conditioning, inputs: ConditioningInputs
+) -> tuple[Float64 | None, Float64 | None, tuple[str, ...]]:
+    """Return the matrix and the bias of a calibration, and remarks about it."""
+    if settings.calibration is None:
+        return None, None, ()
+    from quatprop.conditioning.calibration import read_calibration
+
+    calibration = read_calibration(settings.calibration, inputs.topic)
+    return calibration.matrix, calibration.bias_rad_s, calibration.remarks
 
 
 def _look_ahead(

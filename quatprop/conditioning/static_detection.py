@@ -94,23 +94,6 @@ class Rest:
         return (remark,)
 
 
-@dataclass(frozen=True, slots=True)
-class _Steadiness:
-    """The cells of one signal, and how much they may differ."""
-
-    cells: Cells
-    agreement: float | Float64
-
-    def changes(self, start: int, stop: int) -> Bool:
-        """Return which cells differ from the mean of those before them, from `start` on."""
-        cells = self.cells[start:stop]
-        count = np.cumsum(cells["count"])[:-1]
-        before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
-        apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
-        error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
-        return np.asarray(apart > np.maximum(self.agreement, NOISE * error))
-
-
 def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Rest:
     """Return the rest of a log from which the bias is taken.
 
@@ -133,12 +116,12 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
     """
     cell_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
-    signals, steady = [_Steadiness(rates, AGREEMENT)], ["rate"]
+    signals, steady = [(rates, AGREEMENT)], ["rate"]
     forces = None if inputs.force is None else cells_beside(rates, inputs.force(), cell_ns)
     if forces is not None and forces["count"][quiet].any():
         size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
         quiet = _quiet_forces(forces, quiet, size)
-        signals.append(_Steadiness(forces, FORCE_AGREEMENT * size))
+        signals.append((forces, FORCE_AGREEMENT * size))
         steady.append("accelerometer")
     periods = _periods(rates, quiet, signals)
     if not periods:
@@ -211,8 +194,11 @@ def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
     return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 
-def _periods(rates: Cells, quiet: Intp, signals: list[_Steadiness]) -> list[Intp]:
-    """Return runs of at least two neighbouring cells over which no signal changes its mean."""
+def _periods(rates: Cells, quiet: Intp, signals: list[tuple[Cells, float]]) -> list[Intp]:
+    """Return runs of at least two neighbouring cells over which no signal changes its mean.
+
+    With each signal comes how much its means may differ.
+    """
     apart = (np.diff(rates["index"][quiet]) != 1) | (np.diff(quiet) != 1)
     periods = []
     for run in np.split(quiet, np.flatnonzero(apart) + 1):
@@ -225,17 +211,28 @@ def _periods(rates: Cells, quiet: Intp, signals: list[_Steadiness]) -> list[Intp
     return periods
 
 
-def _end_of_agreement(signals: list[_Steadiness], start: int, stop: int) -> int:
+def _end_of_agreement(signals: list[tuple[Cells, float]], start: int, stop: int) -> int:
     """Return the first cell after `start` that differs from those before it, or `stop`."""
     size = 16
     while True:
         end = min(start + size, stop)
-        changed = np.logical_or.reduce([signal.changes(start, end) for signal in signals])
+        changed = np.logical_or.reduce(
+            [_changes(cells[start:end], limit) for cells, limit in signals]
+        )
         if changed.any():
             return start + 1 + int(np.argmax(changed))
         if end == stop:
             return stop
         size *= 4
+
+
+def _changes(cells: Cells, agreement: float) -> Bool:
+    """Return which cells but the first differ by more from the mean of those before them."""
+    count = np.cumsum(cells["count"])[:-1]
+    before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
+    apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
+    error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
+    return np.asarray(apart > np.maximum(agreement, NOISE * error))
 
 
 def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list[Intp]:
