@@ -655,6 +655,9 @@ def test_a_case_can_be_explained(folder):
     assert check(suite, "--update").exit_code == 0
     write(folder, stored("spin", "spin.csv", 'method = "end"') + TRUTH)
     (folder / "refs" / "spin.parquet").unlink()
+    pins = json.loads(suite.with_suffix(".lock.json").read_text())
+    pins["cases"]["spin"]["every"] = 2
+    suite.with_suffix(".lock.json").write_text(json.dumps(pins))
     result = check(suite, "--explain")
     assert result.exit_code == 0
     spin, coning = result.stdout.split("\n\n")
@@ -666,7 +669,7 @@ def test_a_case_can_be_explained(folder):
     assert reference.endswith("spin.parquet: no such file or folder; check the path")
     assert judged == "  judged by  worst error of at most 1e-09 rad, alignment none"
     assert (stamps.strip(), samples.strip()) == ("equal timestamps", "1000 samples")
-    assert lock == f"  lock       by quatprop {__version__}"
+    assert lock == f"  lock       by quatprop {__version__}, one of every 2 attitudes"
     assert "coning.truth.csv, an independent series" in coning
     assert "worst error of at most 0.1 deg" in coning
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
@@ -66,6 +67,10 @@ class Case:
     in_degrees: bool = False
     xfail: str = ""
     line: int = 1
+
+    def angle_text(self, angle: float) -> str:
+        """Return an angle, rad, in the unit of the tolerance."""
+        return f"{math.degrees(angle):.6g} deg" if self.in_degrees else f"{angle:.3g} rad"
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,11 +47,6 @@ class CaseRun:
         """Number of samples that were propagated."""
         return self.report.result.samples
 
-    @property
-    def final_wxyz(self) -> tuple[float, ...]:
-        """The attitude at the last sample."""
-        return tuple(map(float, self.report.result.final_wxyz))
-
 
 @dataclass(frozen=True, slots=True)
 class CaseComparison:
@@ -122,36 +117,28 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     """
     result = compare(a, b, case.comparison)
     named = partial(with_names, a="the log's attitudes", b="the reference")
-    first_ns = result.association.first_ns
-    failures = []
-    if result.first_exceeding is not None:
-        failures.append(
-            f"above the tolerance, first at {_since(result.first_exceeding.t_ns, first_ns)} "
-            f"({result.first_exceeding.t_ns} ns)"
-        )
-    cause = result.likely_cause
-    causes = (cause, cause.also) if cause else ()
+
+    def since(t_ns: int) -> str:
+        return f"+{duration_text(t_ns - result.association.first_ns)}"
+
+    failures, first = [], result.first_exceeding
+    if first is not None:
+        failures.append(f"above the tolerance, first at {since(first.t_ns)} ({first.t_ns} ns)")
     failures += [
         named(criterion_text(one, result))
         for one in result.criteria
         if not one.passed and (one.setting, one.unit) != ("tol", "rad")
     ]
-    sizes = [
-        angle_text(angle, in_degrees=case.in_degrees)
-        for angle in (result.worst.error_rad, case.comparison.limit_rad)
-        if math.isfinite(angle)
-    ]
-    where, also = f"at {_since(result.worst.t_ns, first_ns)}", "".join(map(_also, result.criteria))
+    cause = result.likely_cause
+    causes = [one for one in (cause, cause and cause.also) if one and not one.explains_little]
+    sizes = filter(math.isfinite, (result.worst.error_rad, case.comparison.limit_rad))
+    where, also = f"at {since(result.worst.t_ns)}", "".join(map(_also, result.criteria))
     return CaseComparison(
         error_rad=result.worst.error_rad,
         where=where,
-        summary=f"{' of '.join(sizes)} {where}{also}",
+        summary=f"{' of '.join(map(case.angle_text, sizes))} {where}{also}",
         failure="; ".join(failures),
-        cause="; ".join(
-            f"{named(one.sentence)} ({one.name})"
-            for one in causes
-            if one and not one.explains_little
-        ),
+        cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes),
         report=result.report(),
     )
 
@@ -178,17 +165,6 @@ def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
     )
 
 
-def angle_text(angle: float, *, in_degrees: bool) -> str:
-    """Return an angle, rad, in the unit of the tolerance.
-
-    Examples
-    --------
-    >>> angle_text(0.5, in_degrees=True)
-    '28.6479 deg'
-    """
-    return f"{math.degrees(angle):.6g} deg" if in_degrees else f"{angle:.3g} rad"
-
-
 def _also(criterion: Criterion) -> str:
     """Return the summary of a criterion other than the worst error; a failure says more itself."""
     if criterion.unit == "%":
@@ -196,7 +172,3 @@ def _also(criterion: Criterion) -> str:
     if criterion.unit == "sigma" and criterion.passed:
         return f", {criterion.label} {criterion.value:.3g} of {criterion.limit:.6g} sigma"
     return ""
-
-
-def _since(t_ns: int, first_ns: int) -> str:
-    return f"+{duration_text(t_ns - first_ns)}"

@@ -9,16 +9,10 @@ import numpy as np
 
 from quatprop import __version__
 from quatprop.check.case import CaseNotRun, CaseResult
-from quatprop.check.case_run import (
-    angle_text,
-    compare_case,
-    compare_timestamps,
-    propagate_case,
-    try_compare,
-)
+from quatprop.check.case_run import compare_case, compare_timestamps, propagate_case, try_compare
 from quatprop.check.cases import same_option
 from quatprop.check.lock import DIGITS, describe_change, digests_of, sha256_of
-from quatprop.check.reference import describe_provenance, read_reference
+from quatprop.check.reference import DEFAULT, describe_provenance, read_reference
 from quatprop.check.spelling import sentence
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import LogError, QuatpropError
@@ -179,7 +173,7 @@ def option_differences(pin: Pin, case: Case) -> list[tuple[str, str | None, str 
 
 def option_text(value: str | None) -> str:
     """Return the value of an option in quotes; None is the default."""
-    return "the default" if value is None else quoted(value)
+    return DEFAULT if value is None else quoted(value)
 
 
 def _refuse_changes(case: Case, pin: Pin, hashes: Mapping[str, str]) -> None:
@@ -227,10 +221,10 @@ def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
     """Return how the last attitude differs, which the reference may lack."""
     if not case.strict or case.comparison.align != "none":
         return ""
-    error = float(geodesic_angle(np.array(pin.final_wxyz), np.array(run.final_wxyz)))
+    error = float(geodesic_angle(np.array(pin.final_wxyz), run.report.result.final_wxyz))
     if error <= case.comparison.limit_rad:
         return ""
-    angle = angle_text(error, in_degrees=case.in_degrees)
+    angle = case.angle_text(error)
     return f"the attitude at the last sample is {angle} from the one that was pinned"
 
 
@@ -256,24 +250,19 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
             for name, digest in (pin.inputs.items() if pin else ())
             if name.partition("/")[0] == key
         }
-        yield key, f"{plain(path)}: {_state(path, pinned) if pinned else 'not pinned'}"
-    options = {**(pin.options if pin else {}), **case.options}
-    for key in sorted(options):
-        was, now = (pin.options.get(key) if pin else None), case.options.get(key)
-        change = "" if was == now or pin is None else f", pinned as {plain(was or 'the default')}"
-        yield key, f"{plain(now or 'the default')}{change}"
+        yield key, _state(path, pinned)
+    pinned_options = pin.options if pin else case.options
+    for key in sorted(pinned_options.keys() | case.options.keys()):
+        was, now = (plain(by.get(key) or DEFAULT) for by in (pinned_options, case.options))
+        yield key, now if was == now else f"{now}, pinned as {was}"
     if case.reference is not None:
-        state = (
-            _state(case.reference, {"": pin.reference}) if pin and pin.reference else "not pinned"
-        )
-        yield "reference", f"{plain(case.reference)}: {state}"
+        pinned = {"": pin.reference} if pin and pin.reference else {}
+        yield "reference", _state(case.reference, pinned)
     elif case.external is not None:
         yield "reference", f"{plain(case.external.path)}, an independent series"
     comparison = case.comparison
     if (tolerance := comparison.tol) is not None:
-        limit = str(tolerance)
-        if not isinstance(tolerance, Sigmas):
-            limit = angle_text(tolerance, in_degrees=case.in_degrees)
+        limit = str(tolerance) if isinstance(tolerance, Sigmas) else case.angle_text(tolerance)
         yield "judged by", f"worst error of at most {limit}, alignment {comparison.align}"
     if case.external is None:
         yield "", "equal timestamps" if case.strict else "timestamps may differ"
@@ -284,21 +273,22 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     if pin is None:
         yield "lock", "no entry"
         return
-    every = f", every {pin.every}th attitude" if pin.every and pin.every > 1 else ""
+    every = f", one of every {pin.every} attitudes" if pin.every and pin.every > 1 else ""
     yield "lock", f"by quatprop {pin.quatprop}{every}"
 
 
 def _state(path: str, pinned: Mapping[str, str]) -> str:
-    """Return how the files of a path, by name, are as they were pinned."""
+    """Return a path, and how its files, by name, differ from those that were pinned."""
+    if not pinned:
+        return f"{plain(path)}: not pinned"
     try:
         digests = digests_of(path)
     except QuatpropError as error:
-        return sentence(error).removeprefix(f"{plain(path)}: ")
+        return sentence(error)
     changed = [name for name, *_ in differences(pinned, digests)]
     if set(digests) != {""}:
-        is_same = f"{len(digests)} files, as pinned"
-        return f"changed: {listed(map(plain, changed))}" if changed else is_same
-    digest, was = digests[""], pinned.get("", "")
-    if not changed:
-        return f"SHA-256 {was[:DIGITS]}, as pinned"
-    return f"changed: SHA-256 {digest[:DIGITS]}, pinned {was[:DIGITS]}"
+        now, was = f"{len(digests)} files", listed(map(plain, changed))
+    else:
+        now, was = f"SHA-256 {digests[''][:DIGITS]}", pinned.get("", "")[:DIGITS]
+        was = f"{now}, pinned {was}"
+    return f"{plain(path)}: " + (f"changed: {was}" if changed else f"{now}, as pinned")

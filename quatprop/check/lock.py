@@ -198,12 +198,10 @@ def _line_ends_for(file: Path, digest: str) -> str | None:
         return None
     content = file.read_bytes()
     unix = content.replace(b"\r\n", b"\n")
-    for text, sentence in (
-        (unix, "from LF to CRLF"),
-        (unix.replace(b"\n", b"\r\n"), "from CRLF to LF"),
-    ):
+    before = {"from LF to CRLF": unix, "from CRLF to LF": unix.replace(b"\n", b"\r\n")}
+    for change, text in before.items():
         if text != content and hashlib.sha256(text).hexdigest() == digest:
-            return sentence
+            return change
     return None
 
 
@@ -223,20 +221,18 @@ def sha256_of(path: str) -> str:
 
 
 def refuse_lfs_pointer(path: str) -> None:
-    """Refuse a Git LFS pointer in place of a file, or of a file in a folder.
+    """Refuse a Git LFS pointer in place of a file.
 
     Raises
     ------
     LogError
         There is one.
     """
-    place = Path(path)
-    for file in sorted(place.iterdir()) if place.is_dir() else [place]:
-        if file.is_file():
-            with file.open("rb") as stream:
-                if stream.read(len(LFS_POINTER)) == LFS_POINTER:
-                    raise LogError(
-                        file,
-                        "it is a Git LFS pointer, not the file itself; download the file with "
-                        "git lfs pull",
-                    )
+    if Path(path).is_file():
+        with Path(path).open("rb") as stream:
+            if stream.read(len(LFS_POINTER)) == LFS_POINTER:
+                raise LogError(
+                    path,
+                    "it is a Git LFS pointer, not the file itself; download the file with git lfs "
+                    "pull",
+                )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,12 +49,8 @@ def decimation(samples: int) -> int:
     >>> [decimation(samples) for samples in (0, 1000, 1001, 5580, 1_000_000)]
     [1, 1, 2, 10, 1000]
     """
-    decade = 1
-    while True:
-        for step in (decade, 2 * decade, 5 * decade):
-            if samples <= MAX_ROWS * step:
-                return step
-        decade *= 10
+    steps = (step * int(10**power) for power in count() for step in (1, 2, 5))
+    return next(step for step in steps if samples <= MAX_ROWS * step)
 
 
 def read_reference(path: str) -> LoadedAttitudes:
@@ -70,10 +67,9 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
         It cannot be written.
     """
     target = Path(str(case.reference))
-    report = replace(run.report, seconds=None).as_json()
     # The content must not depend on the folder in which it was made.
     names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
-    report = _with_names(report, names)
+    report = _with_names(replace(run.report, seconds=None).as_json(), names)
     report[PROVENANCE_KEY] = {
         "case": case.name,
         "options": dict(case.options),

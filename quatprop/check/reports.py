@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
-from quatprop.errors import OutputError
 from quatprop.text import plain
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import open_atomic, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -103,11 +102,10 @@ def totals(results: Sequence[CaseResult]) -> str:
     '3 cases: 2 passed, 1 failed'
     """
     verdicts = [result.verdict for result in results]
-    counts = {verdict: verdicts.count(verdict) for verdict in VERDICTS}
     texts = [
-        f"{count} {text.removesuffix('s') if (text, count) == ('errors', 1) else text}"
-        for (verdict, count), (_, text, _) in zip(counts.items(), VERDICTS.values(), strict=True)
-        if count or verdict == "pass"
+        f"{count} {text.removesuffix('s') if count == 1 else text}"
+        for verdict, (_, text, _) in VERDICTS.items()
+        if (count := verdicts.count(verdict)) or verdict == "pass"
     ]
     return f"{len(results)} case{'s' * (len(results) != 1)}: {', '.join(texts)}"
 
@@ -140,17 +138,14 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
     root = ET.Element("testsuites", counts)
     tests = ET.SubElement(root, "testsuite", {"name": plain(suite.name), **counts})
     for result in results:
-        case = ET.SubElement(
-            tests,
-            "testcase",
-            {
-                "classname": plain(suite.stem),
-                "name": plain(result.name),
-                "file": plain(suite.as_posix()),
-                "line": str(result.line),
-                "time": f"{result.seconds:.3f}",
-            },
-        )
+        facts = {
+            "classname": plain(suite.stem),
+            "name": plain(result.name),
+            "file": plain(suite.as_posix()),
+            "line": str(result.line),
+            "time": f"{result.seconds:.3f}",
+        }
+        case = ET.SubElement(tests, "testcase", facts)
         if result.verdict in JUNIT_ELEMENTS:
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
@@ -177,11 +172,8 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
         why = result.reason or "; ".join([*result.changes, *result.notes])
         cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
         rows.append(f"| {' | '.join(map(_markdown, cells))} |")
-    try:
-        with Path(target).open("a", encoding="utf-8") as stream:
-            stream.write("\n".join(rows) + "\n\n")
-    except OSError as error:
-        raise OutputError(target, f"cannot be written: {error.strerror or error}") from error
+    with output_errors(target), Path(target).open("a", encoding="utf-8") as stream:
+        stream.write("\n".join(rows) + "\n\n")
 
 
 def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[str]:

@@ -94,14 +94,10 @@ def read_suite(path: Path | str) -> Suite:
     if not cases:
         raise SuiteError(path, f"it has no cases; {SHAPE}")
     lines = text.splitlines()
-    return Suite(
-        path,
-        defaults,
-        tuple(
-            CaseTable(name, {**defaults, **case}, _line_of(name, lines))
-            for name, case in cases.items()
-        ),
+    case_tables = (
+        CaseTable(name, {**defaults, **case}, _line_of(name, lines)) for name, case in cases.items()
     )
+    return Suite(path, defaults, tuple(case_tables))
 
 
 def write_suite(path: Path | str, logs: Iterable[str]) -> None:
@@ -123,17 +119,14 @@ def write_suite(path: Path | str, logs: Iterable[str]) -> None:
         numbered = (f"{stem}-{number}" for number in count(2))
         name = next(name for name in chain([stem], numbered) if name not in names)
         names[name] = Path(os.path.relpath(log, path.parent)).as_posix()
-    lines = [
-        "# Cases of quatprop check; the keys are options of propagate and compare.",
-        "[defaults]",
-    ]
+    text = "# Cases of quatprop check; the keys are options of propagate and compare.\n[defaults]\n"
     for name, log in names.items():
         key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
-        reference = json.dumps(f"refs/{name}.parquet", ensure_ascii=False)
-        lines += ["", f"[case.{key}]", f"log = {json.dumps(log, ensure_ascii=False)}"]
-        lines += [f"reference = {reference}"]
+        paths = {"log": log, "reference": f"refs/{name}.parquet"}
+        text += f"\n[case.{key}]\n"
+        text += "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in paths.items())
     with open_atomic(path) as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
+        stream.write(text.encode())
 
 
 def _line_of(name: str, lines: Iterable[str]) -> int:

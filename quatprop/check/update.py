@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from quatprop import __version__
 from quatprop.check.case import CaseResult
-from quatprop.check.case_run import angle_text, chooses_rows, propagate_case, try_compare
+from quatprop.check.case_run import chooses_rows, propagate_case, try_compare
 from quatprop.check.judge import (
     OTHER_VERSION,
     differences,
@@ -72,10 +72,9 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
     digest = None
     if case.external is not None:
         result = judge_by(case.external, case, run)
-        errors = (pin.error_rad if pin else None, result.error_rad)
-        if errors[0] != errors[1] and None not in errors:
-            old, new = (angle_text(e, in_degrees=case.in_degrees) for e in errors if e is not None)
-            changes.append(f"worst error: {old} -> {new}")
+        old, new = pin.error_rad if pin else None, result.error_rad
+        if old is not None and new is not None and old != new:
+            changes.append(f"worst error: {case.angle_text(old)} -> {case.angle_text(new)}")
     else:
         reference = str(case.reference)
         changes += _compare_with_old(case, run)
@@ -84,22 +83,18 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         written = f"{len(run.series)} of {run.samples} attitudes in {plain(reference)}"
         losses = tuple(loss_notes(case, run))
         result = CaseResult(case.name, "pass", summary=written, notes=losses)
-    pinned = Pin(
+    new_pin = Pin(
         quatprop=__version__,
         inputs=hashes,
         options=case.options,
         samples=run.samples,
         every=every,
         reference=digest,
-        final_wxyz=run.final_wxyz,
+        final_wxyz=tuple(run.report.result.final_wxyz.tolist()),
         error_rad=result.error_rad,
     )
-    return replace(
-        result,
-        changes=tuple(changes),
-        updated="new" if pin is None else "updated",
-        pin=pinned,
-    )
+    updated = "new" if pin is None else "updated"
+    return replace(result, changes=tuple(changes), updated=updated, pin=new_pin)
 
 
 def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:
@@ -141,6 +136,6 @@ def _compare_with_old(case: Case, run: CaseRun) -> list[str]:
     comparison = try_compare(case, run.series, old)
     if comparison.error_rad is None:
         return [f"attitudes: not comparable with the old reference: {comparison.failure}"]
-    angle = angle_text(comparison.error_rad, in_degrees=case.in_degrees)
+    angle = case.angle_text(comparison.error_rad)
     cause = f"; likely cause: {comparison.cause}" if comparison.failure and comparison.cause else ""
     return [f"attitudes: up to {angle} from the old reference, {comparison.where}{cause}"]

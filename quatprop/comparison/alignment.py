@@ -235,15 +235,15 @@ def _refuse_unexcited(mounting: MountingFit) -> None:
     if mounting.turn_rad < MIN_TURN:
         raise ComparisonError(
             f"the body turns by {np.degrees(mounting.turn_rad):.2g} deg only, which shows no "
-            f"mounting; {WAY_OUT}",
+            f"mounting; {WAY_OUT}"
         )
     if second < MIN_EXCITATION * first:
         raise ComparisonError(
             f"the body turns about one axis only (about the second by {second / first:.2%} of the "
-            f"first), so the mounting about it cannot be determined; {WAY_OUT}",
+            f"first), so the mounting about it cannot be determined; {WAY_OUT}"
         )
     if mounting.std_rad > MAX_STD:
         raise ComparisonError(
             f"the mounting cannot be determined better than to {np.degrees(mounting.std_rad):.2g} "
-            f"deg: A and B hardly turn together, or about one axis only; {WAY_OUT}",
+            f"deg: A and B hardly turn together, or about one axis only; {WAY_OUT}"
         )

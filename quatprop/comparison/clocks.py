@@ -109,13 +109,13 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     if best < MIN_CORRELATION:
         raise ComparisonError(
             f"the angular speeds of A and B correlate at no time offset (at best {best:.2f}); "
-            f"unless the motions differ, {GIVE_OFFSET}",
+            f"unless the motions differ, {GIVE_OFFSET}"
         )
     runner_up = _runner_up(correlation, peak)
     if runner_up > MAX_RUNNER_UP * best:
         raise ComparisonError(
             f"the motion repeats itself: its angular speed correlates {best:.4f} at one time "
-            f"offset and {runner_up:.4f} at another; {GIVE_OFFSET}",
+            f"offset and {runner_up:.4f} at another; {GIVE_OFFSET}"
         )
     lag = peak - (len(speed_b) - 1)
     coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
@@ -132,7 +132,7 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
     if min(spans) < MIN_POINTS * step:
         raise ComparisonError(
             f"a time offset can be estimated from {MIN_POINTS} intervals or more, and one of the "
-            f"series is shorter; {GIVE_OFFSET}",
+            f"series is shorter; {GIVE_OFFSET}"
         )
     return step
 

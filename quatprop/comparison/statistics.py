@@ -118,7 +118,7 @@ def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> Win
     if not len(start):
         raise ComparisonError(
             f"no two pairs are {duration_text(window_ns)} apart: they span "
-            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter {Setting('window')}",
+            f"{duration_text(int(t_ns[-1] - t_ns[0]))}; choose a shorter {Setting('window')}"
         )
     steps = (multiply(conjugate(q[start]), q[stop]) for q in (pairs.a, alignment.apply(pairs.b)))
     error = geodesic_angle(*steps)

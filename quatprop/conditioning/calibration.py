@@ -78,11 +78,8 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
             if key not in OWN_KEYS:
                 raise _unusable(path, f"no key {quoted(key)}{did_you_mean(key, OWN_KEYS)}")
         bias = content.get("bias")
-        matrix = _numbers(path, "matrix", content["matrix"], (3, 3))
-        return Calibration(
-            _checked(path, "matrix", matrix),
-            None if bias is None else _numbers(path, "bias", bias, (3,)),
-        )
+        matrix = _checked(path, "matrix", _numbers(path, "matrix", content["matrix"], (3, 3)))
+        return Calibration(matrix, None if bias is None else _numbers(path, "bias", bias, (3,)))
     gyroscopes = content.get("gyroscopes")
     if not (isinstance(gyroscopes, dict) and "M" in gyroscopes):
         raise _unusable(

@@ -165,7 +165,7 @@ def _quiet_rates(rates: Cells) -> Intp:
     if not slow.any():
         raise UsageError(
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
-            f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}",
+            f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
     cells = cells[slow]
     return np.asarray(cells[_quiet(rates, cells, QUIET)])
@@ -269,5 +269,5 @@ def _no_rest(why: str) -> UsageError:
     return UsageError(
         f"the log has no period of rest to take the bias from{why}; give "
         f"{Setting('bias', 'X,Y,Z')}, or look for a shorter rest with "
-        f"{Setting('bias', 'static:DUR')}",
+        f"{Setting('bias', 'static:DUR')}"
     )

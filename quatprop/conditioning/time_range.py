@@ -75,7 +75,7 @@ def absolute_range(
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
             f"{Setting('start')} is {duration_text(start_ns - end_ns)} after {Setting('end')}; "
-            "swap them, or check units",
+            "swap them, or check units"
         )
     return start_ns, end_ns
 

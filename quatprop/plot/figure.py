@@ -186,11 +186,7 @@ def _write_text(
 
 
 def _write_legend(
-    result: Figure,
-    explained: Sequence[tuple[Artist, str]],
-    top: float,
-    columns: int,
-    longest: int,
+    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, columns: int, longest: int
 ) -> None:
     legend = result.legend(
         [artist for artist, _ in explained],

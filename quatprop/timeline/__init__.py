@@ -127,9 +127,7 @@ class Timeline(StampChecks):
             )
         if self.policy.on_nonfinite == "drop":
             return batch[good], np.flatnonzero(good)
-        if self.policy.on_nonfinite == "hold":
-            return self._hold(batch, good), None
-        return batch, None
+        return self._hold(batch, good) if self.policy.on_nonfinite == "hold" else batch, None
 
     def _hold(self, batch: GyroSeries, good: Bool) -> GyroSeries:
         """Replace each rate that is not finite by the last one before it that is."""

@@ -173,7 +173,7 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
     ):
         yield Text(
             "the timestamps are whole seconds, each of several samples: they do not tell when a "
-            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}",
+            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}"
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
@@ -186,7 +186,7 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
     if counts.used > 1 and counts.span_ns == 0:
         yield Text(
             f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
-            f"time column, or are they in another {Setting('time_unit')}?",
+            f"time column, or are they in another {Setting('time_unit')}?"
         )
     elif counts.used >= MIN_SAMPLES and (
         0 < FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S
@@ -194,5 +194,5 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
         rate = (counts.used - 1) * NS_PER_S / counts.span_ns
         yield Text(
             f"{rate:,.0f} samples per second are beyond any gyroscope; if the timestamps are in "
-            f"another unit, use {Setting('time_unit', 's|ms|us|ns')}",
+            f"another unit, use {Setting('time_unit', 's|ms|us|ns')}"
         )
