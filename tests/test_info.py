@@ -354,3 +354,26 @@ def test_an_error_is_not_taken_for_the_end_of_a_topic():
         for _ in range(2):
             with pytest.raises(DamagedLogError, match=r"^log: broken"):
                 list(blocks_of(log, "topic"))
+
+
+def test_beginnings_are_kept_only_in_the_block():
+    """Who begins in the block and goes on after it reads nothing twice, and keeps nothing."""
+    read = []
+
+    class Long:
+        kept = None
+
+        def blocks(self, _channel):
+            for begin in range(50):
+                data = np.zeros(1000, np.uint8)
+                read.append(weakref.ref(data))
+                stamps = np.array([begin])
+                yield MessageBlock(data, np.array([0]), np.array([1000]), stamps, stamps)
+
+    log = Long()
+    with beginnings_kept(log):
+        next(blocks_of(log, "topic"))
+        blocks = blocks_of(log, "topic")
+    assert [int(block.log_ns[0]) for block in blocks] == list(range(50))
+    assert len(read) == 50
+    assert sum(data() is not None for data in read) <= 2

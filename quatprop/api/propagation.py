@@ -88,6 +88,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     [0.0, 0.0, 0.0, 1.0]
     """
     from quatprop.concurrency.threads import use_threads
+    from quatprop.containers.kept_blocks import beginnings_kept
     from quatprop.formats import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
@@ -105,8 +106,9 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
         use_threads(settings.threads),
         open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
     ):
-        signal = choose_rates(opened, settings.selection)
-        stream = AttitudeStream(path, signal, settings, opened)
+        with beginnings_kept(opened):
+            signal = choose_rates(opened, settings.selection)
+            stream = AttitudeStream(path, signal, settings, opened)
         return _propagated(path, stream, settings, opened)
 
 

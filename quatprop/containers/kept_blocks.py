@@ -58,15 +58,21 @@ class KeptBlocks:
                 if self._kept.get(channel) is not own:
                     yield block
                     continue
-                kept = compacted(block)
+                # There is nothing to gain where the buffer holds little else.
+                size = int((block.ends - block.starts).sum())
+                kept = block if 2 * size > len(block.data) else compacted(block)
                 own.size += len(kept.data)
                 yield kept
-                while sum(each.size for each in self._kept.values()) > ROOM:
-                    self._kept.pop(next(iter(self._kept))).place = _Place()
+                self.keep_at_most(ROOM)
         except Exception:
             # Who begins later would take the blocks before an error for all that there are.
-            self._kept.clear()
+            self.keep_at_most(-1)
             raise
+
+    def keep_at_most(self, size: int) -> None:
+        """Drop channels until no more bytes are kept than these; -1: all."""
+        while self._kept and sum(each.size for each in self._kept.values()) > size:
+            self._kept.pop(next(iter(self._kept))).place = _Place()
 
 
 def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
@@ -85,11 +91,13 @@ def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[Messag
 def beginnings_kept(log: Log) -> Iterator[None]:
     """Keep in this block what is read of messages, for who reads their beginning several times."""
     outer = log.kept
-    log.kept = outer or KeptBlocks()
+    log.kept = kept = outer or KeptBlocks()
     try:
         yield
     finally:
         log.kept = outer
+        if outer is None:
+            kept.keep_at_most(-1)
 
 
 def blocks_of(log: MessageLog, channel: Channel) -> Iterator[MessageBlock]:

@@ -91,6 +91,8 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
+        # First, since the beginning of the log may be kept until it is read for good.
+        self._log_remarks = [] if log is None or path == "-" else log_remarks(log, source)
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,
@@ -224,9 +226,8 @@ class AttitudeStream:
             *self._conditioned.all_remarks,
             *self._checks.remarks(counts),
             *self._times_left_out(),
+            *self._log_remarks,
         ]
-        if log is not None and self._path != "-":
-            findings += log_remarks(log, source)
         return RunReport(
             source=SourceReport(
                 path=without_secret(self._path),

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.concurrency.threads import in_background, use_threads
+from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
@@ -96,16 +97,17 @@ def run(
     ):
         output = with_format(job.output, log)
         job = job._replace(output=output)
-        source = choose_rates(log, settings.selection)
-        stream = AttitudeStream(
-            job.log,
-            source,
-            settings,
-            log,
-            observer=observer,
-            sensitivity=summary or output.keeps_report,
-            rate=output.message is not None and "rate" in output.message.definition.parts,
-        )
+        with beginnings_kept(log):
+            source = choose_rates(log, settings.selection)
+            stream = AttitudeStream(
+                job.log,
+                source,
+                settings,
+                log,
+                observer=observer,
+                sensitivity=summary or output.keeps_report,
+                rate=output.message is not None and "rate" in output.message.definition.parts,
+            )
         with (
             ReportFile(output.report) as report_file,
             open_output(output, log, source.stamps, settings.errors.columns_axes) as writer,

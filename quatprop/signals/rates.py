@@ -162,11 +162,13 @@ def _of_field(
     clock = choose_clock(log, channel, field.stamps, selection)
     reader = partial(_reader, log, channel, field, clock)
 
+    def scaled(columns: Columns) -> Columns:
+        if factor != 1.0:
+            np.multiply(columns.values[1], factor, out=columns.values[1])
+        return columns
+
     def rows(within: TimeRange | None = None) -> Iterator[Columns]:
-        for columns in logged_values(log, channel, reader(), within):
-            if factor != 1.0:
-                np.multiply(columns.values[1], factor, out=columns.values[1])
-            yield columns
+        return map(scaled, logged_values(log, channel, reader(), within))
 
     def batches(within: TimeRange | None = None) -> Iterator[GyroSeries]:
         return series_of(rows(within), averages=averages)
