@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -31,7 +32,7 @@ KNOWN = {
     ),
     "%time,field.header.seq,field.header.stamp,field.angular_velocity.x,field.angular_velocity.y,"
     "field.angular_velocity.z,field.angular_velocity_covariance0": (
-        *("rostopic echo -p", (3, 4, 5), "rad/s", (2,), "ns"),
+        *("rostopic echo -p", (3, 4, 5, 6), "rad/s", (2,), "ns"),
     ),
     "header.stamp.sec,header.stamp.nanosec,angular_velocity.x,angular_velocity.y,"
     "angular_velocity.z": ("ROS messages as columns", (2, 3, 4), "rad/s", (0, 1), "s"),
@@ -438,6 +439,24 @@ def test_a_topic_is_refused():
         chosen("t_ns,wx,wy,wz", topic="/imu")
 
 
+@pytest.mark.parametrize("mark", ["covariance0", "covariance[0]", "covariance.0"])
+def test_rates_that_a_covariance_marks_as_absent_are_not_used(tmp_path, mark):
+    """As in the message that became the row: there is no gyroscope, whatever stands in it."""
+    path = tmp_path / "imu.csv"
+    names = ",".join(f"angular_velocity.{axis}" for axis in "xyz")
+    path.write_text(
+        f"header.stamp.sec,header.stamp.nanosec,{names},angular_velocity_{mark}\n"
+        "1,0,1,2,3,0.5\n2,0,0,0,0,-1\n"
+    )
+    rates = read_rates(path)
+    assert rates.t_ns.tolist() == [10**9, 2 * 10**9]
+    np.testing.assert_array_equal(rates.rate, [[1, 2, 3], 3 * [np.nan]])
+
+
+WRITERS = {
+    "csv": partial(pd.DataFrame.to_csv, index=False),
+    "jsonl": partial(pd.DataFrame.to_json, orient="records", lines=True),
+}
 TURNS = {"imu_id": (0, 1), "Sensor": ("gyro", "acc"), "header.frame_id": ("left", "right")}
 
 
@@ -447,10 +466,7 @@ def test_rows_of_several_sensors_in_turn_are_refused(tmp_path, name, suffix):
     """Rates of two gyroscopes, or accelerations, would be integrated as those of one."""
     frame = pd.DataFrame({"t_ns": range(9), "wx": 1.0, "wy": 2.0, "wz": 3.0, name: "imu"})
     path = tmp_path / f"log.{suffix}"
-    write = {
-        "csv": partial(pd.DataFrame.to_csv, index=False),
-        "jsonl": partial(pd.DataFrame.to_json, orient="records", lines=True),
-    }.get(suffix, getattr(pd.DataFrame, f"to_{suffix}", None))
+    write = WRITERS.get(suffix, getattr(pd.DataFrame, f"to_{suffix}", None))
     write(frame, path)
     assert len(read_rates(path).t_ns) == 9
     frame[name] = [TURNS[name][k % 2] for k in range(9)]
@@ -473,3 +489,15 @@ def test_counters_and_states_are_no_sensors(tmp_path, name, values):
     frame = pd.DataFrame({"t_ns": range(9), "wx": 1.0, "wy": 2.0, "wz": 3.0, name: list(values)})
     frame.to_csv(tmp_path / "log.csv", index=False)
     assert len(read_rates(tmp_path / "log.csv").t_ns) == 9
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
+def test_rows_without_rates_may_be_of_another_sensor(tmp_path, suffix):
+    """The rates are all of one then."""
+    path = tmp_path / f"log.{suffix}"
+    frame = pd.DataFrame({"t_ns": np.arange(18), "topic": ["imu", "odom"] * 9, "speed": 4.0})
+    frame[["wx", "wy", "wz"]] = np.where(np.arange(18)[:, None] % 2, np.nan, [1.0, 2.0, 3.0])
+    WRITERS.get(suffix, pd.DataFrame.to_parquet)(frame, path)
+    rates = read_rates(path)
+    np.testing.assert_array_equal(rates.rate[::2], np.tile([1.0, 2.0, 3.0], (9, 1)))
+    assert np.isnan(rates.rate[1::2]).all()

@@ -15,7 +15,7 @@ from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
-from quatprop.signals.message_values import ABSENT
+from quatprop.signals.message_values import without_absent
 from quatprop.signals.signal import AttitudeSignal
 from quatprop.tables.matching.choose import match_quaternion
 from quatprop.tables.matching.column_names import parse_name
@@ -123,11 +123,7 @@ def _remarks(columns: ColumnMatch) -> Iterator[str | Text]:
 def _attitudes(numbers: Float64, columns: ColumnMatch) -> Float64:
     """Return the quaternions that columns hold, in whatever representation."""
     if columns.representation == "quaternion":
-        wxyz = numbers[:, :4]
-        # A mark behind them says where they are absent.
-        for absent in numbers[:, 4:].T:
-            wxyz[absent == ABSENT] = np.nan
-        return wxyz
+        return without_absent(numbers[:, :4], numbers[:, 4:].T)
     values = np.radians(numbers) if columns.unit == "deg" else numbers
     # What is not finite is reported later, row by row.
     with np.errstate(invalid="ignore", over="ignore"):

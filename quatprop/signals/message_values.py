@@ -118,13 +118,18 @@ class FieldReader(GroupDecoder):
     def columns(self, block: MessageBlock) -> Columns:
         """Return log times with ``(t_ns, values)``, or also `beside`; the order is the block's."""
         t_ns, (fields, marks, *others) = self.decode(block)
-        values = as_rows(fields)
-        for mark in marks:
-            if count := np.count_nonzero(is_absent := mark == ABSENT):
-                # Setting all of them is much quicker without a mask.
-                values[is_absent if count < len(mark) else ...] = np.nan
+        values = without_absent(as_rows(fields), marks)
         beside = [as_rows(other) for other in others if other]
         return Columns(block.log_ns, (t_ns, values, *beside), block.not_before_ns)
+
+
+def without_absent(rows: Float64, marks: Iterable[AnyArray]) -> Float64:
+    """Set rows of numbers to NaN where one of the marks beside them says that they are absent."""
+    for mark in marks:
+        if count := np.count_nonzero(is_absent := mark == ABSENT):
+            # Setting all of them is much quicker without a mask.
+            rows[is_absent if count < len(mark) else ...] = np.nan
+    return rows
 
 
 def as_rows(fields: list[AnyArray]) -> Float64:

@@ -21,6 +21,7 @@ from quatprop.signals.message_values import (
     logged_values,
     series_of,
     stamps_of,
+    without_absent,
 )
 from quatprop.signals.signal import RateSignal
 from quatprop.tables.base import TableLog
@@ -102,7 +103,8 @@ def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
 
     def batches(parts: frozenset[int] | None = None) -> Iterator[GyroSeries]:
-        for t_ns, rate in log.metered_rows(columns.timed._replace(parts=parts)):
+        for t_ns, numbers in log.metered_rows(columns.timed._replace(parts=parts)):
+            rate = without_absent(numbers[:, :3], numbers[:, 3:].T)
             for factor in factors:
                 np.multiply(rate, factor, out=rate)
             yield GyroSeries(t_ns, rate, averages=columns.method == "end")

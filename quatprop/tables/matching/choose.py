@@ -17,8 +17,8 @@ from quatprop.tables.matching.dialects import (
     BARE_RATES,
     BESIDE_BARE_RATES,
     COMPONENT,
+    COVARIANCE,
     GENERIC,
-    ORIENTATION_ABSENT,
     QUATERNION_PARTS,
     RATE_PARTS,
     WITH_RATE_UNIT,
@@ -42,8 +42,8 @@ class ColumnMatch:
     ----------
     timed
         What to read: the components in order (x, y, z; w, x, y, z; as in
-        :data:`quatprop.conventions.representations.REPRESENTATIONS`), after a quaternion the
-        marks of an absent orientation, and the time.
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`), after a quaternion or rates
+        the marks where they are absent, and the time.
     name
         The names of the components as the table spells them: rates in order, attitudes as stored.
     clock
@@ -114,8 +114,9 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     convention = dialect if rate in by_convention else GENERIC
     declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, convention.rate_unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
+    absence = _absence(matcher, rate[0], "angular_velocity")
     return ColumnMatch(
-        *matcher.timed_and_named(rate, dialect),
+        *matcher.timed_and_named((*rate, *absence), dialect, rate),
         unit,
         convention.name,
         scale=scale * log.notes.rate_scale,
@@ -235,7 +236,9 @@ def match_quaternion(
         wxyz = matcher.only_set(sets, "quaternion", "scalar")
         _refuse_contradiction(matcher, sorted(wxyz), wxyz, layout, recorded)
     return ColumnMatch(
-        *matcher.timed_and_named((*wxyz, *_absence(matcher, wxyz)), dialect, sorted(wxyz)),
+        *matcher.timed_and_named(
+            (*wxyz, *_absence(matcher, wxyz[0], "orientation")), dialect, sorted(wxyz)
+        ),
         dialect=dialect.name if wxyz in sets else "",
         representation="quaternion",
         layout=_layout(sorted(wxyz), wxyz),
@@ -300,7 +303,7 @@ def _layout(stored: Sequence[int], wxyz: tuple[int, ...]) -> str:
     return next((known.name for known in (SCALAR_FIRST, SCALAR_LAST) if known.order == order), "")
 
 
-def _absence(matcher: ColumnMatcher, wxyz: tuple[int, ...]) -> list[int]:
-    """Return the column that marks a ROS orientation as absent, if there is one."""
-    prefix, name, _ = matcher.columns[wxyz[0]].key.rpartition("orientation.w")
-    return matcher.matching(re.escape(prefix) + ORIENTATION_ABSENT)[:1] if name else []
+def _absence(matcher: ColumnMatcher, component: int, quantity: str) -> list[int]:
+    """Return the column that marks a ROS orientation or rate as absent, if there is one."""
+    prefix, is_ros, _ = matcher.columns[component].key.rpartition(f"{quantity}.")
+    return matcher.matching(re.escape(prefix + quantity) + COVARIANCE)[:1] if is_ros else []

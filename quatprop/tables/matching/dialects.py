@@ -199,5 +199,5 @@ RATE_PARTS = ("x|p|0|[0]|roll", "y|q|1|[1]|pitch", "z|r|2|[2]|yaw")
 QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")
 """What the group ``part`` of each quaternion component may be."""
 
-ORIENTATION_ABSENT = r"orientation_covariance(?:\[0\]|_?0|\.0)"
-"""After the prefix of a ROS orientation: a number that is -1 where there is none."""
+COVARIANCE = r"_covariance(?:\[0\]|_?0|\.0)"
+"""After the name of a ROS orientation or rate: a number that is -1 where there is none."""
