@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPRESENTATIONS
-from quatprop.conversion.rates import RATE_COLUMNS, RATES
+from quatprop.conversion.rates import RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.text import Setting, Text, listed, quoted
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
-    from quatprop.writers.base import TableWriter
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
@@ -49,22 +48,18 @@ def open_destination(
         Of :func:`kept_sigma`.
     """
     output = job.output
-
-    def table(columns: tuple[str, ...]) -> TableWriter:
-        return open_table(output.path, columns, output.to, comment=output.comment)
-
+    if job.representation == QUATERNION:
+        if job.meaning == HAMILTON:
+            return open_output(output, log, source.stamps, sigma)
+        _refuse_other_conventions(job)
+    table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
+    if job.representation in RATES:
+        return ColumnTable(table, lambda series: series.rate)
     if job.representation in REPRESENTATIONS:
         form = REPRESENTATIONS[job.representation]
-        return ColumnTable(
-            table(form.columns), lambda series: form.values(series.wxyz), form.locked
-        )
-    if job.representation in RATES:
-        return ColumnTable(table(RATE_COLUMNS), lambda series: series.rate)
-    if job.meaning == HAMILTON:
-        return open_output(output, log, source.stamps, sigma)
-    _refuse_other_conventions(job)
-    layout = job.layout
-    return ColumnTable(table(layout.columns), lambda series: series.wxyz[:, list(layout.order)])
+        return ColumnTable(table, lambda series: form.values(series.wxyz), form.locked)
+    order = list(job.layout.order)
+    return ColumnTable(table, lambda series: series.wxyz[:, order])
 
 
 def _refuse_other_conventions(job: Conversion) -> None:
@@ -90,9 +85,9 @@ def remarks_on(
     job: Conversion,
     singular: int,
     *,
-    positions_lost: bool = False,
-    sigma_lost: bool = False,
-    lost_columns: Sequence[str] = (),
+    positions_lost: bool,
+    sigma_lost: bool,
+    lost_columns: Sequence[str],
 ) -> Iterator[str | Text]:
     """Yield what a reader of the output should know.
 
