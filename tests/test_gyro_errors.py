@@ -19,7 +19,7 @@ from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
 from quatprop.settings import PROPAGATE
-from quatprop.writers import WRITERS
+from quatprop.writers.formats import WRITERS
 
 SECOND = 1_000_000_000
 KALIBR = """\

@@ -25,7 +25,8 @@ from quatprop.errors import DamagedLogError
 from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text
-from quatprop.writers import WRITERS, open_writer
+from quatprop.writers import open_writer
+from quatprop.writers.formats import WRITERS
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 

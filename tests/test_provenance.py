@@ -22,7 +22,8 @@ from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, Text
 from quatprop.times import Instant
-from quatprop.writers import WRITERS, keeps_provenance, open_writer
+from quatprop.writers import open_writer
+from quatprop.writers.formats import WRITERS, keeps_provenance
 
 COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
 CARRIERS = sorted({kind for kind, known in WRITERS.items() if known.keeps_provenance} | COMMENTED)

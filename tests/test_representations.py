@@ -20,7 +20,8 @@ from quatprop.settings import EULER_SEQUENCES
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import stamps_in
 from quatprop.tables.base import TimedColumns
-from quatprop.writers import WRITERS, open_table
+from quatprop.writers import open_table
+from quatprop.writers.formats import WRITERS
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 

@@ -16,7 +16,8 @@ from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitude_input import AttitudeInput
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.writers import WRITERS, open_writer
+from quatprop.writers import open_writer
+from quatprop.writers.formats import WRITERS
 
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
 """Endings of the kinds whose name is not their suffix; a file of EuRoC is a CSV."""

@@ -16,8 +16,9 @@ from quatprop.cli import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.temp_files import LockedTemp
-from quatprop.writers import WRITERS, kind_of, open_writer
+from quatprop.writers import open_writer
 from quatprop.writers.atomic import OutputPath, open_atomic
+from quatprop.writers.formats import WRITERS, kind_of
 
 FOLDERS = ("rosbag2", "rosbag2-mcap")
 KINDS = tuple(kind for kind in WRITERS if kind not in FOLDERS)

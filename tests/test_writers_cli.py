@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from quatprop.cli import cli
-from quatprop.writers import WRITERS
+from quatprop.writers.formats import WRITERS
 
 TEXT = ("csv", "tsv", "jsonl", "tum", "euroc")
 

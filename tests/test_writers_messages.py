@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.writers import WRITERS, open_writer
+from quatprop.writers import open_writer
+from quatprop.writers.formats import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 from quatprop.writers.messages.ros_messages import RosEncoder
 from quatprop.writers.messages.topics import ros1_types

@@ -13,7 +13,8 @@ import pytest
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.writers import WRITERS, layout_of, open_table, open_writer
+from quatprop.writers import open_table, open_writer
+from quatprop.writers.formats import WRITERS, layout_of
 from quatprop.writers.tables.trajectories import seconds
 
 TOLD = {"convention": {"layout": "scalar-first"}, "n": "ø", "q0_wxyz": [1.0, 0.0, 0.0, 0.0]}

@@ -123,7 +123,8 @@ def write(
         The series has positions, and the format has no place for them.
     """
     from quatprop.pipeline.report import convention_of
-    from quatprop.writers import WRITERS, kind_of, layout_of, open_writer
+    from quatprop.writers import open_writer
+    from quatprop.writers.formats import WRITERS, kind_of, layout_of
 
     refuse_unknown(unknown, ("to", "layout", "beside"))
     if not isinstance(series, AttitudeSeries):

@@ -17,7 +17,7 @@ from quatprop.cli.options import QUIET, own_options, with_options
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
 from quatprop.text import listed, plain
-from quatprop.writers import WRITERS
+from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping

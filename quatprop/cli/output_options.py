@@ -9,7 +9,7 @@ import click
 from quatprop.cli.options import own_options
 from quatprop.cli.types import OneOf
 from quatprop.settings import EULER_SEQUENCES, LAYOUTS
-from quatprop.writers import WRITERS
+from quatprop.writers.formats import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 
 if TYPE_CHECKING:

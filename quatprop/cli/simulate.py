@@ -12,7 +12,7 @@ from quatprop.cli.options import own_options, with_options
 from quatprop.cli.types import PATH, OneOf
 from quatprop.errors import UsageError
 from quatprop.settings.parsers import count, duration, frequency, numbers
-from quatprop.writers import GENERAL_KINDS
+from quatprop.writers.formats import GENERAL_KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

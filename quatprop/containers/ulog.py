@@ -95,9 +95,8 @@ class UlogLog(MessageLog):
         except BaseException:
             self._source.close()
             raise
-        self._offsets = np.array(records.offsets, np.int64)
-        self._sizes = np.array(records.sizes, np.int64)
-        self._ids = np.array(records.ids, np.int64)
+        places = (records.offsets, records.sizes, records.ids)
+        self._offsets, self._sizes, self._ids = (np.array(place, np.int64) for place in places)
         self._channels = _ids_by_channel(records)
 
     def _walk(self) -> _Records:
@@ -116,9 +115,8 @@ class UlogLog(MessageLog):
 
     def _appended(self) -> list[int]:
         """Return where data was appended, from the flags at the beginning, if there are any."""
-        begin = self._source.read(HEADER_SIZE, _HEAD.size + _FLAGS.size)
-        if len(begin) < _HEAD.size + _FLAGS.size:
-            return []
+        length = _HEAD.size + _FLAGS.size
+        begin = self._source.read(HEADER_SIZE, length).ljust(length, b"\0")
         size, kind = _HEAD.unpack_from(begin)
         if kind != ord("B") or size < _FLAGS.size:
             return []
@@ -142,15 +140,7 @@ class UlogLog(MessageLog):
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.
 
-        Parameters
-        ----------
-        channel
-            One of :meth:`channels`.
-
-        Yields
-        ------
-        MessageBlock
-            Log and publish times are the messages' own time stamps.
+        Log and publish times are the messages' own time stamps.
         """
         stamps = decoder_of(channel, ["timestamp"], self.path)
         selected = np.flatnonzero(np.isin(self._ids, self._channels.get(channel, [])))
@@ -169,13 +159,11 @@ class UlogLog(MessageLog):
 
     def _windows(self, selected: Int64) -> Iterator[Int64]:
         """Split messages into parts of bounded number and extent."""
-        offsets = self._offsets[selected]
-        start = 0
-        while start < len(selected):
-            reach = int(offsets.searchsorted(offsets[start] + _WINDOW))
-            stop = max(start + 1, min(start + BLOCK, reach))
-            yield selected[start:stop]
-            start = stop
+        while len(selected):
+            offsets = self._offsets[selected[:BLOCK]]
+            count = max(1, int(offsets.searchsorted(offsets[0] + _WINDOW)))
+            yield selected[:count]
+            selected = selected[count:]
 
     def _block(self, places: Int64) -> MessageBlock:
         """Read messages; those beyond a file that has become shorter are noted as lost."""

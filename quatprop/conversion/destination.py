@@ -10,8 +10,9 @@ from quatprop.conversion.rates import RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.text import Setting, Text, listed, quoted
-from quatprop.writers import WRITERS, format_remarks, holds_covariances, open_table
+from quatprop.writers import holds_covariances, open_table
 from quatprop.writers.attitudes import ColumnTable
+from quatprop.writers.formats import WRITERS, format_remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

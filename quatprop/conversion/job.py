@@ -11,7 +11,7 @@ from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json
 from quatprop.series import SIGMA_COLUMNS
-from quatprop.writers import WRITERS, layout_of
+from quatprop.writers.formats import WRITERS, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,8 +13,9 @@ import numpy as np
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, listed, plain, quoted
-from quatprop.writers import WRITERS, kind_of, layout_of, refuse_columns
+from quatprop.writers import refuse_columns
 from quatprop.writers.attitudes import AttitudeMessages
+from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout
 
@@ -34,12 +35,12 @@ COPIERS: Mapping[str, tuple[str, str]] = {
     "db3": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
     "rosbag2": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
 }
-"""By the kind of log: the key of :data:`quatprop.writers.WRITERS` of the copy, and ``module:class``
-of the writer, which is called with the log, the target and the message to add."""
+"""By the kind of log: the key of :data:`quatprop.writers.formats.WRITERS` of the copy, and
+``module:class`` of the writer, which is called with the log, the target and the message to add."""
 
 
 def copy_kind(log: Log, target: str, to: str | None = None) -> str:
-    """Return the key of :data:`quatprop.writers.WRITERS` that a copy of a log has.
+    """Return the key of :data:`quatprop.writers.formats.WRITERS` that a copy of a log has.
 
     Parameters
     ----------

@@ -10,6 +10,7 @@ import apsw
 
 from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database
 from quatprop.into.rosbag2_metadata import Added
+from quatprop.writers.rosbag2.writer import insert_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -90,11 +91,7 @@ class SqlitePart:
 
     def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages that all have one size, and when each was logged, ns."""
-        rows = messages.view(f"V{messages.itemsize}").tolist()
-        self._database.executemany(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-            zip([self._topic_id] * len(rows), log_ns.tolist(), rows, strict=True),
-        )
+        insert_messages(self._database, self._topic_id, log_ns, messages)
         self.added.add(log_ns)
 
     def finish(self, extend: Callable[[str], str]) -> None:

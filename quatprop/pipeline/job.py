@@ -19,7 +19,8 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
-from quatprop.writers import format_remarks, layout_of, open_writer
+from quatprop.writers import open_writer
+from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
 from quatprop.settings.values import as_text, parse_all
 from quatprop.text import Setting
 from quatprop.timeline.stamps import Policy
-from quatprop.writers import keeps_provenance, kind_of
+from quatprop.writers.formats import keeps_provenance, kind_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -134,7 +134,7 @@ class OutputSettings(NamedTuple):
     into
         The output is a copy of the log with the attitudes added as messages.
     to
-        Format, a key of :data:`quatprop.writers.WRITERS`; None: told by the suffix.
+        Format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix.
     layout
         ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is what
         the format prescribes, or scalar-first where it leaves the choice.
@@ -160,7 +160,7 @@ class OutputSettings(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """The format, a key of :data:`quatprop.writers.WRITERS`."""
+        """The format, a key of :data:`quatprop.writers.formats.WRITERS`."""
         return kind_of(self.path, self.to)
 
     @property

@@ -19,8 +19,9 @@ from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import record
 from quatprop.simulate.motion import motion_named
 from quatprop.text import listed, quoted
-from quatprop.writers import GENERAL_KINDS, WRITERS, kind_of, open_messages, open_table, open_writer
+from quatprop.writers import open_messages, open_table, open_writer
 from quatprop.writers.attitudes import AttitudeMessages, ColumnTable
+from quatprop.writers.formats import GENERAL_KINDS, WRITERS, kind_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.messages.ros_messages import ABSENT, RosEncoder
 from quatprop.writers.targets import is_stdout, refuse_overlap

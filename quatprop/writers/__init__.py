@@ -16,15 +16,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, did_you_mean, listed, quoted
-from quatprop.writers.formats import (
-    GENERAL_KINDS,
-    WRITERS,
-    Format,
-    format_remarks,
-    keeps_provenance,
-    kind_of,
-    layout_of,
-)
+from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
@@ -35,21 +27,6 @@ if TYPE_CHECKING:
     from quatprop.writers.base import MessageWriter, TableWriter
     from quatprop.writers.messages.kinds import Message
     from quatprop.writers.messages.topics import Topic
-
-__all__ = [
-    "GENERAL_KINDS",
-    "WRITERS",
-    "Format",
-    "format_remarks",
-    "holds_covariances",
-    "keeps_provenance",
-    "kind_of",
-    "layout_of",
-    "open_messages",
-    "open_table",
-    "open_writer",
-    "refuse_columns",
-]
 
 
 def open_writer(  # noqa: PLR0913  # what is written, where and how

@@ -103,8 +103,10 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     dialect = matcher.dialect("rate")
     by_convention = matcher.sets(dialect.rate)
     # Axes whose unit says that they are rates are no less a gyroscope than those that are named so.
-    named_or_declared = (*by_convention, *matcher.sets(AXIS_FIRST), *_sets_with_rate_unit(matcher))
-    sets = [*dict.fromkeys(named_or_declared)] or _bare_sets(matcher)
+    units = {**RATE_UNITS, **SCALED_RATE_UNITS}
+    by_unit = (k for k in matcher.sets(*WITH_RATE_UNIT) if matcher.declared(k) in units)
+    sets = [*dict.fromkeys((*by_convention, *matcher.sets(AXIS_FIRST), *by_unit))]
+    sets = sets or _bare_sets(matcher)
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
@@ -112,7 +114,7 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
     convention = dialect if rate in by_convention else GENERIC
-    declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, convention.rate_unit)
+    declared = matcher.unit("rate", rate, units, convention.rate_unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
     absence = _absence(matcher, rate[0], "angular_velocity")
     return ColumnMatch(
@@ -123,12 +125,6 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
         method=convention.method,
         remarks=tuple(_remarks(matcher, dialect, declared)),
     )
-
-
-def _sets_with_rate_unit(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
-    """Return sets of axes that are rates by their unit, whatever their names say."""
-    sets = matcher.sets(*WITH_RATE_UNIT)
-    return [k for k in sets if matcher.declared(k) in {*RATE_UNITS, *SCALED_RATE_UNITS}]
 
 
 def _bare_sets(matcher: ColumnMatcher) -> list[tuple[int, ...]]:

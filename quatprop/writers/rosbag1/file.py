@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import bz2
 import struct
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -45,16 +44,6 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 """What a chunk can be compressed with."""
 
 
-@dataclass(frozen=True, slots=True)
-class _BagChunk:
-    """A chunk as it is written, with the index that follows it."""
-
-    data: bytes
-    size: int
-    first: int
-    index: Records
-
-
 class BagFile:
     """A ROS 1 bag being written, with one topic whose messages all have one size.
 
@@ -87,7 +76,6 @@ class BagFile:
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
         self._stream = stream
-        self._compression = compression
         self._id = connection
         self._before = before
         self._chunk_bytes = chunk_bytes
@@ -188,10 +176,10 @@ class BagFile:
             self._pool.submit(self._prefix, self._rows[: self._filled].copy())
             self._prefix, self._filled = b"", 0
 
-    def _append_own(self, chunk: _BagChunk) -> None:
-        self._before(chunk.first)
-        record = records.chunk(self._compression, chunk.size, chunk.data)
-        self.append_chunk([record], {self._id: chunk.index})
+    def _append_own(self, chunk: tuple[int, bytes, Records]) -> None:
+        first_ns, record, index = chunk
+        self._before(first_ns)
+        self.append_chunk([record], {self._id: index})
 
     def _append(self, data: bytes) -> None:
         self._stream.write(data)
@@ -212,14 +200,15 @@ def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
     return [first, *(info for info in chunks if info not in (first, last)), last]
 
 
-def _compressed(compression: str, prefix: bytes, rows: Records) -> _BagChunk:
-    """Return a chunk of a prefix and message records."""
+def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, bytes, Records]:
+    """Return the first log time, the record and the index of a chunk of a prefix and messages."""
     index = np.empty(len(rows), records.ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(prefix) + np.arange(len(rows)) * rows.itemsize
     times = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
     data = prefix + rows.tobytes()
-    return _BagChunk(COMPRESSIONS[compression](data), len(data), int(times.min()), index)
+    record = records.chunk(compression, len(data), COMPRESSIONS[compression](data))
+    return int(times.min()), record, index
 
 
 def _empty_rows(connection: int, size: int, chunk_bytes: int) -> Records:

@@ -34,6 +34,17 @@ _VERSION_OFFSET = 96
 _VERSION = (3_040_000).to_bytes(4, "big")
 
 
+def insert_messages(
+    database: sqlite3.Connection, topic_id: int, log_ns: Int64, messages: AnyArray
+) -> None:
+    """Append messages that all have one size to a database, and when each was logged, ns."""
+    rows = messages.view(f"V{messages.itemsize}").tolist()
+    database.executemany(
+        "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+        zip([topic_id] * len(rows), log_ns.tolist(), rows, strict=True),
+    )
+
+
 class ReproducibleSqlite(Sqlite3Writer):
     """The library's SQLite storage, without what differs between builds of SQLite.
 
@@ -45,11 +56,7 @@ class ReproducibleSqlite(Sqlite3Writer):
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
         """Append messages."""
-        rows = messages.view(f"V{messages.itemsize}").tolist()
-        self.conn.executemany(
-            "INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)",
-            zip([connection.id] * len(rows), log_ns.tolist(), rows, strict=True),
-        )
+        insert_messages(self.conn, connection.id, log_ns, messages)
 
     def close(self, version: int, metadata: str) -> None:
         """Finish the file."""
