@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import operator
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
@@ -11,10 +10,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
-from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.base import OTHER_DATES
-from quatprop.tables.csv.notes import declared_notes
-from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
+from quatprop.tables.csv.notes import NUMBER, RATES, column_names, declared_notes, header_row
 from quatprop.text import listed
 
 if TYPE_CHECKING:
@@ -36,9 +33,6 @@ _HEADER_ROWS = 3
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _MARK = b"\xef\xbb\xbf"
 _DELIMITERS = ("\t", ";", ",", "|", " ")
-NUMBER = re.compile(
-    r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
-)
 _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 _POINT_NUMBER = re.compile(r"\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*")
 _THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")
@@ -46,7 +40,6 @@ _DATE = re.compile(
     r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
 _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
-_RATES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +113,15 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
     data = [row for row in rows[first:] if _is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
-    header = _header(rows[:first], data)
+    header = header_row(rows[:first], data)
     if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
         raise UnsupportedLogError(
             path,
-            f"none of its first {len(rows)} lines is a row of {_RATES} numbers or more; is it a "
+            f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
             "table with a row a sample?",
         )
     _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
-    names = [str(k) for k in range(width)] if header is None else _names(rows, header, width)
+    names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
     body = first if header is None else header + 1
     dates = _dates(data[0]) if data else {}
     others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
@@ -185,7 +178,7 @@ def _text(line: bytes) -> str:
 
 
 def _is_data(row: list[str]) -> bool:
-    return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= _RATES
+    return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= RATES
 
 
 def _delimiter(texts: list[str]) -> str:
@@ -195,7 +188,7 @@ def _delimiter(texts: list[str]) -> str:
         rows = [split_cells(text, mark) for text in texts]
         widths = set(map(len, rows))
         # The last is for a table that is too narrow for rates: the error lists its columns.
-        return sum(map(_is_data, rows)), max(widths) >= _RATES, len(widths) == 1 < min(widths)
+        return sum(map(_is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
     # Tabs and blanks are also between cells where no mark is.
     text = "".join(texts)
@@ -243,70 +236,8 @@ def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -
     )
 
 
-def _header(before: list[list[str]], data: list[list[str]]) -> int | None:
-    """Return which row before the first row of numbers names its columns.
-
-    It is the last that fits, or the one that begins with the kind of the record, as the rows do.
-    """
-    fitting = [
-        k
-        for k, row in enumerate(before)
-        if len(row) >= _RATES
-        and not any(map(NUMBER.fullmatch, row))
-        and (
-            not data
-            or len(row) == len(data[0])
-            or len(_without_trailing_cell(row)) == len(_without_trailing_cell(data[0]))
-        )
-    ]
-    kind = data[0][0].strip() if data else ""
-    of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
-    return next(reversed(of_kind or fitting), None)
-
-
 def _is_table(rows: list[list[str]], header: int | None) -> bool:
     """Return whether rows without numbers may be a table: too narrow a one, or one below names."""
     if header is None:
         return {len(row) for row in rows if row} == {2}
     return any(len(row) == len(rows[header]) for row in rows[header + 1 :])
-
-
-def _without_trailing_cell(row: list[str]) -> list[str]:
-    """Leave out the empty cell that a delimiter at the end of the line makes."""
-    return row[:-1] if row and not row[-1].strip() else row
-
-
-def _names(rows: list[list[str]], header: int, width: int) -> list[str]:
-    names = _fitted(rows[header], width)
-    above = rows[header - 1] if header else []
-    if abs(len(above) - len(rows[header])) > 1:
-        return names
-    above = _fitted(above, width)
-    if any(above) and not any(map(NUMBER.fullmatch, above)):
-        units = [name[1:-1] if name.startswith("[") else name for name in names]
-        known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
-        # Columns of other sensors may have units that are not known.
-        if sum(known) >= _RATES or all(map(operator.or_, known, map(operator.not_, units))):
-            return [
-                f"{name} ({unit})" if unit else name
-                for name, unit in zip(above, units, strict=True)
-            ]
-        if "" in above[1:]:
-            return _grouped(above, names)
-    return names
-
-
-_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
-
-
-def _fitted(row: list[str], width: int) -> list[str]:
-    return [cell.strip() for cell in row[:width]] + [""] * (width - len(row))
-
-
-def _grouped(groups: list[str], names: list[str]) -> list[str]:
-    """Return names under group titles, each of which stands over its first column."""
-    full, group = [], ""
-    for title, name in zip(groups, names, strict=True):
-        group = title or group
-        full.append(f"{group}.{name}" if group and name else name or title)
-    return full

@@ -1,16 +1,27 @@
-"""What the lines before the header of a text table declare."""
+"""What the lines before the rows of a text table declare: names of columns, units, notes."""
 
 from __future__ import annotations
 
+import operator
 import re
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
+from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.base import TableNotes
+from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+NUMBER = re.compile(
+    r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
+)
+"""A number as a cell has it, with either decimal mark."""
+
+RATES = 3
+"""Numbers that a row of rates has at least."""
 
 _SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
@@ -43,3 +54,66 @@ def _gcsv_mount(letters: str) -> str:
     if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
         return ""
     return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)
+
+
+def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
+    """Return which row before the first row of numbers names its columns.
+
+    It is the last that fits, or the one that begins with the kind of the record, as the rows do.
+    """
+    fitting = [
+        k
+        for k, row in enumerate(before)
+        if len(row) >= RATES
+        and not any(map(NUMBER.fullmatch, row))
+        and (
+            not data
+            or len(row) == len(data[0])
+            or len(_without_trailing_cell(row)) == len(_without_trailing_cell(data[0]))
+        )
+    ]
+    kind = data[0][0].strip() if data else ""
+    of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
+    return next(reversed(of_kind or fitting), None)
+
+
+def _without_trailing_cell(row: list[str]) -> list[str]:
+    """Leave out the empty cell that a delimiter at the end of the line makes."""
+    return row[:-1] if row and not row[-1].strip() else row
+
+
+def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
+    """Return the names in a row, with the units below them or the titles of groups above them."""
+    names = _fitted(rows[header], width)
+    above = rows[header - 1] if header else []
+    if abs(len(above) - len(rows[header])) > 1:
+        return names
+    above = _fitted(above, width)
+    if any(above) and not any(map(NUMBER.fullmatch, above)):
+        units = [name[1:-1] if name.startswith("[") else name for name in names]
+        known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
+        # Columns of other sensors may have units that are not known.
+        if sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, units))):
+            return [
+                f"{name} ({unit})" if unit else name
+                for name, unit in zip(above, units, strict=True)
+            ]
+        if "" in above[1:]:
+            return _grouped(above, names)
+    return names
+
+
+_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
+
+
+def _fitted(row: list[str], width: int) -> list[str]:
+    return [cell.strip() for cell in row[:width]] + [""] * (width - len(row))
+
+
+def _grouped(groups: list[str], names: list[str]) -> list[str]:
+    """Return names under group titles, each of which stands over its first column."""
+    full, group = [], ""
+    for title, name in zip(groups, names, strict=True):
+        group = title or group
+        full.append(f"{group}.{name}" if group and name else name or title)
+    return full

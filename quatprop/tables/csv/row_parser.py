@@ -16,7 +16,8 @@ import pyarrow as pa
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
-from quatprop.tables.csv.headers import COMMENTS, NUMBER
+from quatprop.tables.csv.headers import COMMENTS
+from quatprop.tables.csv.notes import NUMBER
 from quatprop.tables.csv.rows import OpenQuoteError, ParsedRows, date_type, squeeze_blanks
 from quatprop.text import plain, quoted
 
