@@ -68,17 +68,15 @@ def selected_messages(
         return None
     places = np.concatenate([selected, others, [len(whole.data) if whole else region.size]])
     order = np.argsort(places, kind="stable")
-    places, is_wanted = places[order], order[:-1] < len(selected)
-    begins, nexts = places[:-1], places[1:]
-    lengths = nexts - begins
+    begins, nexts = places[order[:-1]], places[order[1:]]
+    is_wanted, lengths = order[:-1] < len(selected), nexts - begins
     read = (whole.data, begins) if whole else _read(source, region, begins, nexts, is_wanted)
     if read is None:
         return None
     records, begins = read
     leading = definitions.check_leading(records, region, ids)
     # Without a checksum there is nothing gained by reading all of a chunk that begins otherwise.
-    is_unexpected = begins[0] != leading and whole is not None
-    if is_unexpected or begins[-1] + RECORD.size > len(records):
+    if (whole and begins[0] != leading) or begins[-1] + RECORD.size > len(records):
         return None
     # A stride of 1 byte lets records begin anywhere.
     stated = np.ndarray((len(records) - RECORD.size + 1,), "<u8", records, 1, (1,))[begins]
