@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog, by_topic
-from quatprop.containers.file_source import source_of
+from quatprop.containers.file_source import FileSource, source_of
 from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import px4_name
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import Int64
-    from quatprop.containers.file_source import FileSource
 
 HEADER_SIZE = 16
 """Magic, version and start time."""

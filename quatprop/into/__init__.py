@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns
-from quatprop.writers.attitudes import AttitudeMessages
+from quatprop.writers.attitudes import AttitudeMessages, AttitudeWriter
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64
     from quatprop.containers.base import Log, MessageLog
     from quatprop.tables.base import AnyLog
-    from quatprop.writers.attitudes import AttitudeWriter
 
     Stamps = Callable[[], Iterator[tuple[Int64, Int64]]]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from quatprop.into.mcap_copy import ROSBAG2, SERIALIZED, McapCopy
 from quatprop.into.rosbag2_metadata import Added, extended_record
@@ -16,7 +16,6 @@ from quatprop.writers.messages.encoders import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from typing import BinaryIO
 
     from quatprop.arrays import Int64, Records
     from quatprop.containers.mcap.log import McapLog

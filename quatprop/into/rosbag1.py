@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.compression import CompressionError
-from quatprop.containers.rosbag1.index import read_chunk
+from quatprop.containers.rosbag1.index import BagChunk, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.arrays import Int64, Records
-    from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
     from quatprop.writers.messages.kinds import Message

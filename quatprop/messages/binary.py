@@ -10,7 +10,7 @@ from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, follow
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
-from quatprop.messages.placement import ROS1, XCDR1, XCDR2
+from quatprop.messages.placement import ROS1, XCDR1, XCDR2, Placement
 from quatprop.messages.schema import numbers_at
 from quatprop.text import quoted
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Intp
     from quatprop.containers.base import Channel, MessageBlock
-    from quatprop.messages.placement import Placement
     from quatprop.messages.plan import Plan
 
 PACKED = ("ros1", "ulog")

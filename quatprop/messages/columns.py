@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quatprop.messages.plan import COUNT, ENCAPSULATION, Repeat, Skip
+from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Plan, Repeat, Skip, Window
 
 if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Int64, Intp, Records
     from quatprop.containers.base import MessageBlock
-    from quatprop.messages.plan import Piece, Plan, Window
 
     Offsets: TypeAlias = int | Int64
     Columns: TypeAlias = list[AnyArray]

@@ -9,14 +9,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from quatprop.messages.placement import Extents, Placement
-from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Repeat, Segment, Skip, Window
+from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Plan, Repeat, Segment, Skip, Window
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.messages.plan import Plan
     from quatprop.messages.schema import Steps, Type
 
 MERGE_GAP = 64

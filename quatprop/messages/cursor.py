@@ -9,8 +9,8 @@ import numpy as np
 from quatprop.errors import UnsupportedLogError
 from quatprop.messages.binary import ENCAPSULATIONS
 from quatprop.messages.columns import TooShortError
-from quatprop.messages.placement import ROS1, XCDR1
-from quatprop.messages.schema import Primitive, String, Struct
+from quatprop.messages.placement import ROS1, XCDR1, Placement
+from quatprop.messages.schema import Primitive, String, Struct, Type
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Bool, Int64, Intp
     from quatprop.containers.base import Channel, MessageBlock
-    from quatprop.messages.placement import Placement
-    from quatprop.messages.schema import Type
 
 _FIRST = 200
 """Messages that :func:`first_names` reads."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import SchemaError
 from quatprop.messages.schema import (
@@ -29,7 +29,6 @@ from quatprop.text import Setting, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
-    from typing import Any
 
     from quatprop.containers.base import Channel
     from quatprop.messages.schema import Type

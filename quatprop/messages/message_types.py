@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, Layout
 from quatprop.messages.schema import ros_name
 from quatprop.messages.stamps import Stamp
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from quatprop.conventions.layout import Layout
 
 
 class Burst(NamedTuple):

@@ -12,12 +12,9 @@ OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from quatprop.messages.schema import Array, Primitive, Struct
-
-if TYPE_CHECKING:
-    from quatprop.messages.schema import Type
+from quatprop.messages.schema import Array, Primitive, Struct, Type
 
 
 class Placement(NamedTuple):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST
+from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, Layout
 from quatprop.errors import SchemaError
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
@@ -20,17 +20,14 @@ from quatprop.messages.message_types import (
     SignalFields,
     fields_of_type,
 )
-from quatprop.messages.schema import Struct, find, numbers, structs
-from quatprop.messages.stamps import stamps_around
+from quatprop.messages.schema import Struct, Type, find, numbers, structs
+from quatprop.messages.stamps import Stamp, stamps_around
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.containers.base import Channel
-    from quatprop.conventions.layout import Layout
-    from quatprop.messages.schema import Type
-    from quatprop.messages.stamps import Stamp
 
 Kind: TypeAlias = Literal["rate", "orientation"]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import TIME, Primitive, Struct, around, at, find, numbers
+from quatprop.messages.schema import TIME, Primitive, Struct, Type, around, at, find, numbers
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.times import NS_PER_UNIT
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Int64, Intp
     from quatprop.containers.base import Channel
-    from quatprop.messages.schema import Type
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")

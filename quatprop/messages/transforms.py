@@ -13,10 +13,10 @@ import numpy as np
 
 from quatprop.errors import MessageError, SchemaError
 from quatprop.messages.columns import TooShortError
-from quatprop.messages.cursor import cursors_of
+from quatprop.messages.cursor import Cursor, Names, cursors_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1
-from quatprop.messages.schema import Primitive, Sequence, Struct, find, numbers
+from quatprop.messages.schema import Primitive, Sequence, Struct, Type, find, numbers
 from quatprop.text import quoted
 from quatprop.times import NS_PER_S
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock
-    from quatprop.messages.cursor import Cursor, Names
-    from quatprop.messages.schema import Type
 
 
 _TRANSLATION_AND_ROTATION = 3 + 4

@@ -14,7 +14,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.messages.definitions import ARRAY, BASE, NAME, NUMBERS, TypeBuilder
-from quatprop.messages.schema import BadDefinitionError
+from quatprop.messages.schema import BadDefinitionError, Struct
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.base import Channel
     from quatprop.messages.definitions import Fields, Kind
-    from quatprop.messages.schema import Struct
 
 _NUMBERS = {
     **{f"{name}_t": name for name in NUMBERS if "int" in name},

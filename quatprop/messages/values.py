@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.errors import MessageError
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Array, Primitive, Struct, numbers_at
+from quatprop.messages.schema import Array, Primitive, Steps, Struct, Type, numbers_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray
     from quatprop.containers.base import Channel, MessageBlock
-    from quatprop.messages.schema import Steps, Type
 
 
 @dataclass(frozen=True, slots=True)

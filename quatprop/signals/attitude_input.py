@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -16,16 +16,14 @@ from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from typing import Self
 
     from quatprop.containers.base import Loss
     from quatprop.provenance import JsonObject
-    from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
 

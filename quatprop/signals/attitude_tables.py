@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON
+from quatprop.conventions import HAMILTON, Meaning
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
@@ -17,22 +17,19 @@ from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.message_values import without_absent
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.tables.matching.choose import match_quaternion
+from quatprop.tables.matching.choose import ColumnMatch, match_quaternion
 from quatprop.tables.matching.column_names import parse_name
 from quatprop.tables.matching.rotations import match_rotation
-from quatprop.text import Setting, plain
+from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
-    from quatprop.tables.matching.choose import ColumnMatch
-    from quatprop.text import Text
 
 AXES = 3
 """Numbers in a position."""

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON
+from quatprop.conventions import HAMILTON, Meaning
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.messages.message_types import TRANSFORM_LISTS
+from quatprop.messages.message_types import TRANSFORM_LISTS, OrientationField
 from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
 from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
@@ -26,7 +26,7 @@ from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candid
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
 from quatprop.signals.message_values import FieldReader, logged_values, stamps_of, timed_values
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
@@ -34,11 +34,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.containers.base import Channel, MessageLog
-    from quatprop.conventions import Meaning
-    from quatprop.messages.message_types import OrientationField
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
-    from quatprop.tables.base import AnyLog
 
 
 CONSTANT_MESSAGES = 20_000

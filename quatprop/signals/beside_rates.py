@@ -6,25 +6,22 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from quatprop.conditioning import FROM_TRANSFORMS, ConditioningInputs
+from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInputs
 from quatprop.errors import LogError, UsageError
 from quatprop.messages.signal_fields import fields_beside
-from quatprop.selection import AttitudeSelection
+from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.conditioning import Conditioning
     from quatprop.conditioning.cells import Rows
     from quatprop.containers.base import Channel, MessageLog
     from quatprop.messages.message_types import SignalFields
-    from quatprop.selection import RateSelection
     from quatprop.signals.signal import AttitudeSignal, RateSignal
-    from quatprop.tables.base import AnyLog
 
 _ACCELERATION = re.compile(
     r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"

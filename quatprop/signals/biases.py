@@ -13,11 +13,11 @@ from quatprop.formats import open_log
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import find
 from quatprop.messages.stamps import Stamp
-from quatprop.selection import RateSelection
+from quatprop.selection import RateSelection, SignalSelection
 from quatprop.signals.clock import choose_clock
 from quatprop.signals.message_values import FieldReader, channels_of, timed_values
 from quatprop.signals.rates import UNITS
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageLog
-    from quatprop.selection import SignalSelection
-    from quatprop.tables.base import AnyLog
 
 
 class BiasField(NamedTuple):

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.containers.base import LATEST
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.kept_blocks import blocks_of
 from quatprop.errors import MessageError, TimelineError, UndeclaredError, UsageError
 from quatprop.messages.decoders import decoder_of
-from quatprop.messages.stamps import time_field_at
+from quatprop.messages.stamps import Stamp, time_field_at
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray, Int64
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog
-    from quatprop.messages.stamps import Stamp
     from quatprop.selection import SignalSelection
 
 

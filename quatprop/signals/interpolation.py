@@ -21,14 +21,14 @@ from quatprop.errors import (
 )
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.signals.attitude_input import errors_of
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
@@ -36,10 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.selection import SignalSelection
     from quatprop.series import AttitudeSeries
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import AnyLog
 
     Row = tuple[int, Float64]
 

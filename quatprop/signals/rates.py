@@ -13,7 +13,7 @@ from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
-from quatprop.signals.clock import choose_clock
+from quatprop.signals.clock import Clock, choose_clock
 from quatprop.signals.message_values import (
     FieldReader,
     GroupDecoder,
@@ -24,7 +24,7 @@ from quatprop.signals.message_values import (
     without_absent,
 )
 from quatprop.signals.signal import RateSignal
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S, NS_PER_UNIT
 
@@ -37,10 +37,8 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import Burst, RateField
     from quatprop.messages.stamps import Stamp
     from quatprop.selection import RateSelection
-    from quatprop.signals.clock import Clock
     from quatprop.signals.message_values import MessageReader
     from quatprop.signals.time_ranges import RangeReader, TableRangeReader
-    from quatprop.tables.base import AnyLog
 
 UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 """rad/s in each unit of angular rate."""

@@ -20,14 +20,13 @@ from quatprop.messages.message_types import TRANSFORM_LISTS
 from quatprop.messages.transforms import TransformDecoder
 from quatprop.signals.message_values import channels_of
 from quatprop.signals.sensor_frames import ENCODINGS, bare_frame, sensor_frames
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.containers.base import MessageLog
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import AnyLog
 
     Steps = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, NoSamplesError, UsageError
-from quatprop.messages.transforms import TransformDecoder
+from quatprop.messages.transforms import Frames, TransformDecoder
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
-    from quatprop.messages.transforms import Frames
     from quatprop.signals.clock import Clock
 
 

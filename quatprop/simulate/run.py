@@ -16,11 +16,11 @@ import numpy as np
 from quatprop.errors import OutputError, UsageError
 from quatprop.progress import metered
 from quatprop.provenance import as_json
-from quatprop.simulate.gyroscope import record
-from quatprop.simulate.motion import motion_named
+from quatprop.simulate.gyroscope import Gyroscope, record
+from quatprop.simulate.motion import Shape, motion_named
 from quatprop.text import listed, quoted
 from quatprop.writers import open_messages, open_table, open_writer
-from quatprop.writers.attitudes import AttitudeMessages, ColumnTable
+from quatprop.writers.attitudes import AttitudeMessages, AttitudeWriter, ColumnTable
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS, kind_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.messages.ros_messages import ABSENT, RosEncoder
@@ -29,9 +29,6 @@ from quatprop.writers.targets import is_stdout, refuse_overlap
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64, Records
     from quatprop.series import AttitudeSeries
-    from quatprop.simulate.gyroscope import Gyroscope
-    from quatprop.simulate.motion import Shape
-    from quatprop.writers.attitudes import AttitudeWriter
 
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.containers.file_source import source_of
+from quatprop.containers.file_source import FileSource, source_of
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
-from quatprop.tables.base import TimedColumns, refuse_second_file
+from quatprop.tables.base import Span, TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import (
     BATCH_ROWS,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.containers.file_source import FileSource
-    from quatprop.tables.base import Span
 
 _HEAD_ROWS = 200
 _PARQUET_TAIL = 8

@@ -12,7 +12,7 @@ import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
 from quatprop.temp_files import LockedTemp
@@ -20,7 +20,6 @@ from quatprop.writers.targets import checked_place, is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import BinaryIO
 
 
 @contextmanager

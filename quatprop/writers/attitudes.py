@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.writers.base import Transaction
+from quatprop.writers.base import MessageWriter, TableWriter, Transaction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
-    from typing import Any
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.writers.base import MessageWriter, TableWriter
     from quatprop.writers.messages.encoders import AttitudeEncoder
 
 

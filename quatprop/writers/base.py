@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from quatprop.provenance import as_json
-from quatprop.writers.atomic import output_errors
+from quatprop.writers.atomic import OutputFile, OutputPath, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
-    from typing import Self
 
     from quatprop.arrays import AnyArray, Int64, Records
-    from quatprop.writers.atomic import OutputFile, OutputPath
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:

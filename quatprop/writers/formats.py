@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, quoted
@@ -12,7 +12,6 @@ from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from typing import Any
 
     from quatprop.conventions.layout import Layout
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.tables.csv.row_parser import RowParser
-from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser
-from quatprop.tables.text_stream import TextStream, record_blocks
+from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser, ParsedRows
+from quatprop.tables.text_stream import RejectedRows, TextBlock, TextStream, record_blocks
 from quatprop.tables.timestamps import row_stamps
 
 if TYPE_CHECKING:
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.csv.headers import CsvLayout
-    from quatprop.tables.csv.rows import ParsedRows
-    from quatprop.tables.text_stream import RejectedRows, TextBlock
 
 
 _PIECE_BYTES = 1 << 16

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
-from quatprop.tables.csv.headers import COMMENTS
+from quatprop.tables.csv.headers import COMMENTS, CsvLayout
 from quatprop.tables.csv.notes import NUMBER
 from quatprop.tables.csv.rows import OpenQuoteError, ParsedRows, date_type, squeeze_blanks
 from quatprop.text import plain, quoted
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.tables.base import TimedColumns
-    from quatprop.tables.csv.headers import CsvLayout
 
 _LARGEST = np.iinfo(np.int64).max
 _NOT_A_NUMBER = {

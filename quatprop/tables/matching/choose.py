@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
-from quatprop.selection import RateSelection
+from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
@@ -29,7 +29,6 @@ from quatprop.text import Setting, Text, listed, plain
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.selection import AttitudeSelection
     from quatprop.tables.base import TableLog, TimedColumns
     from quatprop.tables.matching.dialects import Dialect
 

@@ -13,10 +13,10 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.tables.base import OTHER_DATES, TimedColumns
+from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
 from quatprop.tables.matching.column_names import TIME_UNITS
 from quatprop.tables.matching.columns import TableColumns
-from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES
+from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES, Dialect
 from quatprop.text import Setting, Text, listed, plain
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from quatprop.selection import SignalSelection
-    from quatprop.tables.base import TableLog
-    from quatprop.tables.matching.dialects import Dialect
 
     Positions = tuple[int, ...]
 

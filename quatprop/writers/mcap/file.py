@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
@@ -17,20 +17,17 @@ from quatprop.checksum import crc32
 from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.mcap.channel import CHUNK_BYTES, MessageChannel, compressed_chunk
+from quatprop.writers.mcap.channel import CHUNK_BYTES, McapChunk, MessageChannel, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents, encoded
-from quatprop.writers.messages.topics import PROFILES
+from quatprop.writers.messages.topics import PROFILES, Topic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping
     from pathlib import Path
-    from typing import BinaryIO
 
     from mcap.records import McapRecord
 
     from quatprop.arrays import Int64, Records
-    from quatprop.writers.mcap.channel import McapChunk
-    from quatprop.writers.messages.topics import Topic
 
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, TypeAlias
 from quatprop.errors import UsageError
 from quatprop.text import listed, quoted
 from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder
-from quatprop.writers.messages.kinds import MESSAGES
+from quatprop.writers.messages.kinds import MESSAGES, Message
 from quatprop.writers.messages.ros_messages import RosEncoder
 
 if TYPE_CHECKING:
     from collections.abc import Collection
-
-    from quatprop.writers.messages.kinds import Message
 
 
 def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bz2
 import struct
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -27,7 +27,6 @@ from quatprop.writers.targets import refuse_streams
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
-    from typing import BinaryIO
 
     from quatprop.arrays import Int64, Records
     from quatprop.writers.messages.topics import Topic

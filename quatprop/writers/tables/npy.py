@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shutil
 import zipfile
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from quatprop.writers.targets import refuse_streams
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-    from typing import Any, BinaryIO
 
     from quatprop.arrays import AnyArray
 

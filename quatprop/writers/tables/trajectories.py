@@ -6,7 +6,7 @@ are left out rather than invented; rows of KITTI are a matrix (R | t) and have n
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,7 +19,6 @@ from quatprop.writers.tables.text import TextTable, delimited
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from typing import Any
 
     from quatprop.arrays import AnyArray, Int64
 
