@@ -222,12 +222,19 @@ class NoSamplesError(LogError):
         Samples that were left out as before and after the chosen part.
     dropped
         Samples that were left out as not finite.
+    lost
+        What of the log could not be read, if anything.
     """
 
     def __init__(
-        self, path: Path | str, source: str, outside: Sequence[int] = (0, 0), dropped: int = 0
+        self,
+        path: Path | str,
+        source: str,
+        outside: Sequence[int] = (0, 0),
+        dropped: int = 0,
+        lost: str = "",
     ) -> None:
-        reason = "; look with info"
+        reason = f"; lost: {lost}" if lost else "; look with info"
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):

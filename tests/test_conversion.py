@@ -205,8 +205,8 @@ def test_rates_without_an_attitude_are_to_be_propagated_first(tmp_path):
     """Where all rows are absent, leaving them out would leave nothing."""
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,nan,nan,nan,nan\n2,nan,nan,nan,nan\n")
     assert refused(path, tmp_path / "out.csv").endswith(
-        "none of 2 rows holds an attitude (they are absent or not finite); if the log holds body "
-        "rates, propagate them first\n"
+        "none of 2 rows holds an attitude (they are absent, not finite or no rotations); if the "
+        "log holds body rates, propagate them first\n"
     )
 
 

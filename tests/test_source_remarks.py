@@ -5,7 +5,8 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.errors import UsageError
+from quatprop import propagate
+from quatprop.errors import LogError, UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
@@ -126,3 +127,19 @@ def test_a_publish_time_is_read_only_where_there_is_one(shared_logs, name):
             r"clock='header' or 'log'$",
         ):
             choose_rates(log, RateSelection(clock="publish"))
+
+
+def test_where_all_messages_are_lost_the_reason_is_said(tmp_path):
+    """They are not those of their definition, and there is nothing else to look for."""
+    path = tmp_path / "log.bag"
+    with Writer(path) as writer:
+        connection = writer.add_connection("/imu", IMU, typestore=STORE)
+        for k in range(3):
+            writer.write(connection, T0 + k, b"too short")
+    with pytest.raises(LogError) as caught:
+        propagate(path)
+    assert str(caught.value) == (
+        f"{path}: no samples in '/imu'; lost: topic /imu: the message of topic '/imu' recorded at "
+        f"{T0} ns and 2 others ends, after 9 bytes, before the wanted field of "
+        "'sensor_msgs/msg/Imu'; the log is damaged or its definition is not that of its messages"
+    )

@@ -328,16 +328,24 @@ def test_time_that_does_not_pass_is_remarked(stamps):
 
 @pytest.mark.parametrize(
     ("interval", "samples", "said"),
-    [(10_000, 50, "100,000"), (10, 50, "100,000,000"), (20_000, 50, None), (10_000, 19, None)],
+    [
+        (10_000, 50, "100,000 samples per second are beyond any"),
+        (10, 50, "100,000,000 samples per second are beyond any"),
+        (20_000, 50, None),
+        (10_000, 19, None),
+        (2 * 10**9, 50, None),
+        (10 * 10**9, 50, "0.1 samples per second are few for a"),
+        (10 * 10**9, 19, None),
+    ],
 )
-def test_a_sample_rate_beyond_any_gyroscope_is_remarked(interval, samples, said):
-    """Seconds that are read as milliseconds give it; 50 kHz is still no reason to doubt."""
+def test_a_sample_rate_of_no_gyroscope_is_remarked(interval, samples, said):
+    """Seconds read as milliseconds, or the other way round; 0.5 Hz to 50 kHz are no reason."""
     series = GyroSeries(interval * np.arange(samples), np.ones((samples, 3)))
     _, _, counts = applied(Policy(), series)
     found = [text for text in map(str, remarks(counts, Policy())) if "gyroscope" in text]
     expected = (
-        f"{said} samples per second are beyond any gyroscope; if the timestamps are in another "
-        "unit, use time_unit='s' or 'ms' or 'us' or 'ns'"
+        f"{said} gyroscope; if the timestamps are in another unit, use "
+        "time_unit='s' or 'ms' or 'us' or 'ns'"
     )
     assert found == ([expected] if said else [])
 

@@ -153,7 +153,9 @@ class AttitudeStream:
         first = next(used, None)
         if first is None:
             dropped = self._timeline.counts.dropped
-            raise NoSamplesError(self._path, self._source.name, self._conditioned.outside, dropped)
+            outside = self._conditioned.outside
+            lost = "" if self._log is None else self._log.losses.first
+            raise NoSamplesError(self._path, self._source.name, outside, dropped, lost)
         self._segments = self._begin(first)
         attitudes = self._segments.attitudes(
             chain([first], used),

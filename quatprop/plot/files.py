@@ -173,7 +173,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     counts = timeline.counts
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, done.outside)
+        raise NoSamplesError(path, source.name, done.outside, lost=log.losses.first)
     remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts), *log.remarks]
     if path != "-":
         remarks += log_remarks(log, source)
@@ -201,7 +201,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     part = clipped(read, *_range(source, view), outside)
     deque(stamps.observe(batch.t_ns for batch in drawn.passing(part)), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, outside)
+        raise NoSamplesError(path, source.name, outside, lost=log.losses.first)
     remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")

@@ -250,7 +250,7 @@ class AttitudeFile:
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
                 yield batch
             if not ends:
-                raise NoSamplesError(wanted.path, signal.name)
+                raise NoSamplesError(wanted.path, signal.name, lost=self._log.losses.first)
         self._first_ns, self._last_ns = min(ends), max(ends)
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:

@@ -165,8 +165,8 @@ class QuaternionCheck:
         counts = self.counts
         if counts.not_finite == counts.read:
             return Text(
-                f"none of {counts.read} rows holds an attitude (they are absent or not finite); if "
-                "the log holds body rates, propagate them first"
+                f"none of {counts.read} rows holds an attitude (they are absent, not finite or no "
+                "rotations); if the log holds body rates, propagate them first"
             )
         scaling = f"{Setting('normalize')} scales those of another length, "
         ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"

@@ -23,6 +23,9 @@ INTEGRATED_SHARE = 0.001
 FASTEST = 50_000
 """Hz: no gyroscope gives more samples a second."""
 
+LONGEST_S = 2
+"""s: longer intervals are rather those of another unit of time."""
+
 MIN_SAMPLES = 20
 """Fewer samples say nothing of the sample rate."""
 
@@ -188,11 +191,16 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
             f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
             f"time column, or are they in another {Setting('time_unit')}?"
         )
-    elif counts.used >= MIN_SAMPLES and (
-        0 < FASTEST * counts.span_ns < (counts.used - 1) * NS_PER_S
-    ):
+    elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
         rate = (counts.used - 1) * NS_PER_S / counts.span_ns
-        yield Text(
-            f"{rate:,.0f} samples per second are beyond any gyroscope; if the timestamps are in "
-            f"another unit, use {Setting('time_unit', 's|ms|us|ns')}"
-        )
+        slow = (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S
+        if slow or rate > FASTEST:
+            oddity = (
+                f"{rate:.3g} samples per second are few for a"
+                if slow
+                else (f"{rate:,.0f} samples per second are beyond any")
+            )
+            yield Text(
+                f"{oddity} gyroscope; if the timestamps are in another unit, use "
+                f"{Setting('time_unit', 's|ms|us|ns')}"
+            )
