@@ -3,7 +3,6 @@
 import re
 import struct
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +75,7 @@ def figure_of(*paths, **view):
     """Return the figure of files, its axes and the picture."""
     views = [view_file(str(path), View(**view)) for path in paths]
     drawn = picture(
-        [replace(one.plotted, label=path.name) for one, path in zip(views, paths, strict=True)]
+        [one.plotted._replace(label=path.name) for one, path in zip(views, paths, strict=True)]
     )
     figure = draw.figure(Page("t", (), (), drawn, (), ()))
     return figure, figure.axes, drawn
@@ -478,6 +477,19 @@ def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
         f"Error: {turning}: no samples in 'qw,qx,qy,qz' between --start and --end: 1000 are "
         "before, 0 after; a number without a unit is in ns\n"
     )
+
+
+def test_a_part_is_relative_to_the_latest_stamp_of_rates_and_of_attitudes(tmp_path):
+    """Not to the last one read, where stamps are not in order."""
+    t_ns = T0 + np.array([0, 1, 2, 3, 4, 1]) * 1_000_000_000
+    attitudes = write_attitudes(tmp_path / "q.csv", t_ns, np.tile([1.0, 0, 0, 0], (6, 1)))
+    rates = write_rates(tmp_path / "w.csv", t_ns, np.ones((6, 3)))
+    for path in (attitudes, rates):
+        code, _, said = run(
+            "plot", path, "-o", tmp_path / "a.svg", "--start", "-1s", "--rate-unit", "rad/s"
+        )
+        assert code == 0
+        assert ": 2 samples over 1 s, 1 Hz" in said
 
 
 def reference_pair(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -73,8 +73,7 @@ class Case:
         return f"{math.degrees(angle):.6g} deg" if self.in_degrees else f"{angle:.3g} rad"
 
 
-@dataclass(frozen=True, slots=True)
-class CaseNotRun:
+class CaseNotRun(NamedTuple):
     """A case that the suite skips, or with a key or a value that cannot be used.
 
     Parameters

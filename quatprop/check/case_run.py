@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.check.spelling import sentence
 from quatprop.comparison.compare import compare
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 
-@dataclass(frozen=True, slots=True)
-class CaseRun:
+class CaseRun(NamedTuple):
     """The attitudes of a case.
 
     Parameters
@@ -48,8 +47,7 @@ class CaseRun:
         return self.report.result.samples
 
 
-@dataclass(frozen=True, slots=True)
-class CaseComparison:
+class CaseComparison(NamedTuple):
     """How the attitudes of a case differ from those that they are compared with.
 
     Parameters

@@ -10,9 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import LogError, SuiteError, UnreadableLogError, os_reason
 from quatprop.provenance import JsonObject, as_json, digest_of
@@ -27,8 +26,7 @@ CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
 """How lines begin that an unfinished merge leaves."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pin:
+class Pin(NamedTuple):
     """What a case depended on when it was last updated.
 
     Parameters
@@ -74,7 +72,7 @@ def _is_number(value: object) -> bool:
     return type(value) in {int, float}
 
 
-VALID: Mapping[str, Callable[[Any], bool]] = {
+IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "quatprop": lambda value: isinstance(value, str),
     "inputs": _is_text_table,
     "options": _is_text_table,
@@ -104,10 +102,10 @@ def read_lock(path: Path) -> dict[str, Pin]:
     try:
         return {name: _pin(entry) for name, entry in json.loads(content)["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SuiteError(path, _defect(content.decode(errors="replace"))) from error
+        raise SuiteError(path, _what_is_wrong(content.decode(errors="replace"))) from error
 
 
-def _defect(text: str) -> Text:
+def _what_is_wrong(text: str) -> Text:
     """Return what is wrong with a lock that cannot be used."""
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith(CONFLICT_MARKERS):
@@ -121,7 +119,7 @@ def _defect(text: str) -> Text:
 
 
 def _pin(entry: JsonObject) -> Pin:
-    if entry.keys() != VALID.keys() or not all(VALID[key](entry[key]) for key in VALID):
+    if entry.keys() != IS_VALID.keys() or not all(IS_VALID[key](entry[key]) for key in IS_VALID):
         raise ValueError(entry)
     return Pin(**{**entry, "final_wxyz": tuple(entry["final_wxyz"])})
 

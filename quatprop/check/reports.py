@@ -57,11 +57,11 @@ def result_text(result: CaseResult, width: int) -> str:
     name = f"{plain(result.name):<{width}}"
     first = f"{VERDICTS[result.verdict][0]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
     indent = " " * (WIDTH + 2)
-    below = _below(result) if summary else _below(result)[1:]
+    below = _details(result) if summary else _details(result)[1:]
     return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
 
 
-def _below(result: CaseResult) -> list[str]:
+def _details(result: CaseResult) -> list[str]:
     """Return the reason and the changes."""
     return [*([result.reason] if result.reason else []), *result.changes]
 
@@ -150,7 +150,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             element.text = "\n".join(filter(None, [result.summary, reason]))
-        elif texts := [*filter(None, [result.summary, *_below(result), *result.notes])]:
+        elif texts := [*filter(None, [result.summary, *_details(result), *result.notes])]:
             ET.SubElement(case, "system-out").text = "\n".join(map(plain, texts))
     ET.indent(root)
     with open_atomic(target) as stream:

@@ -36,16 +36,16 @@ def suite_key(setting: Setting, side: str = "") -> str:
     return f"{name} = " + " or ".join(f'"{value}"' for value in setting.value.split("|"))
 
 
-def _as_set(setting: Setting, side: str = "") -> str:
+def _spelled_in_sentence(setting: Setting, side: str = "") -> str:
     """Return a setting as a sentence has it: ``sigma = true`` where it is on or off."""
     return suite_key(setting, side) + (" = true" if setting.name in FLAGS else "")
 
 
 def sentence(error: QuatpropError) -> str:
     """Return the sentence of an error, with keys in place of the settings it mentions."""
-    return error.text.spelled(partial(_as_set, side=error.side))
+    return error.text.spelled(partial(_spelled_in_sentence, side=error.side))
 
 
 def spelled(text: str | Text) -> str:
     """Return a remark, with keys in place of the settings it mentions."""
-    return text.spelled(_as_set) if isinstance(text, Text) else text
+    return text.spelled(_spelled_in_sentence) if isinstance(text, Text) else text

@@ -6,10 +6,9 @@ import json
 import os
 import re
 import tomllib
-from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SuiteError, os_reason
 from quatprop.text import listed, quoted
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
 SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
 
 
-@dataclass(frozen=True, slots=True)
-class CaseTable:
+class CaseTable(NamedTuple):
     """A case as it is written.
 
     Parameters
@@ -40,8 +38,7 @@ class CaseTable:
     line: int
 
 
-@dataclass(frozen=True, slots=True)
-class Suite:
+class Suite(NamedTuple):
     """A suite of cases.
 
     Parameters

@@ -64,7 +64,7 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         else:
             if result.verdict == "pass":
                 # It was found to be what this version gives, too.
-                kept = replace(pin, quatprop=__version__)
+                kept = pin._replace(quatprop=__version__)
                 notes = [note for note in result.notes if not note.startswith(OTHER_VERSION)]
                 return replace(result, updated="kept", pin=kept, notes=tuple(notes))
     run, every = _run(case, pin)

@@ -9,7 +9,7 @@ right.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -52,8 +52,7 @@ WAY_OUT = f"choose {Setting('align', 'mean')}, or a longer part of the recording
 """What to do where the motion shows no mounting."""
 
 
-@dataclass(frozen=True, slots=True)
-class MountingFit:
+class MountingFit(NamedTuple):
     """How a mounting was estimated from relative rotations, and how well.
 
     Parameters

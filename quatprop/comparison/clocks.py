@@ -8,8 +8,7 @@ bodies turned to agree, give it by least squares.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -57,8 +56,7 @@ GIVE_OFFSET = f"give the offset with {Setting('time_offset', 'DUR')}"
 """What to do where no offset can be estimated."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockOffset:
+class ClockOffset(NamedTuple):
     """The estimated offset between two clocks.
 
     Parameters
@@ -193,7 +191,7 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
     a, b = common_beginning(a, shifted(b, offset))
     first = next(undone_misreadings(a, b))
     found = [
-        _turned_and_moved(first, starts, length)
+        _turn_and_offset(first, starts, length)
         for length, starts in window_grids(first.a.seconds, first.b.seconds)
     ]
     if not found:
@@ -204,7 +202,7 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
     return min(found, key=lambda clock: clock.white_std)
 
 
-def _turned_and_moved(pair: Angles, starts: Float64, length: float) -> ClockError:
+def _turn_and_offset(pair: Angles, starts: Float64, length: float) -> ClockError:
     """Find in turns how the bodies are turned to each other, and the offset, until it stays."""
     before, begin = 0.0, None
     y = pair.a.over(starts, length)

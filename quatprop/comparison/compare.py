@@ -34,7 +34,7 @@ UNIT_LENGTH = 1e-3
 ROUNDING = 1e-14
 """Difference from unit length below which quaternions are compared as they are, without a copy."""
 
-SMALL = 0.5
+SMALL_ERROR = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
 
 
@@ -125,7 +125,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
     statistics = meter.statistics(rising, final)
     criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, coverage, sigmas))
     passed = all(criterion.passed for criterion in criteria)
-    if matching.match == "exact" and meter.opposite and largest <= SMALL:
+    if matching.match == "exact" and meter.opposite and largest <= SMALL_ERROR:
         remarks.append(
             f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
             "the same attitude, so this is no error"

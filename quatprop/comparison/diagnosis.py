@@ -59,7 +59,7 @@ MAX_REMAINING_METHOD = 0.02
 GROSS = 0.5
 """A mistake that leaves less than this comes before causes found in the errors themselves."""
 
-SMALL = {"method", "scale"}
+FRAMES_COME_FIRST = {"method", "scale"}
 """Mistakes that turn no reference frame: where frames differ too, that comes first."""
 
 METHOD_SAMPLES = 5_000
@@ -115,16 +115,16 @@ def likely_cause(
         seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
         moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
         before, after = (_total(a, other, settings) for other in (b, moved))
-        mistake = replace(mistake, total_before=before, total_after=after)
+        mistake = mistake._replace(total_before=before, total_after=after)
     gross = (
         mistake and mistake.rms_after <= GROSS * mistake.rms_before and not mistake.leaves(GROSS)
     )
-    if gross and mistake and mistake.name not in SMALL:
+    if gross and mistake and mistake.name not in FRAMES_COME_FIRST:
         return mistake
     main = _cause_of_errors(a, b, settings)
     if main is None or (gross and main.name != "reference frame"):
         return mistake
-    return replace(main, also=mistake)
+    return main._replace(also=mistake)
 
 
 def _total(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> float | None:

@@ -72,7 +72,7 @@ def compare_files(
             try:
                 of_a, of_b = (chain(*part) for part in beginnings)
                 comparison = _streamed(of_a, of_b, settings)
-            except _InMemoryError:
+            except _NotStreamableError:
                 beginnings = [_beginning(file) for file in files]
             else:
                 return file_a.facts(), file_b.facts(), comparison
@@ -82,7 +82,7 @@ def compare_files(
     return first, second, compare(first.series, second.series, settings)
 
 
-class _InMemoryError(Exception):
+class _NotStreamableError(Exception):
     """The series have to be compared in memory."""
 
 
@@ -113,7 +113,7 @@ def _is_streamable(
     )
 
 
-class _Passing:
+class _Ordered:
     """A series that passes in rising order of its stamps.
 
     Attributes
@@ -146,7 +146,7 @@ class _Passing:
 
         Raises
         ------
-        _InMemoryError
+        _NotStreamableError
             Stamps are not in order.
         """
         batch = next(self._batches, None)
@@ -155,7 +155,7 @@ class _Passing:
             return
         t_ns = batch.t_ns + self._offset_ns
         if (t_ns[1:] <= t_ns[:-1]).any() or (self.samples and t_ns[0] <= self.covered.last_ns):
-            raise _InMemoryError
+            raise _NotStreamableError
         self.held = AttitudeSeries(t_ns, unit(batch.wxyz))
         self.samples += len(t_ns)
         self.covered.add(t_ns)
@@ -174,7 +174,7 @@ class _Passing:
         return taken
 
 
-def _equal_stamps(a: _Passing, b: _Passing) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
+def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
     """Yield the samples of two series that have equal stamps: as pairs, without the rest."""
     a.start_ns = b.start_ns = max(a.covered.first_ns, b.covered.first_ns)
     first = 0
@@ -199,12 +199,12 @@ def _streamed(
 
     Raises
     ------
-    _InMemoryError
+    _NotStreamableError
         Stamps are not in order, or too few are equal.
     """
     offset_ns = int(settings.time_offset)
     with closing(in_background(a, 1)) as batches_a, closing(in_background(b, 1)) as batches_b:
-        sides = _Passing(batches_a, 0), _Passing(batches_b, offset_ns)
+        sides = _Ordered(batches_a, 0), _Ordered(batches_b, offset_ns)
         meter = ErrorMeter("A", align("none", IDENTITY, IDENTITY), settings.limit_rad)
         for t_ns, index, of_a, of_b in _equal_stamps(*sides):
             if not len(meter) and len(t_ns):
@@ -214,7 +214,7 @@ def _streamed(
     pa.default_memory_pool().release_unused()
     candidates = min(side.common for side in sides)
     if settings.match is None and not is_mostly_exact(len(meter), candidates):
-        raise _InMemoryError
+        raise _NotStreamableError
     covered = meter.covered
     ends = covered.first_ns, covered.last_ns
     matching = Matching("exact", "A", 0, len(meter), candidates, *ends)

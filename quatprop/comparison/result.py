@@ -6,7 +6,7 @@ Each limit on errors, drift and coverage is a criterion, judged by itself.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from quatprop.text import Text
 
 
-@dataclass(frozen=True, slots=True)
-class AppliedOffset:
+class AppliedOffset(NamedTuple):
     """The time offset of a comparison.
 
     Parameters
@@ -49,8 +48,7 @@ class AppliedOffset:
     found: ClockOffset | None
 
 
-@dataclass(frozen=True, slots=True)
-class Criterion:
+class Criterion(NamedTuple):
     """A limit and whether it was kept.
 
     Parameters
@@ -75,8 +73,7 @@ class Criterion:
     passed: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Coverage:
+class Coverage(NamedTuple):
     """How much of the reference, B, was compared, in percent.
 
     Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ EXACT_ALIGNMENTS = ("none", "first")
 """Alignments that leave an exact first attitude exact; the others are estimates themselves."""
 
 
-@dataclass(frozen=True, slots=True)
-class ErrorStatistics:
+class ErrorStatistics(NamedTuple):
     """Size of an error, rad.
 
     Parameters

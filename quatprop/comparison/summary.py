@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from quatprop.rendering import angle_text, degrees_text, loss_lines, source_text
@@ -171,7 +170,7 @@ def _matching(matching: Matching) -> str:
 
 def _errors(comparison: Comparison) -> Iterator[Row]:
     yield "error", "geodesic angle"
-    for name, error in asdict(comparison.error_rad).items():
+    for name, error in comparison.error_rad._asdict().items():
         yield (
             f"  {STATISTICS.get(name, name)}",
             f"{error:14.6e} rad {math.degrees(error):14.6g} deg",

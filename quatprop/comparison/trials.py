@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -53,8 +52,7 @@ BLOCK_S = 2.0
 """Length of such a block, s: errors further apart are taken to be independent."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClockError:
+class ClockError(NamedTuple):
     """What B's clock is off by: a time offset, which may change steadily.
 
     Parameters
@@ -87,8 +85,7 @@ class ClockError:
         return self.seconds + self.ratio * (seconds - self.middle)
 
 
-@dataclass(frozen=True, slots=True)
-class RateRatio:
+class RateRatio(NamedTuple):
     """A's rates over B's, and between what noise in either can place it."""
 
     value: float
@@ -96,8 +93,7 @@ class RateRatio:
     most: float
 
 
-@dataclass(frozen=True, slots=True)
-class Trial:
+class Trial(NamedTuple):
     """What remains of the differences between A and B over windows when a mistake is undone.
 
     Parameters

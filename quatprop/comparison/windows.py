@@ -7,7 +7,6 @@ frame; a bias adds a constant to it, which is taken out, and a slow drift hardly
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -64,8 +63,7 @@ conjugate are the opposite of the inertial rates. Rates that were composed on th
 inertial rates of the result."""
 
 
-@dataclass(frozen=True, slots=True)
-class BodyAngle:
+class BodyAngle(NamedTuple):
     """The integral of a body rate.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.conditioning.mounting import mounting
-from quatprop.conditioning.time_range import absolute_range, clipped
+from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -140,10 +140,6 @@ class ConditioningReport(NamedTuple):
         return [*self.remarks, *biases]
 
 
-LOOK_AHEAD_CELL_NS = 1_000_000_000
-"""Only the first and the last stamp matter where no rest is looked for."""
-
-
 def condition(
     read: Callable[[], Iterable[GyroSeries]],
     settings: Conditioning,
@@ -236,17 +232,14 @@ def _look_ahead(
     """Return the first and the last stamp, ns, and the rest, where they matter."""
     if not settings.looks_ahead:
         return 0, 0, None
-    if parts and settings.static_ns is None and (ends := parts.ends()) is not None:
-        return *ends, None
+    if settings.static_ns is None:
+        return *((parts and parts.ends()) or ends_of(batch.t_ns for batch in read())), None
     from quatprop.conditioning.cells import cells_of
     from quatprop.conditioning.static_detection import find_rest
 
-    shortest_ns = settings.static_ns or LOOK_AHEAD_CELL_NS
-    cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), shortest_ns // 2 or 1)
-    rest = None if settings.static_ns is None else find_rest(cells, inputs, shortest_ns)
-    if not len(cells):
-        return 0, 0, rest
-    return int(cells["first_ns"].min()), int(cells["last_ns"].max()), rest
+    cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), settings.static_ns // 2 or 1)
+    rest = find_rest(cells, inputs, settings.static_ns)
+    return rest.searched_first_ns, rest.searched_last_ns, rest
 
 
 def conditioned(

@@ -8,8 +8,7 @@ while the log's own orientation, if it has one, does not turn with the rates.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -52,8 +51,7 @@ TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rest:
+class Rest(NamedTuple):
     """The period of a log in which the sensor was at rest.
 
     Parameters

@@ -13,6 +13,7 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from quatprop.arrays import Int64
     from quatprop.conditioning import Conditioning, ConditioningReport
     from quatprop.series import AttitudeSeries, GyroSeries
 
@@ -50,6 +51,12 @@ class PartReader(Protocol):
         """
 
 
+def ends_of(stamps: Iterable[Int64]) -> tuple[int, int]:
+    """Return the earliest and the latest of batches of stamps, ns; 0 where there is none."""
+    ends = [(int(t_ns.min()), int(t_ns.max())) for t_ns in stamps if len(t_ns)]
+    return min((first for first, _ in ends), default=0), max((last for _, last in ends), default=0)
+
+
 def absolute_range(
     settings: Conditioning, first_ns: int, last_ns: int
 ) -> tuple[int | None, int | None]:
@@ -60,7 +67,7 @@ def absolute_range(
     settings
         What is asked for.
     first_ns, last_ns
-        The first and the last stamp of the log.
+        The earliest and the latest stamp of the log.
 
     Raises
     ------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,8 +27,7 @@ SMALL = 1e-6
 """Rotation, rad, whose effect on what is drawn is proportional to it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
+class Quantity(NamedTuple):
     """What one panel of a picture shows against time.
 
     Parameters
@@ -190,7 +188,7 @@ class AttitudeAccumulator(Accumulator):
     def __init__(
         self, *, components: bool = False, unwrap: bool = False, has_sigmas: bool = False
     ) -> None:
-        angles = tuple(replace(angle, wraps=angle.wraps and not unwrap) for angle in ANGLES)
+        angles = tuple(angle._replace(wraps=angle.wraps and not unwrap) for angle in ANGLES)
         super().__init__(COMPONENTS if components else angles, has_sigmas=has_sigmas)
         self._signs = Signs("continuous") if components else None
         self._unwrap = Unwrap(2)

@@ -60,7 +60,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist,
     axes.set_axisbelow(True)
     unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
     axes.set_ylabel(panel.quantity.name.replace("norm error ", "norm error\n") + unit)
-    _set_values(axes, panel)
+    _set_value_axis(axes, panel)
     explained: list[tuple[Artist, str]] = []
     if panel.level is not None:
         value, label = panel.level
@@ -98,7 +98,7 @@ def _draw_mark(axes: Axes, mark: Mark) -> Artist:
     return drawn
 
 
-def _set_values(axes: Axes, panel: Panel) -> None:
+def _set_value_axis(axes: Axes, panel: Panel) -> None:
     """Choose the range, the scale and the ticks of a panel."""
     parts = [curve.drawn.values for curve in panel.curves]
     parts += [edge for curve in panel.curves if curve.band for edge in curve.band[1:]]
@@ -116,7 +116,7 @@ def _set_values(axes: Axes, panel: Panel) -> None:
         if high > low:
             axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
     if not SMALLEST <= max(-low, high) < LARGEST:
-        axes.yaxis.set_major_formatter(_short)
+        axes.yaxis.set_major_formatter(_tick_label)
     if panel.level is not None or panel.marks:
         _set_error_scale(axes, panel, high)
     elif panel.quantity.wraps and max(-low, high) > WIDE_ANGLE:
@@ -131,12 +131,12 @@ def _set_values(axes: Axes, panel: Panel) -> None:
             axes.set_ylim(middle - half, middle + half)
 
 
-def _short(value: float, _position: float = 0) -> str:
+def _tick_label(value: float, _position: float = 0) -> str:
     """Return a short tick label.
 
     Examples
     --------
-    >>> _short(0.000125), _short(20.0), _short(0.0)
+    >>> _tick_label(0.000125), _tick_label(20.0), _tick_label(0.0)
     ('1.25e-4', '20', '0')
     """
     text = f"{value:g}"
@@ -153,6 +153,6 @@ def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
     if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
         axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
         axes.set_yscale("log", nonpositive="mask")
-        axes.yaxis.set_major_formatter(_short)
+        axes.yaxis.set_major_formatter(_tick_label)
     else:
         axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)

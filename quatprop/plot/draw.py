@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import warnings
 from contextlib import contextmanager
-from dataclasses import replace
 from io import BytesIO
 from json import dumps
 from typing import TYPE_CHECKING, Any
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.plot.page import Page
 
-LEAST_BINS = 150
+MIN_ZOOM_BINS = 150
 """Least of the bins of a long series that a page zooms to."""
 
 SETTINGS: dict[Any, Any] = {
@@ -82,7 +81,7 @@ def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
         How large it is.
     """
     stream = BytesIO()
-    with _drawn(page, {"font.size": style.font}, style) as drawn:
+    with _figure_of(page, {"font.size": style.font}, style) as drawn:
         drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind])
     return stream.getvalue()
 
@@ -95,11 +94,11 @@ def inline_svg(page: Page) -> tuple[str, str]:
     stream = BytesIO()
     settings = {"svg.fonttype": "none", "path.simplify": False}
     # Title, facts and notes stand on the page already.
-    with _drawn(page, settings, replace(STYLE, title=False)) as drawn:
+    with _figure_of(page, settings, STYLE._replace(title=False)) as drawn:
         drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
         limits = {
             "time": drawn.axes[0].get_xlim(),
-            "least": LEAST_BINS * page.picture.bin_s,
+            "least": MIN_ZOOM_BINS * page.picture.bin_s,
             "panels": [[*axes.transScale.transform([[1.0, y] for y in axes.get_ylim()])[:, 1],
                         axes.get_yscale() == "log"] for axes in drawn.axes],
         }  # fmt: skip
@@ -116,7 +115,7 @@ def inline_svg(page: Page) -> tuple[str, str]:
 
 
 @contextmanager
-def _drawn(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figure]:
+def _figure_of(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figure]:
     """Give the figure of a page, while matplotlib has the settings that it is saved with."""
     import matplotlib as mpl
 

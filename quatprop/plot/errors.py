@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -90,15 +89,15 @@ def error_page(
     about = "angle, and rotation vector about the body axes"
     if any(file.comparison.sigmas for file in files):
         about += f" ({SIGMA_BAND})"
-    lines = [_plotted(file) for file in files]
+    lines = [_errors_over_time(file) for file in files]
     if single:
-        lines += _beside(first)
+        lines += _expected_and_windows(first)
     lines += [line for file in files for line in _sigma_tolerance(file, single=single)]
     return Page(
         title=f"error of {', '.join(file.name for file in files)} against {reference_name}",
-        facts=(f"{about}; {how}", _sizes(first) if single else ""),
+        facts=(f"{about}; {how}", _max_and_rms(first) if single else ""),
         lead=tuple(_verdict(file) for file in files),
-        picture=_marked(picture(lines), files),
+        picture=_with_tolerance_and_marks(picture(lines), files),
         warnings=tuple(_warnings(files, reference, spell)),
         tables=[
             (f"{name} against {reference_name}", comparison_rows(side, reference, result, spell))
@@ -107,24 +106,24 @@ def error_page(
     )
 
 
-def _plotted(file: ComparedFile) -> PlottedFile:
+def _errors_over_time(file: ComparedFile) -> PlottedFile:
     comparison = file.comparison
     values = np.column_stack([comparison.errors, comparison.error_vectors])
     sigmas = None
     if comparison.sigmas:
         sigmas = np.insert(comparison.sigmas.axes_rad, 0, np.nan, axis=1).T
-    return _line(file.name, comparison.t_ns, values.T, _sizes(comparison), sigmas)
+    return _plotted_line(file.name, comparison.t_ns, values.T, _max_and_rms(comparison), sigmas)
 
 
-def _beside(comparison: Comparison) -> Iterator[PlottedFile]:
+def _expected_and_windows(comparison: Comparison) -> Iterator[PlottedFile]:
     """Yield the error over windows, if any, and the size that the series expect of the error."""
     if (window := comparison.window) is not None:
         text = f"max {degrees_text(window.max_rad, DIGITS)}, from where each begins"
         name = f"over {duration_text(window.window_ns)}"
-        yield _line(name, window.begins_ns, window.errors[None], text)
+        yield _plotted_line(name, window.begins_ns, window.errors[None], text)
     if (sigmas := comparison.sigmas) is not None:
         text = f"the final error is {sigma_text(sigmas.final)}"
-        yield _line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad[None], text)
+        yield _plotted_line("expected (1 sigma)", comparison.t_ns, sigmas.one_sigma_rad[None], text)
 
 
 def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFile]:
@@ -135,10 +134,10 @@ def _sigma_tolerance(file: ComparedFile, *, single: bool) -> Iterator[PlottedFil
             name = f"tolerance ({criterion.limit:g} sigma{'' if single else f', {file.name}'})"
             angles = criterion.limit * sigmas.one_sigma_rad
             text = f"the largest is {sigma_text(criterion.value)}"
-            yield _line(name, file.comparison.t_ns, angles[None], text)
+            yield _plotted_line(name, file.comparison.t_ns, angles[None], text)
 
 
-def _line(
+def _plotted_line(
     name: str, t_ns: Int64, angles: Float64, text: str, sigmas: Float64 | None = None
 ) -> PlottedFile:
     accumulated = Accumulator(ERROR[: len(angles)], has_sigmas=sigmas is not None)
@@ -147,7 +146,7 @@ def _line(
     return PlottedFile(name, (accumulated.group(GAP_FACTOR * median or None),), text)
 
 
-def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
+def _with_tolerance_and_marks(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
     """Draw the tolerance; for a single series also the first sample above it, and the worst."""
     comparison = files[0].comparison
     tolerance, first = comparison.tolerance_rad, comparison.first_exceeding
@@ -166,17 +165,17 @@ def _marked(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
         if first is not None and first != worst:
             marks.append(mark(first, "first", above))
         marks.append(mark(worst, "worst", f"{above}, and {text}" if first == worst else text))
-    errors = replace(drawn.panels[0], level=level, marks=tuple(marks))
-    return replace(drawn, panels=(errors, *drawn.panels[1:]))
+    errors = drawn.panels[0]._replace(level=level, marks=tuple(marks))
+    return drawn._replace(panels=(errors, *drawn.panels[1:]))
 
 
-def _sizes(comparison: Comparison) -> str:
+def _max_and_rms(comparison: Comparison) -> str:
     largest, rms = comparison.error_rad.max, comparison.error_rad.rms
     return f"max {degrees_text(largest, DIGITS)}, RMS {degrees_text(rms, DIGITS)}"
 
 
 def _verdict(file: ComparedFile) -> str:
-    comparison, text = file.comparison, f"{file.name}: {_sizes(file.comparison)}"
+    comparison, text = file.comparison, f"{file.name}: {_max_and_rms(file.comparison)}"
     if comparison.tolerance_rad is None:
         return text
     relation = "within" if comparison.first_exceeding is None else "above"

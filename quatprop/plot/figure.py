@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import ceil
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -55,21 +54,20 @@ LONGEST_FACT = 125
 
 LONGEST_LABEL = 85
 
-LONGEST_NAME, SMALL = 54, 0.7
+LONGEST_NAME, TWO_COLUMNS_FROM = 54, 0.7
 """Characters in two columns of a legend; share of the usual width below which it has one."""
 
-NARROW = 0.8
+MIN_HEIGHT_SHARE = 0.8
 """Least share of its usual height that a panel has, for letters of the usual size."""
 
-CRAMPED, SLIM = 0.4, 1.15
+MIN_PANEL_HEIGHT, MIN_PANEL_WIDTH = 0.4, 1.15
 """Inches: least height of one of several panels, and least width, for letters of the usual size."""
 
 MAX_NOTES = 3
 """Notes below a picture."""
 
 
-@dataclass(frozen=True, slots=True)
-class Style:
+class Style(NamedTuple):
     """How large a picture and its letters are.
 
     Parameters
@@ -108,16 +106,16 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
     panels, scale = picture.panels, style.font / FONT
     heights = [panel.quantity.height for panel in panels]
-    slim = (LEFT + SLIM + RIGHT) * scale
-    room = max(style.width, slim) / WIDTH / scale
+    least_width = (LEFT + MIN_PANEL_WIDTH + RIGHT) * scale
+    room = max(style.width, least_width) / WIDTH / scale
     time = wrap(picture.time, round(LONGEST_LABEL * room))
     body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
-    columns = 2 if room >= SMALL else 1
+    columns = 2 if room >= TWO_COLUMNS_FROM else 1
     head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
     foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
-    height = style.height or head + body * max(style.width / WIDTH, NARROW * scale) + foot
-    _require_room(style, slim, head + CRAMPED * sum(heights) * scale + foot)
+    height = style.height or head + body * max(style.width / WIDTH, MIN_HEIGHT_SHARE * scale) + foot
+    _require_room(style, least_width, head + MIN_PANEL_HEIGHT * sum(heights) * scale + foot)
     result = Figure(figsize=(style.width, height))
     left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
     grid = result.add_gridspec(

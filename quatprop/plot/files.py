@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.conditioning import Conditioning, condition
-from quatprop.conditioning.time_range import absolute_range, clipped
+from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -46,8 +45,7 @@ if TYPE_CHECKING:
     from quatprop.timeline.counts import Counts
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(NamedTuple):
     """What to draw of files.
 
     Parameters
@@ -68,15 +66,14 @@ class View:
 
     kind: str | None = None
     show: Literal["rates", "attitude"] | None = None
-    rates: RateSelection = field(default_factory=RateSelection)
-    attitudes: AttitudeSelection = field(default_factory=AttitudeSelection)
+    rates: RateSelection = RateSelection()
+    attitudes: AttitudeSelection = AttitudeSelection()
     components: bool = False
     unwrap: bool = False
-    part: Conditioning = field(default_factory=Conditioning)
+    part: Conditioning = Conditioning()
 
 
-@dataclass(frozen=True, slots=True)
-class FileView:
+class FileView(NamedTuple):
     """What is shown of one file.
 
     Parameters
@@ -146,14 +143,14 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
         try:
             return choose_attitudes(log, view.attitudes)
         except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
-            raise _neither(log, error, other) from error
+            raise _nothing_to_draw(log, error, other) from error
 
 
 _COUNTERPARTS = {"rate_field": "quat_field", "rate_cols": "quat_cols"}
 """Settings about rates -> those about attitudes."""
 
 
-def _neither(log: AnyLog, rates: LogError, attitudes: LogError) -> LogError:
+def _nothing_to_draw(log: AnyLog, rates: LogError, attitudes: LogError) -> LogError:
     """Return the most useful error for a file with neither rates nor attitudes."""
     if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
         content, *way_out = rates.reason.parts
@@ -198,7 +195,8 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     counts = stamps.counts
     covariances = source.may_have_covariances
     read = (AttitudeSeries(*row) for row in source.read(covariances=covariances))
-    part = clipped(read, *_range(source, view), outside)
+    ends = ends_of(t_ns for t_ns, _ in source.rows()) if view.part.looks_ahead else (0, 0)
+    part = clipped(read, *absolute_range(view.part, *ends), outside)
     deque(stamps.observe(batch.t_ns for batch in drawn.passing(part)), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside, lost=log.losses.first)
@@ -267,13 +265,3 @@ def _irregularities(counts: Counts) -> Iterator[str]:
     ):
         if event.count:
             yield f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
-
-
-def _range(source: AttitudeSignal, view: View) -> tuple[int | None, int | None]:
-    """Return the first and the last stamp to draw, ns; None is open."""
-    ends = (0, 0)
-    if view.part.looks_ahead:
-        stamps = [(int(t_ns[0]), int(t_ns[-1])) for t_ns, _ in source.rows() if len(t_ns)]
-        if stamps:
-            ends = stamps[0][0], stamps[-1][1]
-    return absolute_range(view.part, *ends)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -60,8 +59,7 @@ class Mark(NamedTuple):
     sign: str
 
 
-@dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(NamedTuple):
     """One pair of axes.
 
     Parameters
@@ -82,8 +80,7 @@ class Panel:
     marks: tuple[Mark, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class PlottedFile:
+class PlottedFile(NamedTuple):
     """What is drawn of one file.
 
     Parameters
@@ -123,8 +120,7 @@ class PlottedFile:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
+class Picture(NamedTuple):
     """All that is drawn.
 
     Parameters

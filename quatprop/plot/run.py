@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
@@ -92,7 +91,7 @@ def _page(views: list[FileView], spell: Spell) -> Page:
     """Return the page on files, each as it is."""
     several = len(views) > 1
     names = file_names(view.plotted.label for view in views)
-    files = [replace(view.plotted, label=name) for view, name in zip(views, names, strict=True)]
+    files = [view.plotted._replace(label=name) for view, name in zip(views, names, strict=True)]
     meanings = dict.fromkeys(view.meaning for view in views)
     facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
     return Page(
