@@ -68,14 +68,12 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
     return np.asarray(array, np.int64)
 
 
-def seconds_in_ns(name: str, values: object) -> NDArray[np.int64]:
+def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
     """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
 
     Parameters
     ----------
-    name
-        What errors call them.
-    values
+    t_s
         Seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart.
 
     Raises
@@ -83,14 +81,14 @@ def seconds_in_ns(name: str, values: object) -> NDArray[np.int64]:
     SeriesError
         They are not numbers of shape ``(N,)``, are not finite, or do not fit 64 bits of ns.
     """
-    array = _as_array(name, values)
+    array = _as_array("t_s", t_s)
     if array.ndim != 1 or array.dtype.kind not in "iuf":
         raise SeriesError(
-            f"Expected `{name}` to be seconds of shape (N,), got {array.dtype} {array.shape}"
+            f"Expected `t_s` to be seconds of shape (N,), got {array.dtype} {array.shape}"
         )
     whole = np.floor(array.astype(np.float64))
     if not (np.isfinite(whole).all() and (np.abs(whole) < INT64.max // NS_PER_S).all()):
-        raise SeriesError(f"`{name}` has values that are not finite, or not within 292 years of 0")
+        raise SeriesError("`t_s` has values that are not finite, or not within 292 years of 0")
     rest = np.rint((array - whole) * NS_PER_S).astype(np.int64)
     return np.asarray(whole.astype(np.int64) * NS_PER_S + rest)
 

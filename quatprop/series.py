@@ -148,7 +148,7 @@ class GyroSeries(_Series):
         rate
             As for the class.
         """
-        return cls(seconds_in_ns("t_s", t_s), rate)
+        return cls(seconds_in_ns(t_s), rate)
 
     def to_arrow(self) -> pa.Table:
         """Return a table with the columns ``t_ns``, ``wx``, ``wy``, ``wz`` (ns, rad/s)."""
@@ -216,7 +216,7 @@ class AttitudeSeries(_Series):
     @classmethod
     def from_seconds(cls, t_s: Float64, wxyz: Float64) -> Self:
         """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
-        return cls(seconds_in_ns("t_s", t_s), wxyz)
+        return cls(seconds_in_ns(t_s), wxyz)
 
     @property
     def sigma(self) -> Float64 | None:

@@ -157,13 +157,16 @@ def test_what_mentions_a_setting_is_a_sentence(path):
     above = {child: node for node in nodes for child in ast.iter_child_nodes(node)}
 
     def is_in_sentence(node, seen=()):
+        targets = set()
         while not isinstance(node, ast.stmt):
             node = above[node]
             name = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
             if name in READS_MARKS or name.endswith("Error"):
                 return True
-        targets = {target.id for target in ast.walk(node) if isinstance(target, ast.Name)
-                   and isinstance(target.ctx, ast.Store)}  # fmt: skip
+            if name == "append":
+                targets.add(ast.unparse(node.func.value))
+        targets |= {target.id for target in ast.walk(node) if isinstance(target, ast.Name)
+                    and isinstance(target.ctx, ast.Store)}  # fmt: skip
         return node not in seen and any(
             is_in_sentence(read, (*seen, node))
             for read in nodes

@@ -69,11 +69,6 @@ def group_of(name: str) -> str:
     return SIDES[side] if side in SIDES and base in GROUP else GROUP.get(name, OWN)
 
 
-def is_common(name: str) -> bool:
-    """Whether help shows a parameter without being asked for all of them."""
-    return name in COMMON or group_of(name) == OWN
-
-
 def brief(names: str, text: str) -> tuple[str, str]:
     """Return the record of an option with the first clause of its help, and its default.
 
@@ -135,8 +130,8 @@ class Command(click.Command):
         for option in self.get_params(ctx):
             name = "help" if "--help" in option.opts else str(option.name)
             record = option.get_help_record(ctx) if isinstance(option, click.Option) else None
-            if record is not None and (every or is_common(name)):
-                title = group_of(name) if self._grouped else OWN
+            title = group_of(name) if self._grouped else OWN
+            if record is not None and (every or name in COMMON or title == OWN):
                 groups.setdefault(title, []).append(record if every else brief(*record))
         for title, rows in groups.items():
             if rows:

@@ -106,9 +106,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     if chosen["components"] and chosen["unwrap"]:
         raise click.UsageError("--unwrap does not go with --components, which have no turns")
     refuse_stdin_twice(*files, reference)
-    against = None
-    if reference is not None:
-        against = input_of(reference, chosen, side="ref", drop=True)
+    against = None if reference is None else input_of(reference, chosen, side="ref", drop=True)
     view = View(
         kind=chosen["kind"],
         show=_show(chosen),

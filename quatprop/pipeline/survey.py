@@ -34,6 +34,7 @@ from quatprop.signals.rates import rate_candidates
 from quatprop.tables.base import TableLog
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
+from quatprop.timeline.counts import Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
 from quatprop.timeline.stamps import OBSERVE, StampChecks
 
@@ -51,8 +52,7 @@ if TYPE_CHECKING:
 
 READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
 
-_TIMING = ("rate_hz", "span_s", "first_ns", "last_ns", "median_dt_ns", "min_dt_ns", "max_dt_ns",
-           "gaps", "duplicates", "backwards")  # fmt: skip
+_TIMING = tuple(timing(Counts()))
 _RATES = ("rate_unit", "max_rate_rad_s", "max_rate_deg_s")
 
 _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (

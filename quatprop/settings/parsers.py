@@ -198,22 +198,21 @@ def moment(value: object) -> Instant:
     """Return an instant: text, whole nanoseconds, or a datetime with its zone."""
     if isinstance(value, Instant):
         return value
-    if (ns := _whole(value)) is None and isinstance(value, str) and value.isdecimal():
-        ns = int(value)
-    if ns is not None and 0 < ns < _FEW_NS:
+    if isinstance(value, datetime):
+        if value.tzinfo is None:
+            raise UsageError(f"{shown(value)} needs a time zone, such as tzinfo=datetime.UTC")
+        value = value.isoformat()
+    ns = int(value) if isinstance(value, str) and value.isdecimal() else _whole(value)
+    if ns is None and isinstance(value, str):
+        return instant(value)
+    if ns is None:
+        raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")
+    if 0 < ns < _FEW_NS:
         raise UsageError(
             f"{shown(value)} is a time of the log's clock in ns, not in seconds; write '{ns}s' for "
             "seconds after the first sample"
         )
-    if isinstance(value, datetime):
-        if value.tzinfo is None:
-            raise UsageError(f"{shown(value)} needs a time zone, such as tzinfo=datetime.UTC")
-        return instant(value.isoformat())
-    if ns is not None:
-        return Instant(ns, "clock")
-    if isinstance(value, str):
-        return instant(value)
-    raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")
+    return Instant(ns, "clock")
 
 
 def file_beside(name: str, text: str, folder: Path) -> Path | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
@@ -107,11 +108,7 @@ def quantity(value: object, units: Mapping[str, float], noun: str, examples: str
 
 def quantity_of(units: Mapping[str, float], noun: str, examples: str) -> Parser:
     """Return a parser of quantities; see :func:`quantity`."""
-
-    def parse_quantity(value: object) -> float:
-        return quantity(value, units, noun, examples)
-
-    return parse_quantity
+    return partial(quantity, units=units, noun=noun, examples=examples)
 
 
 def picture_size(value: object) -> tuple[float, float | None]:
