@@ -12,17 +12,14 @@ import math
 import os
 import sys
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""

@@ -7,14 +7,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.text import plain
+from quatprop.text import Text, plain
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from quatprop.containers.base import Loss
-    from quatprop.text import Text
 
     Spell = Callable[[str | Text], str]
     """Writes a sentence as an interface spells the settings in it; ``str`` as the library does."""

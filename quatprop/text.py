@@ -7,11 +7,10 @@ A choice of the user's is a :class:`Setting` in a :class:`Text`: ``clock='log'``
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from typing import Self
 
 MAX_LISTED = 12
 """Names listed one by one before "and N more"."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 from quatprop.api.reading import path_text, warn, with_keywords_of
 from quatprop.errors import SeriesError, UsageError
@@ -13,7 +13,6 @@ from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Unpack
 
     import numpy as np
     from numpy.typing import NDArray

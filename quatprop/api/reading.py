@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack
 
 import numpy as np
 
@@ -14,15 +14,13 @@ from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions, SelectOptions, SeriesOptions
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from os import PathLike
-    from typing import Unpack
 
     from quatprop.containers.base import Loss
-    from quatprop.text import Text
 
     StrPath: TypeAlias = str | PathLike[str]
 

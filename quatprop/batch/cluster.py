@@ -10,7 +10,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.batch.run import failed, propagate_log
+from quatprop.batch.run import BatchResult, BatchSettings, BatchTask, failed, propagate_log
 from quatprop.containers.stores import is_address
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.text import Setting, plain, quoted
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.run import BatchResult, BatchSettings, BatchTask
 
 AHEAD = 1000
 """Logs that are submitted to a cluster before the first of them is done."""

@@ -13,7 +13,7 @@ import os
 from contextlib import contextmanager, suppress
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop import __version__
 from quatprop.containers.stores import is_address, objects_of, without_secret
@@ -23,7 +23,6 @@ from quatprop.writers.atomic import OutputFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import Any
 
     from quatprop.pipeline.job import Job
 

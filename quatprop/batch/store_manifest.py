@@ -13,19 +13,17 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from quatprop.batch.manifest import Manifest, entries_in, json_line, write_table
+from quatprop.batch.manifest import Manifest, ManifestEntry, entries_in, json_line, write_table
 from quatprop.containers.stores import below, is_address, list_objects
 from quatprop.containers.transfers import get, put, upload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from typing import Any
 
-    from quatprop.batch.manifest import ManifestEntry
 
 PART_ENTRIES = 100
 """Entries of an object: writing it again must stay cheap."""

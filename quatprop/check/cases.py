@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import datetime as dt
 import os
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from quatprop.check.case import Case, CaseNotRun
 from quatprop.check.spelling import sentence, suite_key
-from quatprop.check.suite import read_suite
+from quatprop.check.suite import CaseTable, Suite, read_suite
 from quatprop.comparison.settings import COMPARE, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.pipeline.settings import propagation_settings
@@ -25,9 +25,7 @@ from quatprop.text import Setting, Text, did_you_mean, quoted
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
-    from typing import Any
 
-    from quatprop.check.suite import CaseTable, Suite
 
 DEFAULT_TOLERANCE = "1e-9rad"
 """Tolerance for a stored reference, unless the case has its own."""

@@ -8,25 +8,22 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 
 from quatprop import __version__
-from quatprop.check.case import CaseNotRun, CaseResult
+from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.case_run import compare_case, compare_timestamps, propagate_case, try_compare
 from quatprop.check.cases import same_option
-from quatprop.check.lock import DIGITS, describe_change, digests_of, sha256_of
+from quatprop.check.lock import DIGITS, Pin, describe_change, digests_of, sha256_of
 from quatprop.check.reference import DEFAULT, describe_provenance, read_reference
 from quatprop.check.spelling import sentence
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import LogError, QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.signals.attitude_input import load_attitudes
+from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from quatprop.check.case import Case
     from quatprop.check.case_run import CaseComparison, CaseRun
-    from quatprop.check.lock import Pin
-    from quatprop.signals.attitude_input import AttitudeInput
 
 OTHER_VERSION = "the reference was made by quatprop"
 """How the note on another version begins."""

@@ -6,25 +6,21 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from quatprop.check.case import Case
-from quatprop.check.lock import DIGITS
+from quatprop.check.case import Case, CaseNotRun
+from quatprop.check.lock import DIGITS, Pin
 from quatprop.errors import OutputError, QuatpropError
 from quatprop.pipeline.report import CONVENTION
 from quatprop.provenance import digest_of
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
+from quatprop.signals.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from typing import Any
 
-    from quatprop.check.case import CaseNotRun
     from quatprop.check.case_run import CaseRun
-    from quatprop.check.lock import Pin
-    from quatprop.signals.attitude_input import LoadedAttitudes
 
 PROVENANCE_KEY = "check"
 """Key of the provenance that only stored references have."""

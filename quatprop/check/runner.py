@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.judge import judge
-from quatprop.check.lock import write_lock
+from quatprop.check.lock import Pin, write_lock
 from quatprop.check.spelling import sentence
 from quatprop.check.update import update
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
@@ -21,8 +21,6 @@ from quatprop.third_party_errors import as_user_error
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
     from pathlib import Path
-
-    from quatprop.check.lock import Pin
 
     PinnedCase = tuple[Case | CaseNotRun, Pin | None]
 

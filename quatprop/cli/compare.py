@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,14 +19,12 @@ from quatprop.cli.options import (
 )
 from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH
-from quatprop.comparison.settings import COMPARE
+from quatprop.comparison.settings import COMPARE, ComparisonSettings
 from quatprop.settings import ONE_SERIES, READ_ATTITUDES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from contextlib import AbstractContextManager
 
-    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.plot.target import PictureFile
 
 

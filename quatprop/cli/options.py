@@ -13,13 +13,12 @@ import click
 
 from quatprop.cli.spelling import option as option_name
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
-from quatprop.settings.parsers import Choice, flag
+from quatprop.settings.parsers import Choice, Parser, flag
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from quatprop.settings.parsers import Parser
     from quatprop.signals.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])

@@ -7,14 +7,13 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from quatprop.progress import SHOW
+from quatprop.progress import SHOW, Size
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from tqdm import tqdm
 
-    from quatprop.progress import Size
 
 DELAY_S = 0.5
 """Nothing is shown of what takes less."""

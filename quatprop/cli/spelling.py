@@ -7,11 +7,10 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.text import Text, plain
+from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
-    from quatprop.text import Setting
 
 OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 """Settings whose option has another name."""

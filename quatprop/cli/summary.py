@@ -10,7 +10,7 @@ import click
 
 from quatprop.cli.spelling import spelled
 from quatprop.provenance import as_json
-from quatprop.rendering import degrees_text, lines_of, loss_lines, quaternion_text, source_text
+from quatprop.rendering import Row, degrees_text, lines_of, loss_lines, quaternion_text, source_text
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from quatprop.conditioning.static_detection import Rest
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
-    from quatprop.rendering import Row
 
 
 INDENT = 12

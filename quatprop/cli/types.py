@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import sentence
-from quatprop.settings.parsers import choice_named
+from quatprop.settings.parsers import Parser, choice_named
 from quatprop.text import did_you_mean
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
-
-    from quatprop.settings.parsers import Parser
 
     ParamType = click.ParamType[Any]
     Choice = click.Choice[str]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.trials import ClockError, RateRatio
+from quatprop.comparison.trials import ClockError, RateRatio, Trial
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, Text
 from quatprop.times import NS_PER_S, duration_text
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.comparison.trials import Trial
 
 MISREADINGS = {
     "conjugate": (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal, TypedDict, Unpack, get_type_hints
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import Choice, duration, length, number
+from quatprop.settings.parsers import Choice, Parser, duration, length, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
@@ -15,7 +15,6 @@ from quatprop.text import Setting, quoted, shown
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.settings.parsers import Parser
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Which frames of B are rotated before the comparison."""

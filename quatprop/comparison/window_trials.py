@@ -8,13 +8,12 @@ import numpy as np
 
 from quatprop.comparison.hypotheses import EXACT
 from quatprop.comparison.trials import ClockError, RateRatio, Trial, size
-from quatprop.comparison.windows import MISREADINGS
+from quatprop.comparison.windows import MISREADINGS, Angles
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from quatprop.arrays import Float64
-    from quatprop.comparison.windows import Angles
 
 
 NO_DIFFERENCE = 1e-9

@@ -16,12 +16,11 @@ import threading
 import time
 import traceback
 from collections import Counter
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-    from multiprocessing.connection import Connection
     from types import FrameType
 
 Item = TypeVar("Item")

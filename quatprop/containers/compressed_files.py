@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from quatprop.containers.compression import CompressionError, decompressed_pieces
 from quatprop.containers.limits import decompressed_limit, too_large
@@ -11,7 +11,6 @@ from quatprop.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from typing import Self
 
 _MAGIC = {
     b"\x28\xb5\x2f\xfd": "zstd",

@@ -6,14 +6,13 @@ import os
 import stat
 import threading
 import weakref
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from quatprop.errors import UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from typing import Self
 
     import numpy as np
     from numpy.typing import NDArray

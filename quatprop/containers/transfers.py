@@ -6,7 +6,7 @@ import shutil
 import threading
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.containers.stores import (
@@ -23,7 +23,6 @@ from quatprop.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
-    from pathlib import Path
 
     from quatprop.containers.compression import Buffer
 

@@ -11,7 +11,7 @@ from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.writers import holds_covariances, open_table
-from quatprop.writers.attitudes import ColumnTable
+from quatprop.writers.attitudes import AttitudeWriter, ColumnTable
 from quatprop.writers.formats import WRITERS, format_remarks
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from quatprop.conversion.job import Conversion
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
-    from quatprop.writers.attitudes import AttitudeWriter
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:

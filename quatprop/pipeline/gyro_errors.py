@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from quatprop.errors import UsageError
-from quatprop.kinematics.uncertainty import SensorErrors
+from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.settings.parsers import number
 from quatprop.settings.yaml_file import read_yaml, unusable
 from quatprop.text import Setting, listed
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conditioning.static_detection import Rest
-    from quatprop.kinematics.uncertainty import ErrorGrowth
 
 IMU_KEYS: Final = {
     "gyroscope_noise_density": "noise_density",

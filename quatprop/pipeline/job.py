@@ -14,7 +14,7 @@ from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
-from quatprop.pipeline.report import ReportFile, digests_of_inputs
+from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.signals.rates import choose_rates
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.pipeline.attitude_stream import Observer
-    from quatprop.pipeline.report import RunReport
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
 

@@ -18,9 +18,9 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.signals.sensor_frames import sensor_frames
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, Text, listed
 from quatprop.times import utc_text
 
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import RateSignal
-    from quatprop.tables.base import AnyLog
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import conjugate, rotate
-from quatprop.kinematics.resample import at_times
+from quatprop.kinematics.resample import Times, at_times
 from quatprop.kinematics.sensitivity import Sensitivity
-from quatprop.kinematics.uncertainty import ErrorGrowth
+from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.kinematics.resample import Times
-    from quatprop.kinematics.uncertainty import SensorErrors
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Timeline
 

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from quatprop.containers.stores import without_secret
 from quatprop.errors import OutputError
 from quatprop.pipeline.report import digest_of_input
 from quatprop.plot.draw import render, require_matplotlib
-from quatprop.plot.figure import STYLE
-from quatprop.plot.page import html
+from quatprop.plot.figure import STYLE, Style
+from quatprop.plot.page import Page, html
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from typing import Self
 
-    from quatprop.plot.figure import Style
-    from quatprop.plot.page import Page
     from quatprop.rendering import Row
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}

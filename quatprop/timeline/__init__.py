@@ -17,14 +17,13 @@ from quatprop.blocks import reblock
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.text import Setting
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks, cause_of_step
+from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks, cause_of_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64, Intp
-    from quatprop.timeline.stamps import Policy
 
     Kept: TypeAlias = tuple[GyroSeries, Intp | None]
     """A batch, and which samples of what was read it holds; None: all."""

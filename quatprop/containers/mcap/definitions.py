@@ -13,14 +13,13 @@ from quatprop.containers.base import Channel
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
-from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, RegionError, load
+from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, RegionError, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.regions import ChunkHead, Region
 
 IDS = 1 << 16
 """Ids that the records of one part can have."""

@@ -33,7 +33,7 @@ from quatprop.containers.mcap.regions import (
     head_of,
 )
 from quatprop.containers.mcap.resync import CHUNKS, RECORDS, next_record
-from quatprop.containers.mcap.summary import MAGIC, Summary, read_footer, read_summary
+from quatprop.containers.mcap.summary import MAGIC, McapIndex, Summary, read_footer, read_summary
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.regions import ChunkHead
-    from quatprop.containers.mcap.summary import McapIndex
 
 UNDEFINED = "no record defines it"
 """Why the messages of a channel are lost."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.containers.mcap.definitions import IDS
-from quatprop.containers.mcap.regions import MESSAGE, RegionError
+from quatprop.containers.mcap.regions import MESSAGE, Region, RegionError
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.mcap.messages import LocatedMessages
-    from quatprop.containers.mcap.regions import Region
 
 
 class DefinitionCheck:

@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.containers.byte_ranges import GAP, ranges_of, ranges_worth_reading
 from quatprop.containers.mcap.messages import index_of, indexed_offsets
-from quatprop.containers.mcap.regions import RECORD, Loaded, head_of
+from quatprop.containers.mcap.regions import RECORD, Loaded, Region, head_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.redefinitions import DefinitionCheck
-    from quatprop.containers.mcap.regions import Region
 
 
 def selected_messages(

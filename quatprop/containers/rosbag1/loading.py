@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import MessageBlock
+from quatprop.containers.base import Losses, MessageBlock
 from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import CompressionError
@@ -26,7 +26,6 @@ from quatprop.containers.rosbag1.selected import selected_messages
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Losses
     from quatprop.containers.rosbag1.records import Record, RecordFile
 
 

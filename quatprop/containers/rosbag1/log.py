@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, by_topic
+from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader
@@ -22,7 +22,6 @@ from quatprop.text import Setting, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.containers.base import MessageBlock
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"

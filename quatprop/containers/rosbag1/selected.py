@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
-from quatprop.containers.rosbag1.index import ChunkRecords, index_reader, offsets_of
+from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, index_reader, offsets_of
 
 if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
-    from quatprop.containers.rosbag1.index import BagChunk
     from quatprop.containers.rosbag1.records import Record, RecordFile
 
 

@@ -11,7 +11,7 @@ from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, 
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
-from quatprop.containers.rosbag2.fetches import ROWS, combined, fetch_of, fetched, next_group
+from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
     files_beside,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from apsw import SQLiteValue
-
-    from quatprop.containers.rosbag2.fetches import Fetch
 
 
 EVERY_TIME = TimeRange(-LATEST, LATEST)

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Losses
+from quatprop.containers.base import Channel, Losses, MessageLog
 from quatprop.errors import UnsupportedLogError
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import Channel, MessageLog
     from quatprop.containers.compressed_files import DecompressedCopy
     from quatprop.provenance import JsonObject
 
