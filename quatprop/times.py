@@ -6,10 +6,9 @@ Everything goes through integers and decimals: a float second at epoch 1.7e9 is 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.errors import UsageError
 from quatprop.text import quoted
@@ -35,10 +34,8 @@ NS_PER_UNIT = {
 }
 """Nanoseconds in each unit of a duration."""
 
-_PART = re.compile(r"(\d+(?:\.\d*)?|\.\d+)(ns|us|ms|s|m|h)")
-_RFC3339 = re.compile(
-    r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)", re.ASCII
-)
+_PART = r"(\d+(?:\.\d*)?|\.\d+)(ns|us|ms|s|m|h)"
+_RFC3339 = r"(?a)(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)"
 
 
 def duration_ns(text: str) -> int:
@@ -54,7 +51,7 @@ def duration_ns(text: str) -> int:
     >>> duration_ns("1m30s")
     90000000000
     """
-    parts = _PART.findall(text)
+    parts = re.findall(_PART, text)
     if not parts or "".join(number + unit for number, unit in parts) != text:
         raise UsageError(
             f"{quoted(text)} is not a duration; write a number with a unit, "
@@ -154,8 +151,7 @@ def regular_count(elapsed_ns: int, rate: Fraction) -> int:
     return max(0, last + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class Instant:
+class Instant(NamedTuple):
     """A point in time, absolute or relative to an end of the log.
 
     Parameters
@@ -196,7 +192,7 @@ def instant(text: str) -> Instant:
     """
     if text.isdecimal():
         return Instant(int(text), "clock")
-    if match := _RFC3339.fullmatch(text):
+    if match := re.fullmatch(_RFC3339, text):
         return Instant(_rfc3339_ns(text, match), "clock")
     try:
         if text.startswith("-"):

@@ -136,7 +136,7 @@ def write(
     sigma = "body" if series.covariance is not None and WRITERS[kind].columns else None
     if isinstance(series, PropagatedSeries):
         report = series.report
-        convention = replace(report.convention, layout=order)
+        convention = report.convention._replace(layout=order)
         provenance = replace(report, convention=convention).as_json()
         if sigma and report.uncertainty is not None:
             sigma = report.uncertainty.columns_axes or sigma

@@ -79,7 +79,7 @@ def by_topic(channels: Iterable[Channel]) -> list[Channel]:
     return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MessageBlock:
     """Messages of one channel in one buffer, usually a chunk.
 

@@ -113,7 +113,7 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
         self.source.close()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ChunkContent:
     """What was loaded of a chunk.
 

@@ -21,7 +21,7 @@ MAX_UNPACKED = "QUATPROP_MAX_UNPACKED"
 
 _LEAST = 2 << 30
 _TIMES = 200
-_BYTES = re.compile(r"(\d{1,18})\s*([KMGT]?)I?B?", re.IGNORECASE)
+_BYTES = r"(?i)(\d{1,18})\s*([KMGT]?)I?B?"
 _POWERS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 
 
@@ -83,7 +83,7 @@ def decompressed_limit(size: int) -> int:
     value = os.environ.get(MAX_UNPACKED, "").strip()
     if not value:
         return max(_LEAST, _TIMES * size)
-    number = _BYTES.fullmatch(value)
+    number = re.fullmatch(_BYTES, value)
     if number is None:
         raise UsageError(f"{MAX_UNPACKED} is {quoted(value)}, which is no number of bytes like 64G")
     return int(number[1]) << _POWERS[number[2].upper()]

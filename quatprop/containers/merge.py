@@ -23,7 +23,7 @@ _NEVER = int(np.iinfo(np.int64).max) + 1
 """The bound of a stream that has ended: later than any log time."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Columns:
     """Rows decoded from one block of messages.
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 << 16
 """Bytes of a file that is read as a definition; real ones have a few thousand."""
-_FIELD = re.compile(r"^[ \t]*((?:\w+/)*[A-Z]\w*)(?:\[[^\]\n]*\])?[ \t]+\w+", re.MULTILINE)
+_FIELD = r"(?m)^[ \t]*((?:\w+/)*[A-Z]\w*)(?:\[[^\]\n]*\])?[ \t]+\w+"
 _RULE = "=" * 80
 
 
@@ -56,7 +56,7 @@ class MsgFiles:
         waiting = [type_name]
         while waiting:
             name = waiting.pop()
-            for field in _FIELD.findall(parts[name]):
+            for field in re.findall(_FIELD, parts[name]):
                 package = field.split("/")[0] if "/" in field else name.split("/")[0]
                 inner = f"{package}/msg/{field.split('/')[-1]}"
                 found = None if inner in parts else self._text(inner)

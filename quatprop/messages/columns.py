@@ -42,7 +42,7 @@ class MixedError(Exception):
     """The messages are not all encapsulated like the first."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MessageBytes:
     """Encoded messages of one byte order in one buffer.
 
@@ -115,8 +115,8 @@ class MessageBytes:
         code = "u1" if number.code == "b1" else number.code
         shape: tuple[int, ...] = (len(window),)
         strides: tuple[int, ...] = (step,)
-        if piece.count is not None:
-            shape += (piece.count,)
+        if piece.length is not None:
+            shape += (piece.length,)
             strides += (number.size,)
         stored: AnyArray = np.ndarray(shape, self.order + code, window, piece.offset, strides)
         if number.code == "b1":
@@ -175,8 +175,8 @@ def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns)
         if isinstance(segment.ending, Skip):
             offset = offset + _skipped(segment.ending, counts, offset - messages.origin)
         elif isinstance(segment.ending, Repeat):
-            if segment.ending.count is not None:
-                counts = segment.ending.count
+            if segment.ending.length is not None:
+                counts = segment.ending.length
             offset = _repeated(segment.ending.element, messages, offset, counts)
     return offset
 

@@ -233,7 +233,7 @@ def _windows(pieces: list[Piece]) -> tuple[Window, ...]:
         if not windows or piece.offset > windows[-1].offset + windows[-1].size + MERGE_GAP:
             windows.append(Window(piece.offset, 0, ()))
         last = windows[-1]
-        inside = Piece(piece.column, piece.offset - last.offset, piece.number, piece.count)
+        inside = Piece(piece.column, piece.offset - last.offset, piece.number, piece.length)
         size = max(last.size, inside.end)
         windows[-1] = Window(last.offset, size, (*last.pieces, inside))
     return tuple(windows)

@@ -11,7 +11,6 @@ OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from quatprop.messages.schema import Array, Primitive, Struct, Type
@@ -41,7 +40,6 @@ XCDR1 = Placement(4, 8)
 XCDR2 = Placement(4, 4, delimited=True)
 
 
-@dataclass(frozen=True, slots=True)
 class Extents:
     """Alignments and sizes of the parts of a definition, each computed once.
 
@@ -51,9 +49,10 @@ class Extents:
         The encoding.
     """
 
-    placement: Placement
-    _alignments: dict[Type, int] = field(default_factory=dict)
-    _sizes: dict[tuple[Type, int], int] = field(default_factory=dict)
+    def __init__(self, placement: Placement) -> None:
+        self.placement = placement
+        self._alignments: dict[Type, int] = {}
+        self._sizes: dict[tuple[Type, int], int] = {}
 
     def alignment(self, kind: Type) -> int:
         """Return the largest alignment in a value of fixed size, or 0 where its size varies."""

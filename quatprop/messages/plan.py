@@ -8,7 +8,6 @@ beginning, and how to move from there to the next. :mod:`quatprop.messages.compi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
@@ -21,8 +20,7 @@ ENCAPSULATION = -2
 """Column number of a :class:`Piece` that is the encapsulation identifier."""
 
 
-@dataclass(frozen=True, slots=True)
-class Piece:
+class Piece(NamedTuple):
     """Numbers within a window.
 
     Parameters
@@ -33,19 +31,19 @@ class Piece:
         Where in the window, bytes.
     number
         Their type.
-    count
+    length
         How many, or None for a single number (which is not a row of one).
     """
 
     column: int
     offset: int
     number: Primitive
-    count: int | None = None
+    length: int | None = None
 
     @property
     def end(self) -> int:
         """Where the piece ends, bytes."""
-        return self.offset + self.number.size * (1 if self.count is None else self.count)
+        return self.offset + self.number.size * (1 if self.length is None else self.length)
 
 
 class Window(NamedTuple):
@@ -82,20 +80,19 @@ class Skip(NamedTuple):
     further: int
 
 
-@dataclass(frozen=True, slots=True)
-class Repeat:
+class Repeat(NamedTuple):
     """Move over elements of varying size, one after another in all messages at once.
 
     Parameters
     ----------
     element
         The plan of one element.
-    count
+    length
         How many there are; None where the message counts them.
     """
 
     element: Plan
-    count: int | None
+    length: int | None
 
 
 class Segment(NamedTuple):

@@ -44,7 +44,7 @@ MESSAGE_OF_TOPIC: Mapping[str, str] = {
 }
 """Topics with the message of another topic, as the TOPICS lines of PX4 declare."""
 
-_FIELD = re.compile(r"([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)", re.ASCII)
+_FIELD = r"(?a)([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)"
 
 
 def px4_name(name: str) -> str:
@@ -91,7 +91,7 @@ def message_type(channel: Channel) -> Struct:
 def _fields(name: str, texts: Mapping[str, str]) -> Fields:
     """Yield name and type of each field in the definition of a type."""
     for text in filter(None, texts[name].split(";")):
-        match = _FIELD.fullmatch(text.strip())
+        match = re.fullmatch(_FIELD, text.strip())
         if match is None:
             raise BadDefinitionError(
                 f"the definition of {quoted(name)} has a field that cannot be read: {quoted(text)}"

@@ -82,8 +82,7 @@ def digest_of_input(path: str) -> Digest:
     return digest_of_object(path) if is_address(path) else digest_of(path)
 
 
-@dataclass(frozen=True, slots=True)
-class ConventionReport:
+class ConventionReport(NamedTuple):
     """What the numbers mean.
 
     Parameters
@@ -112,11 +111,11 @@ class ConventionReport:
     layout: str | None
     q0_wxyz: NDArray[np.float64]
     q0_from: str
-    quaternion: str = field(default="w + x i + y j + z k", init=False)
-    product: str = field(default=CONVENTION["product"], init=False)
-    attitude: str = field(default=CONVENTION["attitude"], init=False)
-    step: str = field(default=CONVENTION["step"], init=False)
-    time: str = field(default="int64 nanoseconds", init=False)
+    quaternion: str = "w + x i + y j + z k"
+    product: str = CONVENTION["product"]
+    attitude: str = CONVENTION["attitude"]
+    step: str = CONVENTION["step"]
+    time: str = "int64 nanoseconds"
 
     @property
     def side(self) -> str:
@@ -168,7 +167,7 @@ class ResultReport(NamedTuple):
     path_angle_rad: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
     """What was read, done, counted and lost in one run.
 

@@ -220,7 +220,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         ),
         q0=_initial_attitude(values),
         conditioning=Conditioning(
-            bias=bias if isinstance(bias, tuple) else None,
+            bias=None if isinstance(bias, str | StaticBias) else bias,
             bias_from=bias if isinstance(bias, str) else None,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
             rates=values.get("rates", "body"),

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, NamedTuple, TypeAlias, TypeGuard
 
 from quatprop.errors import UsageError
 from quatprop.text import did_you_mean, listed, shown
@@ -40,8 +39,7 @@ MIN_FREQUENCY = Decimal("1e-9")
 """Hz: an interval of 31 years."""
 
 
-@dataclass(frozen=True, slots=True)
-class StaticBias:
+class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
     Parameters

@@ -73,7 +73,7 @@ RATE_WALKS = {
 RATIOS = {"ppm": 1e-6, "%": 1e-2}
 """The ratio that each unit is."""
 
-_QUANTITY = re.compile(r"((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)", re.ASCII)
+_QUANTITY = r"(?a)((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)"
 
 PER_INCH = {"mm": 25.4, "cm": 2.54, "in": 1.0}
 SMALLEST_IN, LARGEST_IN = 1.0, 100.0
@@ -96,7 +96,7 @@ def quantity(value: object, units: Mapping[str, float], noun: str, examples: str
         if (parsed := number(value)) < 0:
             raise UsageError(f"{shown(value)} is below 0")
         return parsed
-    match = _QUANTITY.fullmatch(str(value).strip())
+    match = re.fullmatch(_QUANTITY, str(value).strip())
     if not match or match[2] not in units or math.isinf(float(match[1])):
         sentence = f"{shown(value)} is not {noun}; write a number with its unit, such as"
         raise UsageError(f"{sentence} {examples}")

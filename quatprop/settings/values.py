@@ -92,7 +92,7 @@ def as_text(name: str, value: object, parsed: object) -> str | bool:
     """
     if isinstance(value, str | bool):
         return value
-    if isinstance(parsed, tuple):
+    if type(parsed) is tuple:
         return ",".join(map(str, parsed))
     if name == "scale_sigma" and isinstance(parsed, float):
         return f"{parsed * 1e6}ppm"

@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from quatprop.messages.message_types import SignalFields
     from quatprop.signals.signal import AttitudeSignal, RateSignal
 
-_ACCELERATION = re.compile(
-    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
-    r"accelerometer_m_s2\[?|a)(?P<axis>[xyz012])\]?",
-    re.IGNORECASE,
+_ACCELERATION = (
+    r"(?i)(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
+    r"accelerometer_m_s2\[?|a)(?P<axis>[xyz012])\]?"
 )
 """Columns of specific force, by their name without a unit."""
 
@@ -126,7 +125,7 @@ def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
 
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):
-        if match := _ACCELERATION.fullmatch(parse_name(name).key):
+        if match := re.fullmatch(_ACCELERATION, parse_name(name).key):
             axes.setdefault("xyz012".index(match["axis"]) % 3, position)
     if len(axes) != 3:  # noqa: PLR2004  # axes
         return None

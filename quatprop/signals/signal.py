@@ -33,7 +33,7 @@ def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
     return iter(())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signal:
     """One series of samples in a log.
 
@@ -62,7 +62,7 @@ class Signal:
     stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RateSignal(Signal):
     """Body rates of a log; takes the parameters of :class:`Signal` too.
 
@@ -137,7 +137,7 @@ class RateSignal(Signal):
         return [remark]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeSignal(Signal):
     """Attitudes of a log; takes the parameters of :class:`Signal` too.
 

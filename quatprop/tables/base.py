@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 from quatprop.containers.base import Log, MessageLog
@@ -55,8 +55,7 @@ class TimedColumns(NamedTuple):
         return (self.time_unit, "ns")[: len(self.time)]
 
 
-@dataclass(frozen=True, slots=True)
-class TableNotes:
+class TableNotes(NamedTuple):
     """What a table declares besides its column names.
 
     Parameters
@@ -75,7 +74,7 @@ class TableNotes:
     """
 
     sample_rate: float | None = None
-    units: Mapping[int, str] = field(default_factory=dict)
+    units: Mapping[int, str] = MappingProxyType({})
     rate_scale: float = 1.0
     title: str = ""
     mount: str = ""

@@ -139,7 +139,7 @@ class RegionError(Exception):
         self.reason = reason
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loaded(ChunkContent):
     """A region that was read.
 
