@@ -88,9 +88,10 @@ def _cosine_and_sine(angle: Float64) -> tuple[Float64, Float64]:
 
 def _series(coefficients: list[float], x: Float64) -> Float64:
     """Return the polynomial with these coefficients, lowest first, by Horner's rule."""
-    *lower, last = coefficients
-    total = np.full_like(x, last)
-    for coefficient in reversed(lower):
-        total *= x
+    lowest, *middle, highest = coefficients
+    total = np.multiply(x, highest, out=np.empty_like(x))
+    for coefficient in reversed(middle):
         total += coefficient
+        total *= x
+    total += lowest
     return total

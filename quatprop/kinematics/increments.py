@@ -171,7 +171,7 @@ def rotation_vectors(
     rule = integration_rule(method)
     if span_ns is not None or (averages and method not in {"start", "mean"}):
         return _integrated(t_ns, rate.T, method, span_ns).T
-    dt = np.diff(t_ns) / NS_PER_S
+    dt = (t_ns[1:] - t_ns[:-1]) / NS_PER_S
     rotvec = rule(rate[:-1].T, rate[1:].T, dt)
     if method == "cubic":
         rotvec += curvature(t_ns, rate.T).rotation(dt)

@@ -109,11 +109,9 @@ def write_rows(pairs: Pairs, rows: Float64) -> None:
     """Write pairs ``(2, n)`` as rows wxyz ``(n, 4)`` of unit length."""
     a, b = pairs
     components = (a.real, a.imag, b.real, b.imag)
-    squares = np.zeros(len(rows))
-    for component in components:
-        squares += np.square(component)
+    ww, xx, yy, zz = map(np.square, components)
     # 1/sqrt(s), where s differs from 1 by rounding errors only.
-    scale = 1.5 - 0.5 * squares
+    scale = 1.5 - 0.5 * (ww + xx + yy + zz)
     for component, column in zip(components, rows.T, strict=True):
         np.multiply(component, scale, out=column)
 
