@@ -62,10 +62,7 @@ def command(**chosen: Any) -> int:
     quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
     with progress(quiet=quiet), _drawing(job, plot) as picture:
-        if picture is None:
-            report = run(job, summary=not quiet)
-        else:
-            report = run(job, picture, summary=not quiet, before_publish=picture.draw)
+        report = run(job, picture, summary=not quiet)
     if not quiet:
         show(summary(report, verbose=verbose), INDENT)
     return 3 if report.data_lost else 0

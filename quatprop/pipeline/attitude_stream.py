@@ -50,6 +50,9 @@ if TYPE_CHECKING:
         def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
             """Yield the attitudes unchanged, at all samples or at the times asked for."""
 
+        def draw(self, report: RunReport) -> None:
+            """Draw what has passed, with the report on it."""
+
 
 class AttitudeStream:
     """Propagates one source of rates.

@@ -54,13 +54,7 @@ class Job(NamedTuple):
     settings: PropagationSettings = PropagationSettings()
 
 
-def run(
-    job: Job,
-    observer: Observer | None = None,
-    *,
-    summary: bool = True,
-    before_publish: Callable[[RunReport], None] = lambda _report: None,
-) -> RunReport:
+def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
     """Propagate one log and write its attitude series.
 
     Parameters
@@ -68,13 +62,11 @@ def run(
     job
         What to do.
     observer
-        Looks at rates and attitudes as they pass.
+        Looks at rates and attitudes as they pass, and at the report when everything is written and
+        nothing is in its place; where it fails, no output is replaced.
     summary
         Whether somebody reads the report that is returned. What is only for a reader, and is kept
         in no file, is not computed otherwise.
-    before_publish
-        Called with the report when everything is written and nothing is in its place; where it
-        fails, no output is replaced.
 
     Returns
     -------
@@ -118,7 +110,8 @@ def run(
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())
-            before_publish(report)
+            if observer is not None:
+                observer.draw(report)
             writer.publish()
             report_file.publish()
     return report
