@@ -83,7 +83,9 @@ OPTIONS = own_options(
     "folder, or a prefix such as s3://bucket/runs.",
 )
 @with_options(OPTIONS)
-def command(names: tuple[str, ...], **options: Any) -> int:
+def command(
+    names: tuple[str, ...], *, folder: str, as_json: bool, quiet: bool, **chosen: Any
+) -> int:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
     Folders, prefixes of object stores and quoted patterns (with **) are searched for logs, and
@@ -94,29 +96,25 @@ def command(names: tuple[str, ...], **options: Any) -> int:
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
     from quatprop.cli.progress import bar, on_terminal
 
-    own = ("folder", "processes", "dask", "skip_existing", "list_file", "root", "shard", "retries")
-    batch = {name: options.pop(name) for name in own}
-    as_json, quiet = options.pop("as_json"), options.pop("quiet")
-    folder = batch["folder"] = without_file_scheme(batch["folder"])
-    if batch["dask"] and batch["processes"]:
+    folder = without_file_scheme(folder)
+    if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
-    of_messages = next(filter(options.get, OF_MESSAGES), None) if options["kind"] is None else None
-    search = _search(names, batch, of_messages)
+    search = _search(names, folder, chosen)
     manifest = manifest_in(folder)
-    suffix = next((s for s in WRITERS[options["to"]].suffixes if s), "")
+    suffix = next((s for s in WRITERS[chosen["to"]].suffixes if s), "")
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     # Whoever propagates a log may do so in another folder.
-    job = propagate.job_of({**options, **paths}, Path.cwd())
+    job = propagate.job_of({**chosen, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
     settings = BatchSettings.of(job, reports=as_json)
-    tasks = outdated(planned, settings, manifest) if batch["skip_existing"] else planned
+    tasks = outdated(planned, settings, manifest) if chosen["skip_existing"] else planned
     skipped = set(planned).difference(tasks)
     lost = with_data_lost(skipped, manifest) if skipped else 0
     if tasks:
         manifest.prepare()
-    with closing(_results(tasks, settings, batch, manifest)) as results:
+    with closing(_results(tasks, settings, chosen, manifest)) as results:
         meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
         shown = _Shown(tasks, meter, quiet=quiet, keeps=as_json)
         with meter:
@@ -136,19 +134,20 @@ def command(names: tuple[str, ...], **options: Any) -> int:
 command.params += SHARED
 
 
-def _search(names: Iterable[str], batch: Mapping[str, Any], of_messages: str | None) -> LogSearch:
+def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.outputs import shard
     from quatprop.containers.stores import without_secret
 
     given = list(names)
-    if batch["list_file"] is not None:
+    if chosen["list_file"] is not None:
         with click.open_file(
-            batch["list_file"], encoding="utf-8", errors="surrogateescape"
+            chosen["list_file"], encoding="utf-8", errors="surrogateescape"
         ) as file:
             given += [name for line in file if (name := line.rstrip("\r\n"))]
-    search = LogSearch(batch["root"], batch["folder"], of_messages)
+    of_messages = next(filter(chosen.get, OF_MESSAGES), None) if chosen["kind"] is None else None
+    search = LogSearch(chosen["root"], folder, of_messages)
     for name in given:
         search.add(name)
     if not search.logs:
@@ -156,21 +155,21 @@ def _search(names: Iterable[str], batch: Mapping[str, Any], of_messages: str | N
         raise click.UsageError(
             f"there are no logs{where}; name files, folders or patterns, or use --list"
         )
-    if batch["shard"]:
-        search.logs = shard(search.logs, batch["shard"])
+    if chosen["shard"]:
+        search.logs = shard(search.logs, chosen["shard"])
     return search
 
 
 def _results(
-    tasks: list[BatchTask], settings: BatchSettings, batch: Mapping[str, Any], manifest: Manifest
+    tasks: list[BatchTask], settings: BatchSettings, chosen: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
     from quatprop.batch.cluster import on_a_cluster
     from quatprop.batch.run import on_this_machine
 
-    if batch["dask"] is not None:
-        return on_a_cluster(tasks, settings, batch["dask"], manifest, batch["retries"])
-    processes = batch["processes"] or os.cpu_count() or 1
-    return on_this_machine(tasks, settings, processes, manifest, batch["retries"])
+    if chosen["dask"] is not None:
+        return on_a_cluster(tasks, settings, chosen["dask"], manifest, chosen["retries"])
+    processes = chosen["processes"] or os.cpu_count() or 1
+    return on_this_machine(tasks, settings, processes, manifest, chosen["retries"])
 
 
 class _Shown:

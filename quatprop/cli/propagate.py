@@ -48,7 +48,7 @@ VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
     [config_option],
     {**REPORT, **PLOT, **QUIET, **VERBOSE},
 )
-def command(**chosen: Any) -> int:
+def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
@@ -59,7 +59,6 @@ def command(**chosen: Any) -> int:
     from quatprop.cli.summary import INDENT, show, summary
     from quatprop.pipeline.job import run
 
-    quiet, verbose, plot = (chosen.pop(name) for name in ("quiet", "verbose", "plot"))
     job = job_of(chosen)
     with progress(quiet=quiet), _drawing(job, plot) as picture:
         report = run(job, picture, summary=not quiet)
