@@ -162,15 +162,6 @@ _ROS_POSE_WITH_COVARIANCE = OrientationField(
 )
 _FOXGLOVE_STAMP = (Stamp.of_time("timestamp"),)
 _FOXGLOVE_POSE = OrientationField("pose.orientation", position="pose.position")
-_FOXGLOVE_TRANSFORM = SignalFields(
-    orientation=OrientationField("rotation", position="translation"), stamps=_FOXGLOVE_STAMP
-)
-_FOXGLOVE_ODOMETRY = SignalFields(
-    rate=RateField(("angular_velocity",), measured=False),
-    orientation=_FOXGLOVE_POSE,
-    stamps=_FOXGLOVE_STAMP,
-)
-_FOXGLOVE_POSE_IN_FRAME = SignalFields(orientation=_FOXGLOVE_POSE, stamps=_FOXGLOVE_STAMP)
 
 TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types that consist of one list of ``geometry_msgs/TransformStamped``."""
@@ -203,12 +194,17 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
         rate=RateField(("twist.twist.angular",), measured=False),
         orientation=_ROS_POSE_WITH_COVARIANCE,
     ),
-    "foxglove.FrameTransform": _FOXGLOVE_TRANSFORM,
-    "foxglove.Odometry": _FOXGLOVE_ODOMETRY,
-    "foxglove.PoseInFrame": _FOXGLOVE_POSE_IN_FRAME,
-    "foxglove_msgs/msg/FrameTransform": _FOXGLOVE_TRANSFORM,
-    "foxglove_msgs/msg/Odometry": _FOXGLOVE_ODOMETRY,
-    "foxglove_msgs/msg/PoseInFrame": _FOXGLOVE_POSE_IN_FRAME,
+    "foxglove_msgs/msg/FrameTransform": SignalFields(
+        orientation=OrientationField("rotation", position="translation"), stamps=_FOXGLOVE_STAMP
+    ),
+    "foxglove_msgs/msg/Odometry": SignalFields(
+        rate=RateField(("angular_velocity",), measured=False),
+        orientation=_FOXGLOVE_POSE,
+        stamps=_FOXGLOVE_STAMP,
+    ),
+    "foxglove_msgs/msg/PoseInFrame": SignalFields(
+        orientation=_FOXGLOVE_POSE, stamps=_FOXGLOVE_STAMP
+    ),
     "px4_msgs/msg/SensorCombined": SignalFields(
         rate=RateField(("gyro_rad",), method="end"),
         acceleration=AccelerationField("accelerometer_m_s2"),
@@ -236,5 +232,6 @@ MESSAGE_TYPES: Mapping[str, SignalFields] = {
 
 
 def fields_of_type(type_name: str) -> SignalFields | None:
-    """Return the row of a type, however ROS spells it; None where there is none."""
-    return MESSAGE_TYPES.get(type_name) or MESSAGE_TYPES.get(ros_name(type_name))
+    """Return the row of a type, however ROS or Foxglove spell it; None where there is none."""
+    name = ros_name(type_name)
+    return MESSAGE_TYPES.get(name.replace("foxglove/", "foxglove_msgs/"))

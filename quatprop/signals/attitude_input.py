@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from quatprop.containers.stores import without_secret
-from quatprop.errors import LogError, NoSamplesError, QuatpropError
+from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection
 from quatprop.series import AttitudeSeries
@@ -17,7 +17,7 @@ from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
-from quatprop.text import Setting, quoted
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -183,12 +183,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
             open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
         )
         signal = choose_attitudes(log, wanted.selection)
-        if signal.placeholder:
-            raise LogError(
-                wanted.path,
-                f"the orientation of {quoted(signal.name)} is the identity in every message: a "
-                f"placeholder, not an attitude; choose another {Setting('topic')}",
-            )
+        signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
         return AttitudeFile(wanted, log, signal, stack.pop_all())
 
 

@@ -166,12 +166,7 @@ def first_orientation(
             f"the messages of {quoted(source.name)}, which carry the rates, carry no orientation; "
             f"give another {Setting('q0')}, such as a file of attitudes that convert wrote",
         ) from None
-    if signal.placeholder:
-        raise LogError(
-            log.path,
-            f"the orientation of {quoted(signal.name)} is the identity in every message: a "
-            f"placeholder, not an attitude; give another {Setting('q0')}",
-        )
+    signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
     batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
     try:
         return attitude_in(batches, t_ns, log.path)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
+from quatprop.errors import LogError
+from quatprop.text import Text, quoted
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
@@ -14,7 +18,6 @@ if TYPE_CHECKING:
     from quatprop.conventions import Meaning
     from quatprop.provenance import JsonObject
     from quatprop.series import GyroSeries
-    from quatprop.text import Text
 
     Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
 
@@ -184,3 +187,12 @@ class AttitudeSignal(Signal):
     def rows(self) -> Iterator[tuple[Int64, Float64]]:
         """Read stamps and quaternions alone."""
         return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
+
+    def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
+        """Refuse an orientation that was never set, in a log at a path."""
+        if self.placeholder:
+            raise LogError(
+                path,
+                f"the orientation of {quoted(self.name)} is the identity in every message: a "
+                f"placeholder, not an attitude; {way_out}",
+            )
