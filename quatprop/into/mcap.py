@@ -12,7 +12,7 @@ from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
 from quatprop.writers.mcap.file import McapFile, finish_with_provenance
-from quatprop.writers.messages.encoders import attitude_encoder
+from quatprop.writers.messages.kinds import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

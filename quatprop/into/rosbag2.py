@@ -19,7 +19,7 @@ from quatprop.into.rosbag2_metadata import Added, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.messages.encoders import attitude_encoder
+from quatprop.writers.messages.kinds import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

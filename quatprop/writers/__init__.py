@@ -91,8 +91,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
         columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
         table = _open_columns(target, kind, sum(columns, ()), comment=comment)
         return AttitudeTable(table, order, sigma, form)
-    from quatprop.writers.messages.encoders import attitude_encoder
-    from quatprop.writers.messages.kinds import Message
+    from quatprop.writers.messages.kinds import Message, attitude_encoder
 
     _refuse_comment(kind, comment=comment)
     _refuse_stdout(target, kind)

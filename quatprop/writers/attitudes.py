@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.writers.messages.encoders import AttitudeEncoder
+    from quatprop.writers.messages.kinds import AttitudeEncoder
 
 
 class AttitudeWriter(Transaction):

@@ -13,8 +13,7 @@ from table import Table, median_of
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.messages.encoders import attitude_encoder
-from quatprop.writers.messages.kinds import Message
+from quatprop.writers.messages.kinds import Message, attitude_encoder
 
 BATCH = 1 << 16
 NUMBERS = count()

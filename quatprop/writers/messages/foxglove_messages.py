@@ -147,7 +147,7 @@ _VARINT_BYTES = 5
 
 
 class FoxgloveEncoder:
-    """Encodes attitudes as one of Foxglove's own messages; see :class:`.encoders.AttitudeEncoder`.
+    """Encodes attitudes as one of Foxglove's own messages; see :class:`.ros_messages.RosEncoder`.
 
     Parameters
     ----------
