@@ -27,7 +27,7 @@ from quatprop.text import Setting
 from quatprop.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
-from quatprop.writers.messages.kinds import attitude_encoder
+from quatprop.writers.messages.kinds import Message, attitude_encoder
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile
 from quatprop.writers.targets import refuse_streams
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64, Records
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
-    from quatprop.writers.messages.kinds import Message
 
     Indexes = dict[int, Records]
 

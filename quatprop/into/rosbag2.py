@@ -19,7 +19,7 @@ from quatprop.into.rosbag2_metadata import Added, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.messages.kinds import attitude_encoder
+from quatprop.writers.messages.kinds import Message, attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64, Records
     from quatprop.containers.base import MessageLog
-    from quatprop.writers.messages.kinds import Message
 
 
 _LATEST = int(np.iinfo(np.int64).max)

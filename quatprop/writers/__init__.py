@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, did_you_mean, listed, quoted
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
+from quatprop.writers.messages.kinds import MESSAGES, Message, attitude_encoder
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
     from quatprop.writers.attitudes import AttitudeWriter
     from quatprop.writers.base import MessageWriter, TableWriter
-    from quatprop.writers.messages.kinds import Message
     from quatprop.writers.messages.topics import Topic
 
 
@@ -91,7 +91,6 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
         columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
         table = _open_columns(target, kind, sum(columns, ()), comment=comment)
         return AttitudeTable(table, order, sigma, form)
-    from quatprop.writers.messages.kinds import Message, attitude_encoder
 
     _refuse_comment(kind, comment=comment)
     _refuse_stdout(target, kind)
@@ -107,8 +106,6 @@ def holds_covariances(kind: str, message: Message | None) -> bool:
     kind, message
         As for :func:`refuse_columns`.
     """
-    from quatprop.writers.messages.kinds import Message
-
     chosen = WRITERS[kind]
     has_covariance = (message or Message()).definition.has_covariance
     return bool(chosen.columns or (chosen.encodings and has_covariance))
@@ -134,7 +131,6 @@ def refuse_columns(
     if beside is None and sigma is None:
         return
     from quatprop.conventions.representations import REPRESENTATIONS
-    from quatprop.writers.messages.kinds import MESSAGES, Message
 
     chosen = WRITERS[kind]
     tables = listed(name for name, form in WRITERS.items() if form.columns)
