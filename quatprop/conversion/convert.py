@@ -94,7 +94,7 @@ def _written(
         columns = job.columns(sigma)
         lost = remarks_on(
             job,
-            getattr(target, "locked_rows", 0),
+            target.locked_rows,
             positions_lost=source.has_positions and not keeps,
             sigma_lost=stored is not None and sigma is None,
             lost_columns=[name for name in source.rotation_columns if name not in columns],

@@ -11,7 +11,7 @@ from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.text import Setting, Text, listed, quoted
 from quatprop.writers import holds_covariances, open_table
-from quatprop.writers.attitudes import AttitudeWriter, ColumnTable
+from quatprop.writers.attitudes import AttitudeWriter, column_table
 from quatprop.writers.formats import WRITERS, format_remarks
 
 if TYPE_CHECKING:
@@ -54,12 +54,12 @@ def open_destination(
         _refuse_other_conventions(job)
     table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
     if job.representation in RATES:
-        return ColumnTable(table, lambda series: series.rate)
+        return column_table(table, lambda series: series.rate)
     if job.representation in REPRESENTATIONS:
         form = REPRESENTATIONS[job.representation]
-        return ColumnTable(table, lambda series: form.values(series.wxyz), form.locked)
+        return column_table(table, lambda series: form.values(series.wxyz), form.locked)
     order = list(job.layout.order)
-    return ColumnTable(table, lambda series: series.wxyz[:, order])
+    return column_table(table, lambda series: series.wxyz[:, order])
 
 
 def _refuse_other_conventions(job: Conversion) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns
-from quatprop.writers.attitudes import AttitudeMessages, AttitudeWriter
+from quatprop.writers.attitudes import AttitudeWriter, attitude_messages
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.targets import is_stdout
@@ -133,7 +133,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
     container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
-    return AttitudeMessages(container, container.encoder, target, LogTimes(stamps()).at)
+    return attitude_messages(container, container.encoder, target, LogTimes(stamps()).at)
 
 
 class LogTimes:

@@ -20,7 +20,7 @@ from quatprop.simulate.gyroscope import Gyroscope, record
 from quatprop.simulate.motion import Shape, motion_named
 from quatprop.text import listed, quoted
 from quatprop.writers import open_messages, open_table, open_writer
-from quatprop.writers.attitudes import AttitudeMessages, AttitudeWriter, ColumnTable
+from quatprop.writers.attitudes import AttitudeWriter, attitude_messages, column_table
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS, kind_of
 from quatprop.writers.messages.kinds import Message
 from quatprop.writers.messages.ros_messages import ABSENT, RosEncoder
@@ -226,8 +226,8 @@ def open_log_writer(
             f"choose {listed(compressions)}"
         )
     if WRITERS[kind].columns:
-        return ColumnTable(open_table(target, RATE_COLUMNS, kind), lambda series: series.rate)
+        return column_table(open_table(target, RATE_COLUMNS, kind), lambda series: series.rate)
     encoder = ImuEncoder(deviation, ros1="ros1" in WRITERS[kind].encodings)
     compression = compression or DEFAULT_COMPRESSIONS.get(kind)
     container = open_messages(target, kind, encoder.topic, compression)
-    return AttitudeMessages(container, encoder, target, arrival_ns)
+    return attitude_messages(container, encoder, target, arrival_ns)

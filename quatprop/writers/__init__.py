@@ -78,7 +78,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     """
     from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.series import SIGMA_COLUMNS
-    from quatprop.writers.attitudes import AttitudeMessages, AttitudeTable
+    from quatprop.writers.attitudes import attitude_messages, attitude_table
 
     kind = kind_of(target, kind)
     chosen = WRITERS[kind]
@@ -90,12 +90,12 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
         form = REPRESENTATIONS[beside] if beside else None
         columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
         table = _open_columns(target, kind, sum(columns, ()), comment=comment)
-        return AttitudeTable(table, order, sigma, form)
+        return attitude_table(table, order, sigma, form)
 
     _refuse_comment(kind, comment=comment)
     _refuse_stdout(target, kind)
     encoder = attitude_encoder(message or Message(), chosen.encodings)
-    return AttitudeMessages(open_messages(target, kind, encoder.topic), encoder, target)
+    return attitude_messages(open_messages(target, kind, encoder.topic), encoder, target)
 
 
 def holds_covariances(kind: str, message: Message | None) -> bool:

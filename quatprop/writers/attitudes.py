@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,11 +12,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import AnyArray, Float64, Int64, Records
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.writers.messages.kinds import AttitudeEncoder
+
+    Columns = tuple[Int64, list[AnyArray]]
 
 
 class AttitudeWriter(Transaction):
@@ -27,21 +28,32 @@ class AttitudeWriter(Transaction):
     ----------
     file
         The file whose rows or messages they become, and with which they are committed.
+    rows
+        Returns what a batch becomes: stamps in ns, and columns or messages.
+    holds_positions
+        Whether positions are written too; where a batch has none, they are zero.
 
     Attributes
     ----------
-    holds_positions
-        Whether positions are written too; where a batch has none, they are zero.
+    locked_rows
+        In how many rows the angles that are written are not unique.
     """
 
-    holds_positions = False
-
-    def __init__(self, file: Transaction) -> None:
+    def __init__(
+        self,
+        file: TableWriter | MessageWriter,
+        rows: Callable[[Any], tuple[Int64, Any]],
+        *,
+        holds_positions: bool = False,
+    ) -> None:
         self._file = file
+        self._rows = rows
+        self.holds_positions = holds_positions
+        self.locked_rows = 0
 
-    @abstractmethod
-    def write(self, series: AttitudeSeries) -> None:
+    def write(self, series: AttitudeSeries | GyroSeries) -> None:
         """Append a batch; see :meth:`TableWriter.write` for the errors."""
+        self._file.write(*self._rows(series))
 
     def finish(self, provenance: Mapping[str, object]) -> None:
         """Write the file to its end."""
@@ -56,8 +68,13 @@ class AttitudeWriter(Transaction):
         self._file.abort()
 
 
-class AttitudeTable(AttitudeWriter):
-    """Attitudes as a table: stamps, four components in the order of a layout, and more columns.
+def attitude_table(
+    table: TableWriter,
+    layout: Layout,
+    sigma: str | None = None,
+    form: Representation | None = None,
+) -> AttitudeWriter:
+    """Return a writer of attitudes as a table: stamps, four components, and more columns.
 
     Parameters
     ----------
@@ -71,37 +88,30 @@ class AttitudeTable(AttitudeWriter):
         What else to write of each attitude, such as its angles; None for nothing.
     """
 
-    def __init__(
-        self,
-        table: TableWriter,
-        layout: Layout,
-        sigma: str | None = None,
-        form: Representation | None = None,
-    ) -> None:
-        super().__init__(table)
-        self._table = table
-        self._order, self._sigma, self._form = layout.order, sigma, form
-        self.holds_positions = table.holds_positions
-
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch."""
-        columns = [series.wxyz[:, component] for component in self._order]
-        if self.holds_positions and series.position is not None:
+    def columns(series: AttitudeSeries) -> Columns:
+        columns = [series.wxyz[:, component] for component in layout.order]
+        if table.holds_positions and series.position is not None:
             columns += list(series.position.T)
-        if self._form is not None:
-            columns += map(np.ascontiguousarray, self._form.values(series.wxyz).T)
-        if self._sigma is not None and series.covariance is not None:
+        if form is not None:
+            columns += map(np.ascontiguousarray, form.values(series.wxyz).T)
+        if sigma is not None and series.covariance is not None:
             covariance = series.covariance
-            if self._sigma == "reference":
+            if sigma == "reference":
                 from quatprop.kinematics.uncertainty import reference_covariance
 
                 covariance = reference_covariance(series.wxyz, covariance)
             columns += [np.sqrt(covariance[:, axis, axis]) for axis in range(3)]
-        self._table.write(series.t_ns, columns)
+        return series.t_ns, columns
+
+    return AttitudeWriter(table, columns, holds_positions=table.holds_positions)
 
 
-class ColumnTable(AttitudeWriter):
-    """Series as a table of numbers that are made of them.
+def column_table(
+    table: TableWriter,
+    values: Callable[[Any], Float64],
+    locked: Callable[[Float64], int] = lambda _values: 0,
+) -> AttitudeWriter:
+    """Return a writer of series as a table of numbers that are made of them.
 
     Parameters
     ----------
@@ -111,32 +121,24 @@ class ColumnTable(AttitudeWriter):
         Returns the columns of a series, shape ``(N, k)``.
     locked
         Returns in how many rows of columns the angles are not unique.
-
-    Attributes
-    ----------
-    locked_rows
-        How many there were.
     """
 
-    def __init__(
-        self,
-        table: TableWriter,
-        values: Callable[[Any], Float64],
-        locked: Callable[[Float64], int] = lambda _values: 0,
-    ) -> None:
-        super().__init__(table)
-        self._table, self._values, self._locked = table, values, locked
-        self.locked_rows = 0
+    def columns(series: AttitudeSeries | GyroSeries) -> Columns:
+        numbers = values(series)
+        writer.locked_rows += locked(numbers)
+        return series.t_ns, [np.ascontiguousarray(column) for column in numbers.T]
 
-    def write(self, series: AttitudeSeries | GyroSeries) -> None:
-        """Append a batch."""
-        values = self._values(series)
-        self._table.write(series.t_ns, [np.ascontiguousarray(column) for column in values.T])
-        self.locked_rows += self._locked(values)
+    writer = AttitudeWriter(table, columns)
+    return writer
 
 
-class AttitudeMessages(AttitudeWriter):
-    """Attitudes as messages.
+def attitude_messages(
+    container: MessageWriter,
+    encoder: AttitudeEncoder,
+    target: Path | str,
+    log_times: Callable[[Int64], Int64] = lambda t_ns: t_ns,
+) -> AttitudeWriter:
+    """Return a writer of attitudes as messages.
 
     Parameters
     ----------
@@ -147,25 +149,11 @@ class AttitudeMessages(AttitudeWriter):
     target
         The file, for errors.
     log_times
-        Returns when attitudes are logged, given their stamps, ns; None is at their stamps.
+        Returns when attitudes are logged, given their stamps, ns.
     """
 
-    def __init__(
-        self,
-        container: MessageWriter,
-        encoder: AttitudeEncoder,
-        target: Path | str,
-        log_times: Callable[[Int64], Int64] | None = None,
-    ) -> None:
-        super().__init__(container)
-        self._container = container
-        self._encoder = encoder
-        self._target = target
-        self._log_times = log_times
-        self.holds_positions = encoder.holds_positions
+    def messages(series: AttitudeSeries) -> tuple[Int64, Records]:
+        encoded = encoder.encode(series, target)
+        return log_times(series.t_ns), encoded
 
-    def write(self, series: AttitudeSeries) -> None:
-        """Append a batch."""
-        messages = self._encoder.encode(series, self._target)
-        t_ns = series.t_ns
-        self._container.write(t_ns if self._log_times is None else self._log_times(t_ns), messages)
+    return AttitudeWriter(container, messages, holds_positions=encoder.holds_positions)
