@@ -538,8 +538,8 @@ def test_dates_that_may_be_read_in_several_ways_are_refused(cell):
     with pytest.raises(UnsupportedLogError) as caught:
         read(text.encode(), rate_unit="rad/s")
     assert str(caught.value) == (
-        "-: 'time' holds dates that are not of ISO 8601; write them as 2023-11-14T22:13:20.5, or "
-        "count rows at a steady rate with sample_rate='HZ'"
+        "-: 'time' holds dates that are not of ISO 8601; write them as 2023-11-14T22:13:20.5, name "
+        "another column with time_col='C', or count rows at a steady rate with sample_rate='HZ'"
     )
 
 

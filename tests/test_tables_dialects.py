@@ -439,6 +439,25 @@ def test_a_topic_is_refused():
         chosen("t_ns,wx,wy,wz", topic="/imu")
 
 
+@pytest.mark.parametrize(
+    ("names", "time_col"),
+    [
+        ("sec,usec", None),
+        ("stamp.secs,stamp.usecs", None),
+        ("tv_sec,tv_usec", "tv_sec"),
+        ("tv_sec,tv_usec", "tv_sec,tv_usec"),
+        ("t_sec,micros", "t_sec,micros"),
+    ],
+)
+def test_microseconds_beside_seconds_are_microseconds(tmp_path, names, time_col):
+    """As the time functions of C have them; the second part of a stamp need not be in ns."""
+    path = tmp_path / "log.csv"
+    rows = "".join(f"1700000000,{10_000 * k},1,2,3\n" for k in range(3))
+    path.write_text(f"{names},gx_dps,gy_dps,gz_dps\n{rows}")
+    rates = read_rates(path, time_col=time_col)
+    assert (rates.t_ns - 1_700_000_000 * 10**9).tolist() == [0, 10_000_000, 20_000_000]
+
+
 @pytest.mark.parametrize("mark", ["covariance0", "covariance[0]", "covariance.0"])
 def test_rates_that_a_covariance_marks_as_absent_are_not_used(tmp_path, mark):
     """As in the message that became the row: there is no gyroscope, whatever stands in it."""

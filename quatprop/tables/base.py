@@ -33,14 +33,16 @@ class TimedColumns(NamedTuple):
     numbers
         Positions of the columns of numbers.
     time
-        Positions of the time column; of seconds and nanoseconds where they are two; empty where
-        rows are counted at `sample_rate`.
+        Positions of the time column; of seconds and their fraction where they are two; empty
+        where rows are counted at `sample_rate`.
     time_unit
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
     sample_rate
         Rows a second, Hz, where there is no time column.
     parts
         Which of the parts of :meth:`TableLog.spans` to read; None for all.
+    fraction_unit
+        The unit of the second of two time columns.
     """
 
     numbers: tuple[int, ...]
@@ -48,11 +50,12 @@ class TimedColumns(NamedTuple):
     time_unit: str = "ns"
     sample_rate: Fraction | float | None = None
     parts: frozenset[int] | None = None
+    fraction_unit: str = "ns"
 
     @property
     def units(self) -> tuple[str, ...]:
         """The unit of each time column."""
-        return (self.time_unit, "ns")[: len(self.time)]
+        return (self.time_unit, self.fraction_unit)[: len(self.time)]
 
 
 class TableNotes(NamedTuple):

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 _INSTANT = r"(?!.*(?:period|delta|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns that may be the time where a unit says that they are one."""
 
+_MICROSECONDS = r"(?:(?:micro|u)secs?|micro(?:second)?s|us)"
+
 
 class ColumnMatcher(TableColumns):
     """Finds the columns of one quantity in a table.
@@ -161,16 +163,19 @@ class ColumnMatcher(TableColumns):
         if any(self.notes.units.get(k) == OTHER_DATES for k in time):
             raise UnsupportedLogError(
                 self.path,
-                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, or "
-                f"count rows at a steady rate with {Setting('sample_rate', 'HZ')}",
+                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, "
+                f"name another column with {Setting('time_col', 'C')}, or count rows at a steady "
+                f"rate with {Setting('sample_rate', 'HZ')}",
             )
-        unit = "ns"
+        unit = fraction_unit = "ns"
         if len(time) == 1:
             by_convention = any(time[0] in self.matching(pattern) for pattern in dialect.time)
             convention = dialect.time_unit if by_convention else ""
             unit = self.unit("time", time, TIME_UNITS, convention)
         elif time:
-            unit = "s"
+            unit, key = "s", self.columns[time[1]].key
+            # Where its name does not say it, it is nanoseconds, as in messages of ROS.
+            fraction_unit = "us" if re.fullmatch(rf"(?:.*[._])?{_MICROSECONDS}", key) else "ns"
         if self.unknown:
             unknown, ways = (" and ".join(f"{part}" for part in parts)
                              for parts in zip(*self.unknown, strict=True))  # fmt: skip
@@ -180,7 +185,8 @@ class ColumnMatcher(TableColumns):
         )
         if sample_rate is not None:
             clock = f"{float(sample_rate):g} Hz"
-        return TimedColumns(numbers, time, unit, sample_rate), names, clock
+        timed = TimedColumns(numbers, time, unit, sample_rate, fraction_unit=fraction_unit)
+        return timed, names, clock
 
     def unused_stamps(self, dialect: Dialect) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
@@ -215,7 +221,7 @@ class ColumnMatcher(TableColumns):
         for pattern in (*self._clock(dialect), *beside):
             positions = self.matching(pattern)
             if len(positions) == 1:
-                return self._with_nanoseconds(positions[0]), None
+                return self._with_fraction(positions[0]), None
             if positions:
                 raise self._ambiguous_time(positions)
         positions = list(self.notes.units)
@@ -229,11 +235,11 @@ class ColumnMatcher(TableColumns):
         return tuple(positions), None
 
     def _named_time(self, name: str) -> Positions:
-        """Return the time column that the user names, or those of seconds and nanoseconds."""
+        """Return the time column that the user names, or those of seconds and their fraction."""
         parts = name.split(",")
         if len(parts) == 2 and name not in (column.text.strip() for column in self.columns):  # noqa: PLR2004
             return tuple(self.position(part, "time_col") for part in parts)
-        return self._with_nanoseconds(self.position(name, "time_col"))
+        return self._with_fraction(self.position(name, "time_col"))
 
     def _clock(self, dialect: Dialect) -> tuple[str, ...]:
         """Return the patterns of the time columns of the chosen clock."""
@@ -259,10 +265,10 @@ class ColumnMatcher(TableColumns):
                 "steady rate"),
         )  # fmt: skip
 
-    def _with_nanoseconds(self, first: int) -> Positions:
-        """Return a time column with the nanoseconds that belong to it, if it is one of two."""
+    def _with_fraction(self, first: int) -> Positions:
+        """Return a time column with the one of its fractions, if it is one of two."""
         match = re.fullmatch(r"(.*[._])?secs?", self.columns[first].key)
         if not match:
             return (first,)
-        others = self.matching(re.escape(match[1] or "") + r"(?:nanosec|nsec)s?")
+        others = self.matching(re.escape(match[1] or "") + rf"(?:(?:nano|n)secs?|{_MICROSECONDS})")
         return (first, *others[:1])
