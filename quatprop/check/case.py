@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
 Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
+class Case(NamedTuple):
     """A log, how it is propagated, and what the attitudes are compared with.
 
     Parameters
@@ -92,8 +90,7 @@ class CaseNotRun(NamedTuple):
     line: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class CaseResult:
+class CaseResult(NamedTuple):
     """The result of a case.
 
     Parameters
@@ -134,7 +131,7 @@ class CaseResult:
     changes: tuple[str, ...] = ()
     updated: str | None = None
     comparison: Mapping[str, object] | None = None
-    pin: Pin | None = field(default=None, repr=False)
+    pin: Pin | None = None
     seconds: float = 0.0
     line: int = 1
 

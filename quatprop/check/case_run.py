@@ -48,7 +48,7 @@ class CaseRun(NamedTuple):
 
 
 class CaseComparison(NamedTuple):
-    """How the attitudes of a case differ from those that they are compared with.
+    """How the attitudes of a case differ from the reference.
 
     Parameters
     ----------

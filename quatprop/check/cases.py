@@ -1,4 +1,4 @@
-"""Make the cases of a suite of its tables.
+"""Parse the tables of a suite into cases.
 
 The keys of a case are the settings of a propagation, of a comparison, and, with ``reference-``, of
 the attitudes that it is compared with. Their values are parsed as those of the library and of the
@@ -120,7 +120,7 @@ def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
 
 
 class _CaseParser:
-    """Makes a case of its table."""
+    """Parses the table of a case."""
 
     def __init__(self, suite: Suite, table: CaseTable) -> None:
         self._suite, self._table, self._values = suite, table, table.values

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
@@ -72,7 +71,7 @@ def run_case(
             from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 
             place = write_artifacts(case, pin, artifacts)
-            result = replace(result, reason=f"{result.reason}; see {plain(place)}")
+            result = result._replace(reason=f"{result.reason}; see {plain(place)}")
     except QuatpropError as error:
         result = CaseResult(case.name, "error", sentence(error))
     except Exception as error:
@@ -80,10 +79,10 @@ def run_case(
             raise
         result = CaseResult(case.name, "error", sentence(user_error))
     if case.xfail and result.verdict == "fail":
-        result = replace(result, verdict="xfail", reason=f"{case.xfail}: {result.reason}")
+        result = result._replace(verdict="xfail", reason=f"{case.xfail}: {result.reason}")
     elif case.xfail and result.verdict == "pass":
-        result = replace(result, verdict="xpass", reason=f"it is known to fail: {case.xfail}")
-    return replace(result, seconds=time.perf_counter() - began, line=case.line)
+        result = result._replace(verdict="xpass", reason=f"it is known to fail: {case.xfail}")
+    return result._replace(seconds=time.perf_counter() - began, line=case.line)
 
 
 def run_cases(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +65,7 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
                 # It was found to be what this version gives, too.
                 kept = pin._replace(quatprop=__version__)
                 notes = [note for note in result.notes if not note.startswith(OTHER_VERSION)]
-                return replace(result, updated="kept", pin=kept, notes=tuple(notes))
+                return result._replace(updated="kept", pin=kept, notes=tuple(notes))
     run, every = _run(case, pin)
     changes = [] if pin is None else _changes(case, pin, run, hashes)
     digest = None
@@ -94,7 +93,7 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         error_rad=result.error_rad,
     )
     updated = "new" if pin is None else "updated"
-    return replace(result, changes=tuple(changes), updated=updated, pin=new_pin)
+    return result._replace(changes=tuple(changes), updated=updated, pin=new_pin)
 
 
 def _run(case: Case, pin: Pin | None) -> tuple[CaseRun, int | None]:

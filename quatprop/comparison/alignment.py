@@ -198,7 +198,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
 
 
 def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
-    """Return the mounting from relative rotations, of which so many do not overlap."""
+    """Fit the mounting to relative rotations, of which `independent` do not overlap."""
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:

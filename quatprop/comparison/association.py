@@ -127,7 +127,7 @@ def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 
 
 def is_mostly_exact(matched: int, candidates: int) -> bool:
-    """Tell whether so many equal stamps are enough to compare at equal stamps alone."""
+    """Return whether at least half of the candidates have equal stamps."""
     return 2 * matched >= max(candidates, 1)
 
 
@@ -189,7 +189,7 @@ def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
 
 
 def equal_stamps(a: Int64, b: Int64) -> tuple[Intp | slice, Intp | slice]:
-    """Return where the stamps are that two series of rising stamps have in common, in each."""
+    """Return the indices, in each of two series in order of time, at which stamps are equal."""
     if np.array_equal(a, b):
         return slice(None), slice(None)  # the usual case: nothing is searched or copied
     place = np.minimum(np.searchsorted(b, a), len(b) - 1)
@@ -198,7 +198,7 @@ def equal_stamps(a: Int64, b: Int64) -> tuple[Intp | slice, Intp | slice]:
 
 
 def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
-    """Return how many samples lie in the common time, of the series that has fewer there."""
+    """Return the number of samples in the common time, of the series with fewer of them."""
     start, stop = max(a.t_ns[0], b.t_ns[0]), min(a.t_ns[-1], b.t_ns[-1])
     return min(
         int(np.searchsorted(s.t_ns, stop, "right") - np.searchsorted(s.t_ns, start)) for s in (a, b)
@@ -230,7 +230,7 @@ def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[I
 def require_enough(
     matching: Matching, spans_ns: Sequence[tuple[int, int]], settings: ComparisonSettings
 ) -> None:
-    """Refuse what has too few pairs.
+    """Raise an error if there are too few pairs.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the mistakes found in rotations over windows mean, and how to settle them."""
+"""Sentences about the mistakes found in rotations over windows, and their remedies."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ NEAR_INTERVAL = 0.15
 def described(
     trial: Trial, alternatives: Sequence[Trial], intervals: Sequence[float]
 ) -> tuple[str, str, Setting | Text | None]:
-    """Return the name of a cause, a sentence, and what settles it.
+    """Return the name of a cause, a sentence, and the remedy.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ class ClockOffset(NamedTuple):
 
 
 def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
-    """Return what must be added to B's stamps so that B turns when A turns.
+    """Estimate the time offset of B: what must be added to its stamps.
 
     The clocks may have different epochs: every lag is tried at which the shorter series overlaps
     by half.
@@ -187,7 +187,7 @@ def _runner_up(correlation: Float64, peak: int) -> float:
 
 
 def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
-    """Return what is still to be added to an offset, from windows of the length that shows most."""
+    """Return the correction of an offset, from windows of the length that shows it best."""
     a, b = common_beginning(a, shifted(b, offset))
     first = next(undone_misreadings(a, b))
     found = [
@@ -203,7 +203,7 @@ def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
 
 
 def _turn_and_offset(pair: Angles, starts: Float64, length: float) -> ClockError:
-    """Find in turns how the bodies are turned to each other, and the offset, until it stays."""
+    """Estimate the rotation between the bodies and the offset in turn, until they converge."""
     before, begin = 0.0, None
     y = pair.a.over(starts, length)
     for _ in range(MAX_FITS):

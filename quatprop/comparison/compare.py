@@ -167,7 +167,7 @@ def unit(wxyz: Float64) -> Float64:
 
 
 def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[AttitudeSeries, int]:
-    """Return unit quaternions at rising stamps, and how many attitudes are left out; add remarks.
+    """Return unit quaternions in order of time and how many were left out, and add remarks.
 
     Only those count that differ from the attitude that is kept at the same stamp.
     """

@@ -138,7 +138,7 @@ def _total(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -
 def _cause_over_windows(
     a: AttitudeSeries, b: AttitudeSeries, names: Collection[str]
 ) -> tuple[Cause | None, ClockError | None]:
-    """Return which of some mistakes the rotations over windows show, and what a clock is off by."""
+    """Return the mistake that rotations over windows show, and the clock error if it is one."""
     if cause := _method_cause(a, b):
         return cause, None
     angles = list(undone_misreadings(a, b))
@@ -217,7 +217,7 @@ def method_trials(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Trial]:
 
 
 def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other: str) -> Float64:
-    """Return what remains of rotations by `other` where rates by `rule` lead to the known ones."""
+    """Return rotations by `other` less those sought, for rates that give the known by `rule`."""
     zigzag = np.zeros(3)
 
     def remaining(zigzag: Float64) -> Float64:

@@ -87,7 +87,7 @@ class _NotStreamableError(Exception):
 
 
 def _beginning(file: AttitudeFile) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
-    """Return the batches with the samples of a short file, and one more, and the other batches."""
+    """Return the first batches, until they exceed :data:`SHORT` samples, and the others."""
     first, rest = [], iter(file.batches())
     for batch in rest:
         first.append(batch)
@@ -114,7 +114,7 @@ def _is_streamable(
 
 
 class _Ordered:
-    """A series that passes in rising order of its stamps.
+    """A series that is read batch by batch, in order of time.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class _Ordered:
 
 
 def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
-    """Yield the samples of two series that have equal stamps: as pairs, without the rest."""
+    """Yield the pairs of samples of two series that have equal stamps."""
     a.start_ns = b.start_ns = max(a.covered.first_ns, b.covered.first_ns)
     first = 0
     while len(a.held) and len(b.held):

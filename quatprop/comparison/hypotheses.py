@@ -159,7 +159,7 @@ def aligned_rms(alignment: str, a: Float64, b: Float64) -> float:
 
 
 def isolated_samples(error: Float64) -> Cause | None:
-    """Return the few worst samples as a cause, the last of errors in rising order, if they are."""
+    """Return a few outliers as the cause, if they are; the errors are in rising order."""
     few = max(int(len(error) * ISOLATED), 1)
     rest = rms(error[:-few])
     count = int((error > CLEAR * max(rest, EXACT)).sum())

@@ -1,4 +1,4 @@
-"""Errors of pairs of attitudes, measured as the pairs pass: size, growth, and the worst pair."""
+"""Errors of pairs of attitudes, measured block by block: size, drift, and the worst pair."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ComparedSample:
 
 
 class CoveredTime:
-    """The time between neighbouring stamps, without gaps; they pass block after block.
+    """The time that stamps cover, without gaps, measured block by block.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class CoveredTime:
 
 
 class ErrorMeter:
-    """Measures the errors of pairs of attitudes, which pass block after block.
+    """Measures the errors of pairs of attitudes, block by block.
 
     What it finds does not depend on where blocks end.
 

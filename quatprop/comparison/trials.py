@@ -53,7 +53,7 @@ BLOCK_S = 2.0
 
 
 class ClockError(NamedTuple):
-    """What B's clock is off by: a time offset, which may change steadily.
+    """The error of B's clock: a time offset, which may change steadily.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class ClockError(NamedTuple):
 
 
 class RateRatio(NamedTuple):
-    """A's rates over B's, and between what noise in either can place it."""
+    """The ratio of A's rates to B's, and its limits, as noise in either changes it."""
 
     value: float
     least: float
@@ -121,7 +121,7 @@ class Trial(NamedTuple):
 
 
 def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator[Trial]:
-    """Undo one mistake after the other.
+    """Yield a trial for each mistake: what remains when it is undone.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
 
 
 def _closest_axes(common: Float64, handed: float) -> Float64:
-    """Return the order and signs of axes that fit best, of the two hands that is asked for."""
+    """Return the best order and signs of axes: right-handed for 1, left-handed for -1."""
     kept = [matrix for matrix in SIGNED_AXES if np.linalg.det(matrix) * handed > 0]
     fits = np.array([float((matrix * common).sum()) for matrix in kept])
     return kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
@@ -170,7 +170,7 @@ def clock_error(
     *,
     drifts: bool = False,
 ) -> ClockError:
-    """Find the offset of B's clock at which B turns as A does: least squares over windows.
+    """Estimate the error of B's clock by least squares over windows.
 
     What B changes by with the offset is multiplied by what A changes by: noise in B alone would
     look like motion, and the offset more certain than it is. The standard deviation is found by
@@ -241,7 +241,7 @@ def _on_grid(pair: Angles, starts: Float64, length: float) -> float:
 
 
 def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Float64:
-    """Return how angles over windows change when the series is moved to a later time."""
+    """Return the derivative of angles over windows with respect to a time offset."""
     earlier, later = (angle.between(at, at + length) for at in (starts - step, starts + step))
     return centred((earlier - later) / (2 * step))
 

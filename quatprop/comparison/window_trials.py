@@ -100,7 +100,7 @@ class WindowTrials:
         return least / self._motion if self._motion else np.inf
 
     def found(self, interval: float, names: Collection[str]) -> tuple[Trial, list[Trial]] | None:
-        """Return which of some mistakes explains the differences, and what explains them as well.
+        """Return the mistake that explains the differences, and others that do so equally well.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class WindowTrials:
         return None
 
     def _is_better(self, trial: Trial, other: Trial) -> bool:
-        """Tell whether a trial is more likely than another by more than coincidence."""
+        """Tell whether a trial is significantly more likely than another."""
         with np.errstate(divide="ignore"):
             gain = self._freedom * float(np.log(other.rms) - np.log(trial.rms))
         return gain >= MIN_GAIN

@@ -95,14 +95,14 @@ class BodyAngle(NamedTuple):
 
 
 def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeries, AttitudeSeries]:
-    """Return both from where the later one begins, up to :data:`MAX_SAMPLES` of each."""
+    """Return the beginning of the common time, at most :data:`MAX_SAMPLES` of each."""
     start = max(a.t_ns[0], b.t_ns[0])
     begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
     return a[begins[0] :][:MAX_SAMPLES], b[begins[1] :][:MAX_SAMPLES]
 
 
 def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
-    """Yield lengths of windows, s, and where windows of that length begin, s.
+    """Yield lengths of windows, s, and the times at which windows of that length begin, s.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is done to rates before they are propagated: calibration, mounting, the part of the log.
+"""Conditioning of rates before they are propagated: calibration, mounting, time range.
 
 Each step is a map over batches, so memory stays constant. The order is fixed: the bias is
 subtracted in the axes of the raw rates, scale and misalignment are corrected, then sensor axes are
@@ -136,8 +136,7 @@ class ConditioningReport(NamedTuple):
     @property
     def all_remarks(self) -> list[str]:
         """What a reader should know, once all samples have passed."""
-        biases = () if self.bias_series is None else self.bias_series.remarks()
-        return [*self.remarks, *biases]
+        return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 
 
 def condition(

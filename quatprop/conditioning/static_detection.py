@@ -148,7 +148,7 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
 
 
 def _quiet_rates(rates: Cells) -> Intp:
-    """Return the cells in which rates could be those of a gyroscope at rest, by themselves."""
+    """Return the cells whose rates by themselves could be those of a gyroscope at rest."""
     # A cell that is not full, or of a sensor that has not begun to measure, is no evidence.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
     measured = full & (rates["squares"] > 0) if rates["squares"].any() else full
@@ -170,7 +170,7 @@ def _quiet_rates(rates: Cells) -> Intp:
 
 
 def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
-    """Return in which of some cells the specific force, of a usual size, scatters little."""
+    """Return the cells, of those given, in which the specific force scatters little."""
     scatter = scatter_of(forces[cells])
     steady = scatter <= FORCE_AT_REST * size
     if not steady.any():
@@ -183,7 +183,7 @@ def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
 
 
 def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
-    """Return in which of some cells a signal scatters about as little as in the quietest pair."""
+    """Return which of some cells scatter about as little as the quietest pair of neighbours."""
     scatter = scatter_of(signal[cells])
     pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][cells]) == 1]
     quietest = float(min(pairs, default=scatter.min()))

@@ -116,7 +116,7 @@ def inline_svg(page: Page) -> tuple[str, str]:
 
 @contextmanager
 def _figure_of(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figure]:
-    """Give the figure of a page, while matplotlib has the settings that it is saved with."""
+    """Yield the figure of a page, with matplotlib set up to save it."""
     import matplotlib as mpl
 
     with mpl.rc_context({**SETTINGS, **settings}), warnings.catch_warnings():

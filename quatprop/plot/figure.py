@@ -145,7 +145,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
 
 
 def _require_room(style: Style, width: float, height: float) -> None:
-    """Refuse a size below these, in inches; the height is that which the width of it needs."""
+    """Raise an error if the picture is smaller than this, in inches."""
     if style.width >= width and (style.height is None or style.height >= height):
         return
     sides = (max(style.width, width), *([] if style.height is None else [height]))

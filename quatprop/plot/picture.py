@@ -121,7 +121,7 @@ class PlottedFile(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """All that is drawn.
+    """The content of a picture.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class Picture(NamedTuple):
 
 
 def picture(files: Sequence[PlottedFile]) -> Picture:
-    """Return files drawn over one another.
+    """Return the picture of files, overlaid.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "
 
 
 class PictureFile:
-    """A picture or a page on its way to a file.
+    """A picture or a page that is being written to a file.
 
     Parameters
     ----------

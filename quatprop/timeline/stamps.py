@@ -237,7 +237,7 @@ class StampChecks:
 
 
 def cause_of_step(t_ns: Int64, first: int) -> str:
-    """Return what stamps show of the cause, if they do, why time steps back at one of them.
+    """Return the likely cause of a step back in time, if the stamps show one.
 
     Parameters
     ----------
