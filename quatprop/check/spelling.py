@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.text import Text
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
-    from quatprop.text import Setting
 
 KEY_NAMES = {"kind": "from"}
 """Settings whose key has another name."""

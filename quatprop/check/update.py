@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.check.case import CaseResult
-from quatprop.check.case_run import chooses_rows, propagate_case, try_compare
+from quatprop.check.case import Case, CaseResult
+from quatprop.check.case_run import CaseRun, chooses_rows, propagate_case, try_compare
 from quatprop.check.judge import (
     OTHER_VERSION,
     differences,
@@ -33,9 +33,6 @@ from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from quatprop.check.case import Case
-    from quatprop.check.case_run import CaseRun
 
 
 def update(case: Case, pin: Pin | None) -> CaseResult:

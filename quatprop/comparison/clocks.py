@@ -14,8 +14,8 @@ import numpy as np
 
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import interpolate, interval_ns, shifted
-from quatprop.comparison.trials import clock_error
-from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
+from quatprop.comparison.trials import ClockError, clock_error
+from quatprop.comparison.windows import Angles, common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting
@@ -23,8 +23,6 @@ from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
-    from quatprop.comparison.trials import ClockError
-    from quatprop.comparison.windows import Angles
     from quatprop.series import AttitudeSeries
 
 

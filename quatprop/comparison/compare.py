@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.blocks import blocks
 from quatprop.comparison.alignment import align
-from quatprop.comparison.association import Matching, associate, shifted
+from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64
-    from quatprop.comparison.association import Pairs
     from quatprop.series import AttitudeSeries
 
 

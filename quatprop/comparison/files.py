@@ -17,7 +17,7 @@ from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
 from quatprop.comparison.compare import compare, conclude, unit
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
-from quatprop.comparison.result import AppliedOffset, Coverage
+from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
 from quatprop.concurrency.threads import in_background
 from quatprop.kinematics.quaternion import IDENTITY
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.signals.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.settings import Sigmas
+from quatprop.comparison.settings import ComparisonSettings, Sigmas
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.meter import ComparedSample
-    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
-    from quatprop.text import Text
 
 
 class AppliedOffset(NamedTuple):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.comparison.alignment import kabsch
-from quatprop.comparison.windows import PER_WINDOW, centred
+from quatprop.comparison.windows import PER_WINDOW, Angles, BodyAngle, centred
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, rotate
 from quatprop.times import NS_PER_S
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Float64, Intp
-    from quatprop.comparison.windows import Angles, BodyAngle
 
 
 SIGNED_AXES = sorted(

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.mounting import mounting
-from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
+from quatprop.conditioning.mounting import FrameMounting, mounting
+from quatprop.conditioning.time_range import PartOfLog, PartReader, absolute_range, clipped, ends_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
     from quatprop.conditioning.cells import Rows
-    from quatprop.conditioning.mounting import FrameMounting
     from quatprop.conditioning.static_detection import Rest
-    from quatprop.conditioning.time_range import PartOfLog, PartReader
     from quatprop.series import GyroSeries
     from quatprop.times import Instant
 

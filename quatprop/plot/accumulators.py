@@ -10,14 +10,13 @@ from quatprop.conventions import Signs
 from quatprop.conventions.representations import euler_angles
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot.lines import TURN, Unwrap
-from quatprop.plot.reduction import Reduction
+from quatprop.plot.reduction import Reduced, Reduction
 from quatprop.signals.rates import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.plot.reduction import Reduced
     from quatprop.series import AttitudeSeries, GyroSeries
 
 ZERO = 1e-6

@@ -11,7 +11,7 @@ import numpy as np
 from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
 from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
 from quatprop.plot.page import Page
-from quatprop.plot.picture import Mark, PlottedFile, picture
+from quatprop.plot.picture import Mark, Picture, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain
 from quatprop.timeline.stamps import GAP_FACTOR
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison
-    from quatprop.plot.picture import Picture
     from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import ReadAttitudes
 

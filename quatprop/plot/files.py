@@ -20,15 +20,15 @@ from quatprop.errors import (
 from quatprop.formats import open_log
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
+from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import PlottedFile
-from quatprop.rendering import count_text, instant_text, samples_text, source_text
+from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
-from quatprop.signals.signal import RateSignal
-from quatprop.text import Setting, plain
+from quatprop.signals.signal import AttitudeSignal, RateSignal
+from quatprop.text import Setting, Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
@@ -37,11 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.containers.base import Loss
-    from quatprop.plot.accumulators import Accumulator
-    from quatprop.rendering import Row
-    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
-    from quatprop.text import Text
     from quatprop.timeline.counts import Counts
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.plot.lines import TURN, folded, gaps_in, line
+from quatprop.plot.lines import TURN, Line, folded, gaps_in, line
 from quatprop.rendering import instant_text
 from quatprop.text import Setting, plain
 from quatprop.times import NS_PER_S
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.plot.accumulators import Group, Quantity
-    from quatprop.plot.lines import Line
     from quatprop.plot.reduction import Reduced
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from quatprop.comparison.compare import compare
 from quatprop.plot.errors import ComparedFile, error_page
 from quatprop.plot.figure import STYLE, Style
-from quatprop.plot.files import view_file
+from quatprop.plot.files import FileView, View, view_file
 from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
 from quatprop.plot.target import PictureFile
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.plot.files import FileView, View
     from quatprop.rendering import Spell
 
 
