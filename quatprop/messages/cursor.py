@@ -151,7 +151,7 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
 def first_names(
     channel: Channel, block: MessageBlock, root: Struct, field_path: str, path: Path | str
 ) -> list[str]:
-    """Return a string in each of the first messages of a block; none where it cannot be reached.
+    """Return what a string is in the first messages of a block; nothing if it cannot be reached.
 
     Parameters
     ----------
@@ -165,8 +165,7 @@ def first_names(
         The log, for errors.
     """
     try:
-        cursor = cursors_of(channel, block, path)[0]
-        cursor.keep(np.arange(len(cursor.messages)) < _FIRST)
+        cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]
         here: Type = root
         for step in field_path.split("."):
             if not isinstance(here, Struct):
@@ -177,6 +176,11 @@ def first_names(
                     break
                 cursor.skip(kind)
         names = cursor.name()
-        return [names.text(block, row) for row in range(len(names.begin))]
     except (TooShortError, SkipError):
         return []
+    texts: list[str] = []
+    rows = np.arange(len(names.begin))
+    while len(rows):
+        texts.append(names.text(block, int(rows[0])))
+        rows = rows[~names.are(texts[-1], block, rows)]
+    return texts

@@ -19,9 +19,9 @@ ENCODINGS = ("cdr", "ros1")
 
 
 def sensor_frames(log: MessageLog, source: RateSignal) -> list[str]:
-    """Return the frame of each of the first messages with rates, in the innermost header.
+    """Return the frames of the first messages with rates, in the innermost header.
 
-    None are returned where messages do not name it.
+    There are none where messages do not name it.
     """
     levels = source.field.split(",")[0].split(".")[:-1]
     names = [
