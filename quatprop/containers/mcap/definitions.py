@@ -13,6 +13,7 @@ from quatprop.containers.base import Channel
 from quatprop.containers.compression import decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
+from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, RegionError, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
@@ -74,13 +75,10 @@ class Definitions:
 
 def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | None:
     """Return what a record says of a channel or schema; None where it is damaged."""
-    index = McapIndex()
-    index.define(opcode, content, "")
-    for channel in index.channels.values():
-        return channel.identity
-    for schema in index.schemas.values():
-        return schema.identity
-    return None
+    try:
+        return (read_schema if opcode == SCHEMA else read_channel)(content).identity
+    except MALFORMED:
+        return None
 
 
 def leading_definitions(

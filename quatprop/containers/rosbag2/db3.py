@@ -21,7 +21,7 @@ from quatprop.containers.rosbag2.sqlite_files import (
 )
 from quatprop.containers.rosbag2.sqlite_pages import open_pages
 from quatprop.containers.time_range import TimeRange
-from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError
 from quatprop.provenance import of_all_topics
 from quatprop.text import quoted
 
@@ -43,28 +43,22 @@ class Db3Log(MessageLog):
     ----------
     path
         The database.
-    message_compression
-        ``"zstd"`` if each message is compressed by itself; in CDR that is recognised.
+    is_zstd
+        Whether each message is known to be compressed with zstd; in CDR that is recognised.
 
     Raises
     ------
     DamagedLogError
         It is no database, or its tables of topics cannot be read.
     UnsupportedLogError
-        It is another database, or its compression is not supported.
+        It is another database.
     """
 
     kind = "db3"
 
-    def __init__(self, path: Path, message_compression: str | None = None) -> None:
-        if message_compression not in (None, "zstd"):
-            raise UnsupportedLogError(
-                path,
-                f"its messages are compressed with {quoted(message_compression)} and only zstd is "
-                "read; decompress it with `ros2 bag convert`",
-            )
+    def __init__(self, path: Path, *, is_zstd: bool = False) -> None:
         super().__init__(path)
-        self._is_zstd = message_compression is not None
+        self._is_zstd = is_zstd
         try:
             self._database = self._connect()
             try:

@@ -61,11 +61,11 @@ class Rosbag2Log(MessageLog):
             raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
         self.losses = found.losses
         self._recorded = of_all_topics(found.custom)
-        self._message_compression = found.message_compression
-        if self._message_compression not in (None, "zstd"):
+        self._is_zstd = found.message_compression is not None
+        if found.message_compression not in (None, "zstd"):
             raise UnsupportedLogError(
                 path,
-                f"its messages are compressed with {quoted(self._message_compression)} and only "
+                f"its messages are compressed with {quoted(found.message_compression)} and only "
                 "zstd is read; decompress it with `ros2 bag convert`",
             )
         self._parts: list[Part] = []
@@ -115,7 +115,7 @@ class Rosbag2Log(MessageLog):
             source.close()
             from quatprop.containers.rosbag2.db3 import Db3Log
 
-            return Db3Log(source.path, self._message_compression)
+            return Db3Log(source.path, is_zstd=self._is_zstd)
         from quatprop.containers.mcap.log import McapLog
 
         return McapLog(source)
@@ -253,8 +253,7 @@ class Rosbag2Log(MessageLog):
             for block in log.blocks(own) if within is None else log.blocks_within(own, within):
                 whole, lost = block, 0
                 if log.kind != "db3":
-                    known = self._message_compression is not None
-                    whole, lost = decompressed(block, own.encoding, is_known=known)
+                    whole, lost = decompressed(block, own.encoding, is_known=self._is_zstd)
                 damaged += lost
                 if len(whole):
                     yield whole
