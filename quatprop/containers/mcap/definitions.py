@@ -15,12 +15,12 @@ from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, RegionError, load
-from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.summary import McapIndex
 
 IDS = 1 << 16
 """Ids that the records of one part can have."""
