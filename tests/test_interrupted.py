@@ -125,6 +125,22 @@ def test_an_interruption_inside_a_destructor_is_not_lost():
     assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\n", "")
 
 
+def test_the_csv_parser_leaves_signals_alone():
+    """Its own handlers are turned off before it is imported, and only then."""
+    code = (
+        "from quatprop.cli.interruption import handle_signals\n"
+        "handle_signals()\n"
+        "import pyarrow\n"
+        "said = []\n"
+        "pyarrow.enable_signal_handlers = said.append\n"
+        "import pyarrow.parquet\n"
+        "assert said == []\n"
+        "from pyarrow import csv\n"
+        "assert said == [False]\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=20)
+
+
 def test_a_closed_stdout_is_a_sentence(logs, tmp_path):
     """What would go there is refused; a file of its own is written as always."""
     out = tmp_path / "out.csv"

@@ -11,12 +11,11 @@ import os
 import signal
 import sys
 from contextlib import contextmanager
-from importlib.machinery import ModuleSpec, PathFinder
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from types import FrameType, ModuleType
+    from collections.abc import Iterator
+    from types import FrameType
 
 INTERRUPTED = 130
 MESSAGE = "Interrupted."
@@ -79,28 +78,13 @@ def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 class _PyarrowFinder:
-    """Turns off pyarrow's own handlers when it is imported.
+    """Turns off the handlers of pyarrow's CSV parser before it is imported.
 
     They would take signals while it parses, and a process that is told to end then would abort.
     """
 
-    def find_spec(
-        self,
-        name: str,
-        path: Sequence[str] | None = None,
-        target: ModuleType | None = None,
-    ) -> ModuleSpec | None:
-        """Find pyarrow as usual, once, and change its handlers after it is loaded."""
-        if name != "pyarrow":
-            return None
-        sys.meta_path.remove(self)
-        spec = PathFinder.find_spec(name, path, target)
-        if spec is not None and spec.loader is not None:
-            execute = spec.loader.exec_module
-
-            def execute_quietly(module: ModuleType) -> None:
-                execute(module)
-                module.enable_signal_handlers(False)
-
-            spec.loader.exec_module = execute_quietly  # type: ignore[method-assign]
-        return spec
+    def find_spec(self, name: str, _path: object = None, _target: object = None) -> None:
+        """Leave it to other finders to find the module."""
+        if name == "pyarrow.csv":
+            # Already complete, as the package that the parser is in.
+            sys.modules["pyarrow"].enable_signal_handlers(False)
