@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import io
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
 
-from quatprop.tables.csv.row_parser import RowParser
-from quatprop.tables.csv.rows import MISFITS, TASK_BYTES, BlockParser, ParsedRows
+from quatprop.arrow_arrays import readable, to_numpy
+from quatprop.concurrency.threads import thread_count
+from quatprop.tables import timestamps
+from quatprop.tables.csv.row_parser import MISFITS, ParsedRows, RowParser, date_type, squeeze_blanks
 from quatprop.tables.text_stream import RejectedRows, TextBlock, TextStream, record_blocks
-from quatprop.tables.timestamps import row_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,6 +28,7 @@ if TYPE_CHECKING:
     from quatprop.tables.csv.headers import CsvLayout
 
 
+_TASK_BYTES = 1 << 19  # what one thread of pyarrow parses at a time
 _PIECE_BYTES = 1 << 16
 _ENOUGH_ROWS = 100_000
 """Rows after which a table is refused, of which most do not fit."""
@@ -47,8 +55,9 @@ class BlockReader:
         self._rejected = rejected
         self._layout = layout
         self._columns = columns
-        self._block_parser = BlockParser(layout, columns)
         self._row_parser = RowParser(path, layout, columns)
+        # Stamps finer than ns are tried for once; without stamps there is nothing to try.
+        self._spare = 0 if columns.time else timestamps.SPARE_PLACES
 
     def read(self, block: TextBlock) -> tuple[Int64, Float64]:
         """Return stamps, shape ``(N,)``, ns, and numbers, ``(N, k)``, of the rows that fit."""
@@ -62,10 +71,55 @@ class BlockReader:
         return np.concatenate(stamps), np.concatenate([rows.numbers for rows in parts])
 
     def _parse(
-        self, data: bytes | memoryview, *, quoted: bool, task: int = TASK_BYTES
+        self, data: bytes | memoryview, *, quoted: bool, task: int = _TASK_BYTES
     ) -> ParsedRows:
+        """Return all rows of whole records, none of which is longer than `task` bytes."""
         line_breaks = quoted and self._row_parser.has_line_breaks_in_cells(data)
-        return self._block_parser.parse(data, line_breaks=line_breaks, task=task)
+        if self._layout.delimiter == " ":
+            data = squeeze_blanks(data)
+        parse = partial(self._parse_all, data, line_breaks, task)
+        rows, self._spare = timestamps.with_spare_places(parse, self._spare, MISFITS)
+        return rows
+
+    def _parse_all(
+        self, data: bytes | memoryview, line_breaks: bool, task: int, spare: int
+    ) -> ParsedRows:
+        if self._columns.time:
+            timestamps.refuse_tiny_numbers(data)
+        types = {str(k): pa.float64() for k in self._columns.numbers}
+        for k, unit in zip(self._columns.time, self._columns.units, strict=True):
+            types[str(k)] = date_type(self._layout, k) or timestamps.decimal_type(unit, spare)
+        read = partial(
+            arrow_csv.read_csv,
+            readable(data),
+            read_options=arrow_csv.ReadOptions(
+                column_names=list(map(str, range(len(self._layout.names)))),
+                block_size=task,
+                use_threads=len(data) > task and thread_count() > 1,
+            ),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=self._layout.delimiter, newlines_in_values=line_breaks
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types, include_columns=list(types), decimal_point=self._layout.decimal
+            ),
+        )
+        if threading.current_thread() is threading.main_thread():
+            table = _other_thread(os.getpid()).submit(read).result()
+        else:
+            table = read()
+        numbers = np.empty((table.num_rows, len(self._columns.numbers)))
+        for place, k in enumerate(self._columns.numbers):
+            numbers[:, place] = to_numpy(table.column(str(k)))
+        return ParsedRows(self._times(table), numbers, table.num_rows)
+
+    def _times(self, table: pa.Table) -> Int64 | None:
+        if not self._columns.time:
+            return None
+        columns = [table.column(str(k)) for k in self._columns.time]
+        if any(column.null_count for column in columns):
+            raise pa.ArrowInvalid("a row without a time")
+        return timestamps.sum_parts(map(timestamps.nanoseconds, columns, self._columns.units))
 
     def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
         """Read a block in which something does not fit, piece by piece."""
@@ -88,7 +142,19 @@ class BlockReader:
     def _stamps(self, rows: ParsedRows) -> Int64:
         t_ns = rows.t_ns
         if t_ns is None:
-            t_ns = row_stamps(self._rejected.count, rows.total, self._columns.sample_rate or 1.0)
+            t_ns = timestamps.row_stamps(
+                self._rejected.count, rows.total, self._columns.sample_rate or 1.0
+            )
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
         self._rejected.count += rows.total
         return t_ns
+
+
+@lru_cache(maxsize=1)
+def _other_thread(_process: int) -> ThreadPoolExecutor:
+    """Return a thread of this process; one that was forked has none of the threads before.
+
+    In the main thread pyarrow would take over the handling of Ctrl-C and SIGTERM while it reads,
+    and a process that is told to end at that moment aborts.
+    """
+    return ThreadPoolExecutor(1)

@@ -9,7 +9,7 @@ import csv
 import io
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,13 +18,13 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.tables.csv.headers import COMMENTS, CsvLayout
 from quatprop.tables.csv.notes import NUMBER
-from quatprop.tables.csv.rows import OpenQuoteError, ParsedRows, date_type, squeeze_blanks
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
+    from quatprop.arrays import Float64, Int64
     from quatprop.tables.base import TimedColumns
 
 _LARGEST = np.iinfo(np.int64).max
@@ -41,6 +41,43 @@ _NOT_A_NUMBER = {
     "1.#qnan",
     "1.#ind",
 }
+
+
+class OpenQuoteError(ValueError):
+    """A quote that is not closed where its cell should end."""
+
+
+MISFITS = (pa.ArrowInvalid, timestamps.TimestampRangeError, OpenQuoteError)
+"""What is raised for a block in which a row does not fit."""
+
+
+class ParsedRows(NamedTuple):
+    """Rows of a block or a piece.
+
+    Parameters
+    ----------
+    t_ns
+        Stamps, shape ``(N,)``, int64, ns; None for a table without time.
+    numbers
+        Numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty.
+    total
+        How many rows there were, kept and rejected.
+    kept
+        Which of them were kept, shape ``(N,)``, int64; None where all were.
+    rejected
+        Line number and reason of each row that was rejected.
+    """
+
+    t_ns: Int64 | None
+    numbers: Float64
+    total: int
+    kept: Int64 | None = None
+    rejected: tuple[tuple[int, str], ...] = ()
+
+
+def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
+    """Return the type of a column of dates; None for one of numbers."""
+    return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,3 +281,14 @@ def _is_name(cell: str) -> bool:
     """Whether a cell may be the name of a column, or its unit."""
     is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
     return not is_number and any(map(str.isalpha, cell))
+
+
+def squeeze_blanks(data: bytes | memoryview) -> bytes:
+    """Return rows whose cells are separated by runs of blanks with one space for each run."""
+    text = bytes(data).replace(b"\t", b" ")
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    text = b"\n" + text
+    while b"  " in text:
+        text = text.replace(b"  ", b" ")
+    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n")[1:].rstrip(b" ")

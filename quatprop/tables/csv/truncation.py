@@ -12,7 +12,7 @@ import io
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.tables.csv.rows import squeeze_blanks
+from quatprop.tables.csv.row_parser import squeeze_blanks
 
 if TYPE_CHECKING:
     from collections.abc import Collection
