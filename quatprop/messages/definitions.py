@@ -38,18 +38,10 @@ if TYPE_CHECKING:
 
 NUMBERS: Mapping[str, Primitive] = {
     "bool": Primitive("b1"),
-    "byte": Primitive("u1"),
-    "char": Primitive("u1"),
-    "int8": Primitive("i1"),
-    "int16": Primitive("i2"),
-    "int32": Primitive("i4"),
-    "int64": Primitive("i8"),
-    "uint8": Primitive("u1"),
-    "uint16": Primitive("u2"),
-    "uint32": Primitive("u4"),
-    "uint64": Primitive("u8"),
-    "float32": Primitive("f4"),
-    "float64": Primitive("f8"),
+    **dict.fromkeys(("byte", "char"), Primitive("u1")),
+    **{f"int{bits}": Primitive(f"i{bits // 8}") for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": Primitive(f"u{bits // 8}") for bits in (8, 16, 32, 64)},
+    **{f"float{bits}": Primitive(f"f{bits // 8}") for bits in (32, 64)},
 }
 """Names of numbers in definitions."""
 

@@ -24,7 +24,7 @@ from quatprop.messages.ulog import is_secondary
 from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
 from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
 from quatprop.signals.clock import are_all, choose_clock, zero_stamps
-from quatprop.signals.message_values import FieldReader, logged_values, stamps_of, timed_values
+from quatprop.signals.message_values import field_reader, logged_values, stamps_of, timed_values
 from quatprop.signals.signal import AttitudeSignal
 from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, plain, quoted
@@ -133,7 +133,7 @@ def _of_field(
     order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
     meaning = meaning_of(log.path, selection, recorded)
     clock = choose_clock(log, channel, field.stamps, selection)
-    reader = partial(FieldReader, log, channel, clock, field.fields, [field.absent])
+    reader = partial(field_reader, log, channel, clock, field.fields, [field.absent])
 
     def read(*, positions: bool = False, covariances: bool = False) -> Rows:
         position = [field.position] if positions else []
@@ -178,7 +178,7 @@ def _is_beside_rate(channel: Channel, field: OrientationField, path: Path | str)
 def _of_transforms(
     log: MessageLog, channel: Channel, selection: AttitudeSelection
 ) -> AttitudeSignal:
-    from quatprop.signals.transforms import TransformReader, chosen_frames
+    from quatprop.signals.transforms import chosen_frames, transform_reader
 
     layout = selection.from_layout
     if layout is not None and layout_named(layout) is not SCALAR_LAST:
@@ -190,7 +190,7 @@ def _of_transforms(
     clock = choose_clock(log, channel, (), selection, has_stamp=True)
     frames = chosen_frames(log, channel, selection.frame)
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
-    reader = TransformReader(log, channel, frames, clock)
+    reader = transform_reader(log, channel, frames, clock)
 
     def read(*, positions: bool = False, covariances: bool = False) -> Rows:
         rows = timed_values(log, channel, reader)

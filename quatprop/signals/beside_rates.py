@@ -11,7 +11,7 @@ from quatprop.errors import LogError, UsageError
 from quatprop.messages.signal_fields import fields_beside
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.clock import choose_clock
-from quatprop.signals.message_values import FieldReader, channels_of, timed_values
+from quatprop.signals.message_values import channels_of, field_reader, timed_values
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import AnyLog, TableLog
 
@@ -107,7 +107,7 @@ def specific_forces(log: AnyLog, source: RateSignal, selection: RateSelection) -
         if beside.rate is not None and beside.acceleration is not None:
             name, absent = beside.acceleration
             clock = choose_clock(log, channel, beside.rate.stamps, selection)
-            reader = FieldReader(log, channel, clock, [name], [absent])
+            reader = field_reader(log, channel, clock, [name], [absent])
             return cast("Rows", timed_values(log, channel, reader))
     return None
 

@@ -15,7 +15,7 @@ from quatprop.messages.schema import find
 from quatprop.messages.stamps import Stamp
 from quatprop.selection import RateSelection, SignalSelection
 from quatprop.signals.clock import choose_clock
-from quatprop.signals.message_values import FieldReader, channels_of, timed_values
+from quatprop.signals.message_values import channels_of, field_reader, timed_values
 from quatprop.signals.rates import UNITS
 from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
@@ -116,7 +116,7 @@ def _of_channel(
     stamps = [stamp for stamp in bias.stamps if all(find(root, name) for name in stamp.fields)]
     valid = [bias.valid] if bias.valid and find(root, bias.valid) else []
     clock = choose_clock(log, channel, stamps, selection)
-    reader = FieldReader(log, channel, clock, [bias.name], [], valid)
+    reader = field_reader(log, channel, clock, [bias.name], [], valid)
     rows = (
         (t_ns, np.where(good[0].reshape(-1, 1) != 0, value, np.nan) if good else value)
         for t_ns, value, *good in timed_values(log, channel, reader)

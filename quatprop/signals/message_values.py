@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -21,12 +21,16 @@ from quatprop.progress import metered
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.time_range import TimeRange
     from quatprop.signals.clock import Clock
+
+    MessageReader: TypeAlias = Callable[[MessageBlock], Columns]
+    """Turns the blocks of one channel into rows: log times with ``(t_ns, values)``, shapes ``(N,)``
+    and ``(N, k)``. MessageError has the `positions` of messages that do not fit."""
 
 
 ABSENT = -1.0
@@ -65,21 +69,10 @@ def _with_sample(log: MessageLog, channel: Channel) -> Channel:
     return channel
 
 
-class MessageReader(Protocol):
-    """Turns the blocks of one channel into rows."""
-
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, values)``, shapes ``(N,)`` and ``(N, k)``.
-
-        Raises
-        ------
-        MessageError
-            Messages do not fit; its `positions` say which.
-        """
-
-
-class GroupDecoder:
-    """Decodes the time and several groups of fields of a channel's messages.
+def group_decoder(
+    log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str | None]
+) -> Callable[[MessageBlock], tuple[Int64, list[list[AnyArray]]]]:
+    """Return what decodes the time and several groups of fields of a channel's messages.
 
     Parameters
     ----------
@@ -89,38 +82,40 @@ class GroupDecoder:
         Time base.
     *groups
         Dotted paths; None is left out.
+
+    Returns
+    -------
+    callable
+        Returns the time of each message of a block, int64 ns, and the columns of each group.
     """
+    present = [[name for name in group if name] for group in (clock.fields, *groups)]
+    decoder = decoder_of(channel, [name for group in present for name in group], log.path)
 
-    def __init__(
-        self, log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str | None]
-    ) -> None:
-        self.path = log.path
-        self.topic = channel.topic
-        self._clock = clock
-        present = [[name for name in group if name] for group in (clock.fields, *groups)]
-        self._sizes = [len(group) for group in present]
-        self._decoder = decoder_of(channel, [name for group in present for name in group], log.path)
+    def decode(block: MessageBlock) -> tuple[Int64, list[list[AnyArray]]]:
+        columns = iter(decoder.columns(block))
+        stamp, *others = [list(islice(columns, len(group))) for group in present]
+        return clock.ns(stamp, block, log.path), others
 
-    def decode(self, block: MessageBlock) -> tuple[Int64, list[list[AnyArray]]]:
-        """Return the time of each message, int64 ns, and the columns of each group."""
-        columns = iter(self._decoder.columns(block))
-        stamp, *groups = [list(islice(columns, size)) for size in self._sizes]
-        return self._clock.ns(stamp, block, self.path), groups
+    return decode
 
 
-class FieldReader(GroupDecoder):
-    """Reads one row of numbers a message.
+def field_reader(
+    log: MessageLog, channel: Channel, clock: Clock, *groups: Sequence[str | None]
+) -> MessageReader:
+    """Return what reads one row of numbers a message; the order is that of the block.
 
     Its groups are the values (one row of numbers, or several numbers), a number that is -1 where
-    they are absent, and another row of numbers beside them, given as it is.
+    they are absent, and other rows of numbers beside them, given as they are.
     """
+    decode = group_decoder(log, channel, clock, *groups)
 
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, values)``, or also `beside`; the order is the block's."""
-        t_ns, (fields, marks, *others) = self.decode(block)
+    def columns(block: MessageBlock) -> Columns:
+        t_ns, (fields, marks, *others) = decode(block)
         values = without_absent(as_rows(fields), marks)
         beside = [as_rows(other) for other in others if other]
         return Columns(block.log_ns, (t_ns, values, *beside), block.not_before_ns)
+
+    return columns
 
 
 def without_absent(rows: Float64, marks: Iterable[AnyArray]) -> Float64:
@@ -143,7 +138,7 @@ def as_rows(fields: list[AnyArray]) -> Float64:
 
 
 def timed_values(
-    log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
+    log: MessageLog, channel: Channel, reader: MessageReader
 ) -> Iterator[tuple[AnyArray, ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
@@ -155,8 +150,6 @@ def timed_values(
         One of its channels.
     reader
         Turns its blocks into rows.
-    within
-        Only the parts of the log that have this range of log times by its index; None is all.
 
     Yields
     ------
@@ -164,7 +157,7 @@ def timed_values(
         What the reader gives of each sample: stamps, shape ``(N,)``, int64 ns, and values, shape
         ``(N, k)``, float64, first.
     """
-    for columns in logged_values(log, channel, reader, within):
+    for columns in logged_values(log, channel, reader):
         yield columns.values
 
 
@@ -188,8 +181,10 @@ def logged_values(
 
     Parameters
     ----------
-    log, channel, reader, within
+    log, channel, reader
         As for :func:`timed_values`.
+    within
+        Only the parts of the log that have this range of log times by its index; None is all.
     """
     every = blocks_of(log, channel) if within is None else log.blocks_within(channel, within)
     blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
@@ -202,7 +197,7 @@ def _readable(
 ) -> Columns:
     """Return the rows of a block without the messages that do not fit."""
     try:
-        return reader.columns(block)
+        return reader(block)
     except MessageError as error:
         if not error.positions:
             raise

@@ -15,9 +15,9 @@ from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
 from quatprop.signals.clock import Clock, choose_clock
 from quatprop.signals.message_values import (
-    FieldReader,
-    GroupDecoder,
     as_rows,
+    field_reader,
+    group_decoder,
     logged_values,
     series_of,
     stamps_of,
@@ -31,7 +31,6 @@ from quatprop.times import NS_PER_S, NS_PER_UNIT
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.time_range import TimeRange
     from quatprop.messages.message_types import Burst, RateField
@@ -228,47 +227,50 @@ def _reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -
         the field.
     """
     if field.burst is not None:
-        return _BurstReader(log, channel, field, field.burst, clock)
+        return _burst_reader(log, channel, field, field.burst, clock)
     if field.span is not None:
-        return _IncrementReader(log, channel, field, field.span, clock)
-    return FieldReader(log, channel, clock, field.fields, [field.absent])
+        return _increment_reader(log, channel, field, field.span, clock)
+    return field_reader(log, channel, clock, field.fields, [field.absent])
 
 
-class _IncrementReader(GroupDecoder):
-    """One increment a message, with the time over which it was integrated."""
+def _increment_reader(
+    log: MessageLog, channel: Channel, field: RateField, span: Stamp, clock: Clock
+) -> MessageReader:
+    """Read one increment a message, with the time over which it was integrated."""
+    decode = group_decoder(log, channel, clock, field.fields, span.fields)
 
-    def __init__(
-        self, log: MessageLog, channel: Channel, field: RateField, span: Stamp, clock: Clock
-    ) -> None:
-        super().__init__(log, channel, clock, field.fields, span.fields)
-        self._span = span
-
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, rate, span_ns)``; the order is the block's."""
-        t_ns, (increment, span) = self.decode(block)
-        span_ns = self._span.ns(span, self.path)
+    def columns(block: MessageBlock) -> Columns:
+        t_ns, (increment, spans) = decode(block)
+        span_ns = span.ns(spans, log.path)
         # An increment over no time has no rate; it is not finite, and policies deal with that.
         with np.errstate(divide="ignore", invalid="ignore"):
             rate = as_rows(increment) / (span_ns / NS_PER_S)[:, None]
         return Columns(block.log_ns, (t_ns, rate, span_ns), block.not_before_ns)
 
+    return columns
 
-class _BurstReader(GroupDecoder):
-    """Many samples a message, evenly spaced up to the stamp."""
 
-    def __init__(
-        self, log: MessageLog, channel: Channel, field: RateField, burst: Burst, clock: Clock
-    ) -> None:
-        super().__init__(log, channel, clock, field.fields, burst.fields)
-        self._burst = burst
+def _burst_reader(
+    log: MessageLog, channel: Channel, field: RateField, burst: Burst, clock: Clock
+) -> MessageReader:
+    """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
+    decode = group_decoder(log, channel, clock, field.fields, burst.fields)
 
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, rate)``, one row a sample."""
-        stamp_ns, (axes, (samples, scale, spacing)) = self.decode(block)
+    def columns(block: MessageBlock) -> Columns:
+        stamp_ns, (axes, (samples, scale, spacing)) = decode(block)
         stored = np.stack(axes, axis=2)
-        counts = samples.astype(np.int64)
-        spacing_ns = spacing.astype(np.float64) * NS_PER_UNIT[self._burst.spacing.unit]
-        self._check(counts, stored.shape[1], spacing_ns)
+        counts, room = samples.astype(np.int64), stored.shape[1]
+        spacing_ns = spacing.astype(np.float64) * NS_PER_UNIT[burst.spacing.unit]
+        # Written so that NaN is refused too.
+        good = (counts <= room) & (spacing_ns >= 0) & (spacing_ns <= MAX_SPACING_NS)
+        if not good.all():
+            bad = np.flatnonzero(~good)
+            raise MessageError(
+                log.path,
+                f"a message of topic {quoted(channel.topic)} counts {counts[bad[0]]} samples, "
+                f"{spacing_ns[bad[0]]:g} ns apart, and has room for {room}; the log is damaged",
+                bad.tolist(),
+            )
         message = np.repeat(np.arange(len(counts)), counts)
         position = np.arange(len(message)) - np.repeat(np.cumsum(counts) - counts, counts)
         rate = stored[message, position] * scale.astype(np.float64)[message, None]
@@ -277,14 +279,4 @@ class _BurstReader(GroupDecoder):
         t_ns = stamp_ns[message] - before
         return Columns(block.log_ns[message], (t_ns, rate), block.not_before_ns)
 
-    def _check(self, counts: Int64, room: int, spacing_ns: Float64) -> None:
-        # Written so that NaN is refused too.
-        good = (counts <= room) & (spacing_ns >= 0) & (spacing_ns <= MAX_SPACING_NS)
-        if not good.all():
-            bad = np.flatnonzero(~good)
-            raise MessageError(
-                self.path,
-                f"a message of topic {quoted(self.topic)} counts {counts[bad[0]]} samples, "
-                f"{spacing_ns[bad[0]]:g} ns apart, and has room for {room}; the log is damaged",
-                bad.tolist(),
-            )
+    return columns

@@ -13,10 +13,15 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.signals.clock import Clock
+    from quatprop.signals.message_values import MessageReader
 
 
-class TransformReader:
-    """Reads the transforms between two frames, as the blocks of a channel are read.
+def transform_reader(
+    log: MessageLog, channel: Channel, frames: Frames, clock: Clock
+) -> MessageReader:
+    """Return what reads the transforms between two frames, as the blocks of a channel are read.
+
+    Its values are ``(t_ns, wxyz, position)``; any number of rows of a message.
 
     Parameters
     ----------
@@ -27,27 +32,21 @@ class TransformReader:
     clock
         Whose time.
     """
+    decoder = TransformDecoder(channel, log.path)
+    decoder.frames.append(frames)
 
-    def __init__(self, log: MessageLog, channel: Channel, frames: Frames, clock: Clock) -> None:
-        self._decoder = TransformDecoder(channel, log.path)
-        self._decoder.frames.append(frames)
-        self._clock = clock
-        self._path = log.path
-
-    def columns(self, block: MessageBlock) -> Columns:
-        """Return log times with ``(t_ns, wxyz, position)``; any number of rows of a message."""
-        transforms = self._decoder.transforms(block)
+    def columns(block: MessageBlock) -> Columns:
+        transforms = decoder.transforms(block)
         ours = transforms.frames == 0
         message = transforms.message[ours]
-        if self._clock.name == "header":
+        if clock.name == "header":
             t_ns = transforms.t_ns[ours]
         else:
-            t_ns = self._clock.ns((), block, self._path)[message]
-        return Columns(
-            block.log_ns[message],
-            (t_ns, transforms.wxyz[ours], transforms.position[ours]),
-            block.not_before_ns,
-        )
+            t_ns = clock.ns((), block, log.path)[message]
+        values = (t_ns, transforms.wxyz[ours], transforms.position[ours])
+        return Columns(block.log_ns[message], values, block.not_before_ns)
+
+    return columns
 
 
 def chosen_frames(log: MessageLog, channel: Channel, wanted: str | None) -> Frames:

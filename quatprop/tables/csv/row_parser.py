@@ -29,17 +29,7 @@ if TYPE_CHECKING:
 
 _LARGEST = np.iinfo(np.int64).max
 _NOT_A_NUMBER = {
-    "",
-    "nan",
-    "-nan",
-    "+nan",
-    "na",
-    "n/a",
-    "#n/a",
-    "null",
-    "none",
-    "1.#qnan",
-    "1.#ind",
+    *("", "nan", "-nan", "+nan", "na", "n/a", "#n/a", "null", "none", "1.#qnan", "1.#ind"),
 }
 
 
