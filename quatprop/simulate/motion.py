@@ -164,8 +164,8 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
     return motion
 
 
-class RandomWalk:
-    """A rate that is a random walk, constant from each sample to the next.
+def random_walk(walk: float, seed: int) -> Motion:
+    """Return a rate that is a random walk, constant from each sample to the next.
 
     The attitude is the product of the exact steps (source article, equation 36) in extended
     precision where the machine has it.
@@ -177,26 +177,22 @@ class RandomWalk:
     seed
         Of the random numbers.
     """
+    random = np.random.default_rng(seed)
+    last = np.int64(0), np.zeros(3), np.array([1, 0, 0, 0], np.longdouble)
 
-    def __init__(self, walk: float, seed: int) -> None:
-        self._walk = walk
-        self._random = np.random.default_rng(seed)
-        self._elapsed_ns = np.int64(0)
-        self._rate = np.zeros(3)
-        self._wxyz = np.array([1, 0, 0, 0], np.longdouble)
-
-    def __call__(self, elapsed_ns: Int64) -> tuple[Float64, Float64]:
-        """Return rate and attitude; times continue from the last call."""
-        dt = np.diff(elapsed_ns, prepend=self._elapsed_ns) / NS_PER_S
-        increments = (
-            self._random.standard_normal((len(dt), 3)) * (self._walk * np.sqrt(dt))[:, None]
-        )
-        rate = np.cumsum(np.vstack((self._rate, increments)), axis=0)
+    def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:
+        nonlocal last
+        last_ns, last_rate, last_wxyz = last
+        dt = np.diff(elapsed_ns, prepend=last_ns) / NS_PER_S
+        increments = random.standard_normal((len(dt), 3)) * (walk * np.sqrt(dt))[:, None]
+        rate = np.cumsum(np.vstack((last_rate, increments)), axis=0)
         steps = step(rate[:-1].astype(np.longdouble) * dt[:, None])
-        steps[0] = hamilton(self._wxyz, steps[0])
+        steps[0] = hamilton(last_wxyz, steps[0])
         wxyz = running_product(steps)
-        self._elapsed_ns, self._rate, self._wxyz = elapsed_ns[-1], rate[-1], wxyz[-1]
+        last = elapsed_ns[-1], rate[-1], wxyz[-1]
         return rate[1:], wxyz.astype(np.float64)
+
+    return motion
 
 
 MOTIONS: Mapping[str, Callable[[Shape], Motion]] = {
@@ -204,7 +200,7 @@ MOTIONS: Mapping[str, Callable[[Shape], Motion]] = {
     "spin": lambda shape: spin(shape.axis, shape.frequency),
     "coning": lambda shape: precession(shape.angle, shape.frequency, -shape.frequency),
     "tumbling": lambda shape: precession(shape.angle, shape.frequency, shape.spin_frequency),
-    "random-walk": lambda shape: RandomWalk(shape.walk, shape.seed),
+    "random-walk": lambda shape: random_walk(shape.walk, shape.seed),
 }
 """Every motion that can be simulated."""
 

@@ -7,7 +7,7 @@ holding the interpreter lock, so the next rows are propagated or formatted meanw
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.csv
@@ -84,7 +84,7 @@ class TextTable(TableWriter):
         self._body.write(text)
 
 
-def delimited(separator: str, names: Sequence[str]) -> Formatter:
+def delimited(separator: str) -> Formatter:
     """Return a formatter of columns as values between separators.
 
     Each number is the shortest decimal that reads back as the same float64.
@@ -93,17 +93,14 @@ def delimited(separator: str, names: Sequence[str]) -> Formatter:
         include_header=False, delimiter=separator, quoting_style="none"
     )
 
-    def formatter(columns: list[AnyArray]) -> pa.Buffer:
-        batch = pa.record_batch([_arrow(column) for column in columns], names=list(names))
+    def formatter(columns: list[Any]) -> pa.Buffer:
+        arrays = [one if isinstance(one, pa.Array) else to_arrow(one) for one in columns]
+        batch = pa.record_batch(arrays, names=list(map(str, range(len(arrays)))))
         lines = pa.BufferOutputStream()
         pyarrow.csv.write_csv(batch, lines, options)
         return lines.getvalue()
 
     return formatter
-
-
-def _arrow(column: pa.Array | AnyArray) -> pa.Array:
-    return column if isinstance(column, pa.Array) else to_arrow(column)
 
 
 class CsvTable(TextTable):
@@ -124,9 +121,8 @@ class CsvTable(TextTable):
     separator = ","
 
     def __init__(self, target: Path | str, names: Sequence[str], *, comment: bool = False) -> None:
-        names = ("t_ns", *names)
-        header = self.separator.join(names) + "\n"
-        super().__init__(target, header, delimited(self.separator, names), comment=comment)
+        header = self.separator.join(("t_ns", *names)) + "\n"
+        super().__init__(target, header, delimited(self.separator), comment=comment)
 
 
 class TsvTable(CsvTable):

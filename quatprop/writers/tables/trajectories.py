@@ -50,7 +50,7 @@ class TumTable(TextTable):
     def _rows(self, columns: list[Column]) -> pa.Buffer:
         position = columns[5:] or [np.zeros(len(columns[0]), np.int8)] * 3
         values = self.values(columns[0], columns[1:5], position)
-        return delimited(self.separator, list(map(str, range(len(values)))))(values)
+        return delimited(self.separator)(values)
 
     @staticmethod
     def values(t_ns: Column, quaternion: Columns, position: Columns) -> list[Any]:
