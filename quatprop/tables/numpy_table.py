@@ -87,18 +87,21 @@ class NumpyTable(TypedTable):
                 streams.append((stream, columns))
             for done in range(0, rows, at_once):
                 count = min(at_once, rows - done)
-                blocks = [_ArrayBlock(stream, columns, count) for stream, columns in streams]
+                blocks = [
+                    (columns, *_read_bytes(stream, count * columns[0][1].step))
+                    for stream, columns in streams
+                ]
                 # Where one array ends early, the rows that all of them have are still good.
-                whole = min(block.rows for block in blocks)
+                whole = min(len(data) // columns[0][1].step for columns, data, _ in blocks)
                 if whole:
                     values = {
-                        name: _arrow(column[:whole])
-                        for block in blocks
-                        for name, column in block.columns()
+                        name: _values(data, column, whole)
+                        for columns, data, _ in blocks
+                        for name, column in columns
                     }
                     yield pa.record_batch(list(values.values()), list(values))
                 if whole < count:
-                    why = "".join(f" ({block.damage})" for block in blocks if block.damage)
+                    why = "".join(f" ({damage})" for *_, damage in blocks if damage)
                     raise DamageError(f"it has {done + whole} of the {rows} rows it claims{why}")
             for stream, _ in streams:
                 # The checksum of a member is looked at when it ends.
@@ -111,11 +114,6 @@ def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
         return pa.from_numpy_dtype(dtype.newbyteorder("="))
     except (pa.ArrowException, TypeError):
         return pa.binary()
-
-
-def _arrow(column: np.ndarray[Any, Any]) -> pa.Array:
-    """Return a column of numbers, or of dates: of those only Arrow knows which are none."""
-    return pa.array(column) if column.dtype.kind in "mM" else to_arrow(column)
 
 
 @contextmanager
@@ -132,53 +130,28 @@ def _skip(stream: BinaryIO, count: int) -> None:
         count -= len(data)
 
 
-class _ArrayBlock:
-    """The next rows of an array, as many of them as can be read.
+def _read_bytes(stream: BinaryIO, size: int) -> tuple[bytearray, str]:
+    """Return the next bytes of an array, as many of them as can be read, and why they are fewer."""
+    data = bytearray()
+    # What comes before a cut is returned by read1 and discarded by read.
+    read = getattr(stream, "read1", stream.read)
+    try:
+        # In pieces: those before the one that is damaged are given out.
+        while len(data) < size and (piece := read(min(size - len(data), _PIECE_BYTES))):
+            data += piece
+    except _ARCHIVE_ERRORS as error:
+        return data, plain(error) or type(error).__name__
+    return data, ""
 
-    Parameters
-    ----------
-    stream
-        The array, at the first of these rows.
-    columns
-        Columns that share its rows.
-    count
-        How many rows there should be.
 
-    Attributes
-    ----------
-    rows
-        How many there are.
-    damage
-        Why they are fewer, where the archive says so.
-    """
-
-    def __init__(
-        self, stream: BinaryIO, columns: list[tuple[str, ArrayColumn]], count: int
-    ) -> None:
-        self._columns = columns
-        self._data = bytearray()
-        self.damage = ""
-        step = columns[0][1].step
-        size = step * count
-        # What comes before a cut is returned by read1 and discarded by read.
-        read = getattr(stream, "read1", stream.read)
-        try:
-            # In pieces: those before the one that is damaged are given out.
-            while len(self._data) < size and (
-                piece := read(min(size - len(self._data), _PIECE_BYTES))
-            ):
-                self._data += piece
-        except _ARCHIVE_ERRORS as error:
-            self.damage = plain(error) or type(error).__name__
-        self.rows = len(self._data) // step
-
-    def columns(self) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
-        """Yield name and values of each column, in the byte order of the machine."""
-        for name, column in self._columns:
-            stored: np.ndarray[Any, Any] = np.ndarray(
-                (self.rows,), column.dtype, self._data, column.offset, (column.step,)
-            )
-            yield name, stored.astype(column.dtype.newbyteorder("="))
+def _values(data: bytearray, column: ArrayColumn, rows: int) -> pa.Array:
+    """Return a column of some rows, in the byte order of the machine."""
+    stored: np.ndarray[Any, Any] = np.ndarray(
+        (rows,), column.dtype, data, column.offset, (column.step,)
+    )
+    native = stored.astype(column.dtype.newbyteorder("="))
+    # Of dates only Arrow knows which are none.
+    return pa.array(native) if native.dtype.kind in "mM" else to_arrow(native)
 
 
 class NpyLog(NumpyTable):

@@ -23,17 +23,19 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def output_errors(target: Path | str) -> Iterator[None]:
+def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None]:
     """Turn errors of the system into an :class:`OutputError` that names the target.
 
     A closed pipe passes as it is: it is no error that the reader of our output has gone.
     """
+    known: tuple[type[Exception], ...] = (OSError, *others)
     try:
         yield
     except BrokenPipeError:
         raise
-    except OSError as error:
-        raise OutputError(target, f"cannot be written: {error.strerror or error}") from error
+    except known as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(target, f"cannot be written: {reason}") from error
 
 
 class OutputFile:

@@ -112,6 +112,8 @@ class FileWriter(Transaction):
     """
 
     _output: OutputFile | OutputPath
+    _other_errors: tuple[type[Exception], ...] = ()
+    """What a library raises besides errors of the system."""
 
     def __init__(self, output: OutputFile | OutputPath) -> None:
         self._output = output
@@ -135,7 +137,7 @@ class FileWriter(Transaction):
         self._output.discard()
 
     def _errors(self) -> AbstractContextManager[None]:
-        return output_errors(self._output.target)
+        return output_errors(self._output.target, *self._other_errors)
 
 
 class TableWriter(FileWriter):

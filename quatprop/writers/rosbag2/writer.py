@@ -7,20 +7,19 @@ provenance is among the custom data of metadata.yaml, under the key ``quatprop``
 from __future__ import annotations
 
 import sqlite3
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
-from quatprop.errors import OutputError
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.file import McapFile
 from quatprop.writers.messages.topics import Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from rosbags.interfaces import Connection
@@ -155,6 +154,7 @@ class SqliteBagWriter(MessageWriter):
 
     _output: OutputPath
     storage = StoragePlugin.SQLITE3
+    _other_errors = (sqlite3.Error,)
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         super().__init__(OutputPath(target, folder=True))
@@ -179,15 +179,6 @@ class SqliteBagWriter(MessageWriter):
         with suppress(OSError, sqlite3.Error):
             self._bag.abort()
         super().abort()
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Turn errors of the system and of SQLite into an error that names the target."""
-        with super()._errors():
-            try:
-                yield
-            except sqlite3.Error as error:
-                raise OutputError(self._output.target, f"cannot be written: {error}") from error
 
 
 class McapBagWriter(SqliteBagWriter):
