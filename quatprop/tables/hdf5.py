@@ -66,22 +66,25 @@ class Hdf5Log(NumpyTable):
             ) from error
         self._refused = ""
         try:
-            # Programs that are still writing keep a lock, which only matters to other writers.
-            self._file = h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
-        except _ERRORS as error:
-            raise DamagedLogError(path, _damage(error)) from error
-        with ExitStack() as resources:
-            resources.callback(self._file.close)
-            try:
+            with ExitStack() as resources:
+                # Programs that are still writing keep a lock, which only matters to other writers.
+                self._file = resources.enter_context(
+                    h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
+                )
                 self._sample_rate = _sample_rate(self._file)
                 self._file.visititems(self._describe)
-            except _ERRORS as error:
-                raise DamagedLogError(path, _damage(error)) from error
-            if (end := _second_file(path)) is not None:
-                refuse_second_file(path, end)
-            if not self._leaves:
-                raise UnsupportedLogError(path, self._refused or "it has no datasets; name a log")
-            resources.pop_all()
+                if (end := _second_file(path)) is not None:
+                    refuse_second_file(path, end)
+                if not self._leaves:
+                    reason = self._refused or "it has no datasets; name a log"
+                    raise UnsupportedLogError(path, reason)
+                resources.pop_all()
+        except _ERRORS as error:
+            raise DamagedLogError(
+                path,
+                f"its groups and datasets are damaged ({plain(error)}); was it closed and copied "
+                "whole?",
+            ) from error
 
     @property
     def notes(self) -> TableNotes:
@@ -185,10 +188,6 @@ def _second_file(path: Path) -> int | None:
             return None
         file.seek(end)
         return end if file.read(len(_MAGIC)) == _MAGIC else None
-
-
-def _damage(error: BaseException) -> str:
-    return f"its groups and datasets are damaged ({plain(error)}); was it closed and copied whole?"
 
 
 def _attribute(item: Any, name: str) -> AnyArray:

@@ -106,8 +106,8 @@ def _leaves(lines: list[bytes]) -> list[Leaf]:
     types: dict[tuple[str, ...], pa.DataType | None] = {}
     for line in lines:
         try:
-            # Only names and types are wanted: numbers may have any length.
-            row = json.loads(line, parse_int=_any_number, parse_float=_any_number)
+            # Only names and types are wanted: whole numbers may have any length.
+            row = json.loads(line, parse_int=float)
             if isinstance(row, dict):
                 _add_fields(row, (), types)
         except (ValueError, RecursionError):
@@ -133,10 +133,6 @@ def _cell(line: bytes, leaf: Leaf) -> object:
         cell: object = reduce(getitem, place, json.loads(line, parse_int=str))
         return cell
     return None
-
-
-def _any_number(_text: str) -> float:
-    return 0.0
 
 
 def _add_fields(
