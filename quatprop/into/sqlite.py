@@ -13,7 +13,7 @@ from quatprop.into.rosbag2_metadata import Added
 from quatprop.writers.rosbag2.writer import insert_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from pathlib import Path
 
     from quatprop.arrays import Int64, Records
@@ -71,22 +71,18 @@ class SqlitePart:
         """Declare the topic and its type; return the id of the topic."""
         self._insert(
             "message_definitions",
-            {
-                "topic_type": topic.type_name,
-                "encoding": topic.schema_encoding,
-                "encoded_message_definition": topic.schema.decode(),
-                "type_description_hash": topic.digest,
-            },
+            topic_type=topic.type_name,
+            encoding=topic.schema_encoding,
+            encoded_message_definition=topic.schema.decode(),
+            type_description_hash=topic.digest,
         )
         return self._insert(
             "topics",
-            {
-                "name": topic.name,
-                "type": topic.type_name,
-                "serialization_format": topic.encoding,
-                "offered_qos_profiles": self._no_profiles(),
-                "type_description_hash": topic.digest,
-            },
+            name=topic.name,
+            type=topic.type_name,
+            serialization_format=topic.encoding,
+            offered_qos_profiles=self._no_profiles(),
+            type_description_hash=topic.digest,
         )
 
     def write(self, log_ns: Int64, messages: Records) -> None:
@@ -123,7 +119,7 @@ class SqlitePart:
     def _columns(self, table: str) -> set[str]:
         return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
-    def _insert(self, table: str, values: Mapping[str, str | int]) -> int:
+    def _insert(self, table: str, **values: str) -> int:
         """Insert the values that this version of a table has columns for; return the row's id."""
         columns = self._columns(table)
         values = {name: value for name, value in values.items() if name in columns}
