@@ -11,6 +11,7 @@ OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 from quatprop.messages.schema import Array, Primitive, Struct, Type
@@ -51,16 +52,23 @@ class Extents:
 
     def __init__(self, placement: Placement) -> None:
         self.placement = placement
-        self._alignments: dict[Type, int] = {}
-        self._sizes: dict[tuple[Type, int], int] = {}
+        self.alignment = cache(self._alignment)
+        self._size_from = cache(self._size)
 
-    def alignment(self, kind: Type) -> int:
+    def _alignment(self, kind: Type) -> int:
         """Return the largest alignment in a value of fixed size, or 0 where its size varies."""
-        if isinstance(kind, Primitive):
-            return min(kind.size, self.placement.alignment)
-        if kind not in self._alignments:
-            self._alignments[kind] = self._composed(kind)
-        return self._alignments[kind]
+        match kind:
+            case Primitive():
+                return min(kind.size, self.placement.alignment)
+            case Struct():
+                parts = [self.alignment(part) for _, part in kind.fields]
+                return max([1, *parts]) if all(parts) else 0
+            case Array(length=0):
+                return 1
+            case Array():
+                delimited = self.placement.delimited and not isinstance(kind.element, Primitive)
+                return 0 if delimited else self.alignment(kind.element)
+        return 0
 
     def size(self, kind: Type, begin: int) -> int:
         """Return the bytes of a value of fixed size, with the padding before it.
@@ -72,29 +80,18 @@ class Extents:
         begin
             Where the value before it ends, bytes from the origin of alignment.
         """
-        begin %= 8
+        return self._size_from(kind, begin % 8)
+
+    def _size(self, kind: Type, begin: int) -> int:
         if isinstance(kind, Primitive):
             return -begin % self.alignment(kind) + kind.size
-        if (kind, begin) not in self._sizes:
-            end = begin
-            if isinstance(kind, Struct):
-                for _, part in kind.fields:
-                    end += self.size(part, end)
-            elif isinstance(kind, Array) and kind.length:
-                # From the second element on they lie equal distances apart, because every
-                # element ends equally far behind its first most aligned number.
-                end += self.size(kind.element, end)
-                end += (kind.length - 1) * self.size(kind.element, end)
-            self._sizes[kind, begin] = end - begin
-        return self._sizes[kind, begin]
-
-    def _composed(self, kind: Type) -> int:
+        end = begin
         if isinstance(kind, Struct):
-            parts = [self.alignment(part) for _, part in kind.fields]
-            return max([1, *parts]) if all(parts) else 0
-        if isinstance(kind, Array):
-            if not kind.length:
-                return 1
-            delimited = self.placement.delimited and not isinstance(kind.element, Primitive)
-            return 0 if delimited else self.alignment(kind.element)
-        return 0
+            for _, part in kind.fields:
+                end += self.size(part, end)
+        elif isinstance(kind, Array) and kind.length:
+            # From the second element on they lie equal distances apart, because every element
+            # ends equally far behind its first most aligned number.
+            end += self.size(kind.element, end)
+            end += (kind.length - 1) * self.size(kind.element, end)
+        return end - begin
