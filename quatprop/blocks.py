@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from itertools import repeat, tee, zip_longest
+from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+Item = TypeVar("Item")
 
 BLOCK = 131_072
 """Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
@@ -49,3 +52,26 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
             count += len(batch) - start
     if count:
         yield GyroSeries.joined(held)
+
+
+def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
+    """Yield each item with the next one, which is None after the last.
+
+    Parameters
+    ----------
+    items
+        What follows one another.
+    look_ahead
+        Whether to wait for the next one; otherwise it is always None.
+
+    Examples
+    --------
+    >>> list(with_next("abc", look_ahead=True))
+    [('a', 'b'), ('b', 'c'), ('c', None)]
+    """
+    if not look_ahead:
+        yield from zip(items, repeat(None), strict=False)
+        return
+    these, following = tee(items)
+    next(following, None)
+    yield from zip_longest(these, following)

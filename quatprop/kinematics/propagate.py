@@ -7,11 +7,11 @@ attitudes of the first samples are those of the whole log.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.blocks import BLOCK, reblock
+from quatprop.blocks import BLOCK, reblock, with_next
 from quatprop.errors import SeriesError
 from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
 from quatprop.kinematics.product import (
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.kinematics.product import Pairs, Wxyz
-
-Item = TypeVar("Item")
 
 TILE: Final = BLOCK // 8
 """Steps composed together: few enough for the L2 cache, many enough to make calls cheap."""
@@ -264,27 +262,6 @@ class FinalAttitude(_Composition):
             for start in range(0, steps.shape[1], TILE >> LEVELS):
                 tile = steps[:, start : start + (TILE >> LEVELS)]
                 self._attitude = unit(product_loop(self._attitude, tile)[-1])
-
-
-def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
-    """Yield each item with the next one, which is None after the last.
-
-    Parameters
-    ----------
-    items
-        What follows one another.
-    look_ahead
-        Whether to wait for the next one; otherwise it is always None.
-    """
-    last: Item | None = None
-    for item in items:
-        if not look_ahead:
-            yield item, None
-        elif last is not None:
-            yield last, item
-        last = item
-    if look_ahead and last is not None:
-        yield last, None
 
 
 def unit_q0(q0: ArrayLike) -> Float64:
