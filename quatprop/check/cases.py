@@ -70,10 +70,11 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     owners: dict[str, str] = {}
     for table in suite.tables:
         try:
-            if skip := reason_of(suite, table, "skip"):
+            parser = _CaseParser(suite, table)
+            if skip := parser.reason("skip"):
                 cases.append(CaseNotRun(table.name, skip, "skip", table.line))
                 continue
-            case = _CaseParser(suite, table).case()
+            case = parser.case()
             if case.reference is not None:
                 owner = owners.setdefault(os.path.realpath(case.reference), case.name)
                 if owner != case.name:
@@ -83,20 +84,6 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
         except QuatpropError as error:
             cases.append(CaseNotRun(table.name, sentence(error), line=table.line))
     return suite, cases
-
-
-def reason_of(suite: Suite, table: CaseTable, key: str) -> str:
-    """Return why a case is skipped or known to fail; empty where it is not.
-
-    Raises
-    ------
-    SuiteError
-        The value is not a reason.
-    """
-    reason = table.values.get(key, "")
-    if key in table.values and (not isinstance(reason, str) or not reason.strip()):
-        raise SuiteError(suite.path, "write the reason as text", table.name, key)
-    return str(reason)
 
 
 def same_option(key: str, one: str | None, other: str | None) -> bool:
@@ -111,12 +98,11 @@ def same_option(key: str, one: str | None, other: str | None) -> bool:
 
 def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
     known = OWN_KEYS | PARSERS.keys()
-    if key in known:
-        return
-    known_keys = "a case has the options of propagate that determine the attitudes, and of compare"
-    place = key if case is not None else f"defaults.{key}"
-    hint = did_you_mean(key, sorted(known), known_keys)
-    raise SuiteError(suite.path, f"no such key{hint}", case, place)
+    if key not in known:
+        keys = "a case has the options of propagate that determine the attitudes, and of compare"
+        place = key if case is not None else f"defaults.{key}"
+        hint = did_you_mean(key, sorted(known), keys)
+        raise SuiteError(suite.path, f"no such key{hint}", case, place)
 
 
 class _CaseParser:
@@ -173,16 +159,29 @@ class _CaseParser:
             reference=reference,
             external=external,
             options=_options(parsed, texts),
-            comparison_options={
-                key: str(text) for key, text in {**comparison_texts, **reference_texts}.items()
-            },
+            comparison_options={**comparison_texts, **reference_texts},
             inputs=self._inputs,
             strict=strict,
             pins_log=pins_log,
-            xfail=reason_of(self._suite, self._table, "xfail"),
+            xfail=self.reason("xfail"),
             in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
             line=self._table.line,
         )
+
+    def reason(self, key: str) -> str:
+        """Return why the case is skipped or known to fail; empty where it is not.
+
+        Raises
+        ------
+        SuiteError
+            The value is not a reason.
+        """
+        if key not in self._values:
+            return ""
+        reason = self._values[key]
+        if not isinstance(reason, str) or not reason.strip():
+            self._refuse("write the reason as text", key)
+        return reason
 
     def _reference(self) -> str | None:
         """Return the path of the stored reference; None where the case names a series."""
@@ -200,11 +199,8 @@ class _CaseParser:
             self._refuse(reason, "reference")
         reference = self._path("reference")
         if not reference.lower().endswith((".parquet", ".pq")):
-            self._refuse(
-                "a stored reference is a .parquet file; name an independent series as "
-                "reference-log",
-                "reference",
-            )
+            reason = "a stored reference is a .parquet file; name an independent series as "
+            self._refuse(f"{reason}reference-log", "reference")
         return reference
 
     def _path(self, key: str) -> str:
@@ -224,7 +220,7 @@ class _CaseParser:
 
     def _settings(
         self, keys: Mapping[str, str], usual: Mapping[str, str] | None = None
-    ) -> tuple[dict[str, Any], dict[str, object]]:
+    ) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the values of some keys by the name of their setting, and as text by their key.
 
         Text is as on the command line: 5 is no duration; true and false stay.
@@ -241,13 +237,13 @@ class _CaseParser:
                 parsed[keys[key]] = PARSERS[key](value)
             except UsageError as error:
                 self._refuse(error.text, key)
-        return parsed, texts
+        return parsed, {key: str(text) for key, text in texts.items()}
 
     def _refuse(self, reason: str | Text, key: str | None = None) -> NoReturn:
         raise SuiteError(self._suite.path, reason, self._table.name, key)
 
 
-def _options(parsed: Mapping[str, object], texts: Mapping[str, object]) -> dict[str, str]:
+def _options(parsed: Mapping[str, object], texts: Mapping[str, str]) -> dict[str, str]:
     """Return the settings that are not the default, by key, as text."""
     settings = propagation_settings(parsed)
 
@@ -257,4 +253,4 @@ def _options(parsed: Mapping[str, object], texts: Mapping[str, object]) -> dict[
         except UsageError:
             return True
 
-    return {key: str(text) for key, text in sorted(texts.items()) if matters(PROPAGATION_KEYS[key])}
+    return {key: text for key, text in sorted(texts.items()) if matters(PROPAGATION_KEYS[key])}

@@ -18,7 +18,7 @@ from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judg
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import geodesic_angle, normalize
+from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.series import AttitudeSeries
 
-
-UNIT_LENGTH = 1e-3
-"""Difference from unit length that is remarked on; decimals of a text file stay below it."""
 
 ROUNDING = 1e-14
 """Difference from unit length below which quaternions are compared as they are, without a copy."""
@@ -185,7 +182,7 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[Atti
             f"{name} has {invalid} of {len(series)} rows that are no attitude (zero or not a "
             f"number), the first at index {first_invalid}; leave them out"
         )
-    if deviation > UNIT_LENGTH:
+    if deviation > UNIT_TOLERANCE:
         remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
     t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
     intervals = np.diff(t_ns)

@@ -122,7 +122,7 @@ class ErrorMeter:
         self._limit = limit
         self._errors = array("d")
         self._block_ns = np.empty(PIECE, np.int64)
-        self._filled = self._count = 0
+        self._filled = 0
         self._total = self._squares = 0.0
         # Means of time, h, and error; sums of squares and products of the differences from them.
         self._means, self._moments = np.zeros(2), np.zeros(2)
@@ -174,7 +174,8 @@ class ErrorMeter:
         Chan, Golub and LeVeque, "Updating formulae and a pairwise algorithm for computing sample
         variances", Stanford STAN-CS-79-773, 1979.
         """
-        count, errors = self._filled, np.array(self._errors[-self._filled :])
+        count, total = self._filled, len(self._errors)
+        errors = np.array(self._errors[-count:])
         self._total += float(errors.sum())
         self._squares += float((errors**2).sum())
         hours = (self._block_ns[:count] - self.covered.first_ns) / (NS_PER_S * S_PER_H)
@@ -182,10 +183,9 @@ class ErrorMeter:
         hours -= means[0]
         moments = np.array([(hours**2).sum(), (hours * (errors - means[1])).sum()])
         apart = means - self._means
-        total = self._count + count
-        self._moments += moments + apart[0] * apart * (self._count * count / total)
+        self._moments += moments + apart[0] * apart * ((total - count) * count / total)
         self._means += apart * (count / total)
-        self._count, self._filled = total, 0
+        self._filled = 0
 
     def errors(self) -> Float64:
         """Return the errors, rad, shape ``(N,)``; call it when all pairs have passed."""
