@@ -177,7 +177,7 @@ def interpolate(series: AttitudeSeries, t_ns: Int64) -> Float64:
     return between
 
 
-def shifted(series: AttitudeSeries, offset_ns: int) -> AttitudeSeries:
+def shifted(series: AttitudeSeries, offset_ns: int | Int64) -> AttitudeSeries:
     """Return the series with `offset_ns` added to its stamps."""
     return replace(series, t_ns=series.t_ns + offset_ns)
 

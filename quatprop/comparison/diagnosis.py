@@ -10,13 +10,12 @@ same samples to A and to B: pairs of them are tried out first.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.association import associate
+from quatprop.comparison.association import associate, interval_ns, shifted
 from quatprop.comparison.cause_sentences import described
 from quatprop.comparison.hypotheses import (
     EXACT,
@@ -113,7 +112,7 @@ def likely_cause(
     if mistake and clock:
         first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
         seconds = clock.at((b.t_ns - first_ns) / NS_PER_S)
-        moved = replace(b, t_ns=b.t_ns + np.rint(seconds * NS_PER_S).astype(np.int64))
+        moved = shifted(b, np.rint(seconds * NS_PER_S).astype(np.int64))
         before, after = (_total(a, other, settings) for other in (b, moved))
         mistake = mistake._replace(total_before=before, total_after=after)
     gross = (
@@ -148,7 +147,7 @@ def _cause_over_windows(
     ]
     if not lengths:
         return None, None
-    intervals = [float(np.median(np.diff(series.t_ns))) / NS_PER_S for series in (a, b)]
+    intervals = [interval_ns(series) / NS_PER_S for series in (a, b)]
     clearest = min(lengths, key=lambda windows: windows.unexplained)
     found = clearest.found(min(intervals), names)
     if found is None:
@@ -174,9 +173,9 @@ def _method_cause(a: AttitudeSeries, b: AttitudeSeries) -> Cause | None:
     best = min(tried, key=lambda trial: trial.rms if np.isfinite(trial.rms) else np.inf)
     if not best.rms <= MAX_REMAINING_METHOD * before.rms:
         return None
-    interval = float(np.median(np.diff(a.t_ns)))
+    interval = interval_ns(a)
     name, sentence, remedy = described(best, [], [interval / NS_PER_S] * 2)
-    return Cause(name, sentence, before.rms, best.rms, remedy, round(interval))
+    return Cause(name, sentence, before.rms, best.rms, remedy, interval)
 
 
 def _cause_of_errors(
