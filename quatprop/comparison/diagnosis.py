@@ -25,7 +25,7 @@ from quatprop.comparison.hypotheses import (
     isolated_samples,
 )
 from quatprop.comparison.statistics import rms
-from quatprop.comparison.trials import ClockError, Trial, size, trials
+from quatprop.comparison.trials import ClockError, Trial, rms_length, trials
 from quatprop.comparison.window_trials import CLOCKS, MISTAKES, WindowTrials
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
@@ -226,12 +226,12 @@ def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other:
     best = remaining(zigzag)
     if rule in DETERMINED or not np.isfinite(best).all():
         return best
-    small = ZIGZAG_SHARE * max(size(known) / float(np.diff(t_ns).mean()) * NS_PER_S, 1e-9)
+    small = ZIGZAG_SHARE * max(rms_length(known) / float(np.diff(t_ns).mean()) * NS_PER_S, 1e-9)
     for _ in range(ZIGZAG_ROUNDS):
         slopes = [((remaining(zigzag + small * axis) - best) / small).ravel() for axis in np.eye(3)]
         step, *_ = np.linalg.lstsq(np.stack(slopes, axis=1), -best.ravel(), rcond=None)
         moved = remaining(zigzag + step)
-        if not size(moved) < size(best):
+        if not rms_length(moved) < rms_length(best):
             break
         zigzag, best = zigzag + step, moved
     return best

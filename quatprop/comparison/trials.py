@@ -116,7 +116,7 @@ class Trial(NamedTuple):
     @property
     def rms(self) -> float:
         """RMS of the remaining differences, rad."""
-        return size(self.remaining)
+        return rms_length(self.remaining)
 
 
 def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator[Trial]:
@@ -144,7 +144,7 @@ def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator
         yield Trial("scale", (y - ratio * x) / min(ratio, 1.0), value=limits)
     (turn, _), (mirrored, _) = kabsch(x, y), kabsch(-x, y)
     turned = y - rotate(turn, x)
-    if SAME_TURN * size(turned) <= size(y + rotate(mirrored, x)):
+    if SAME_TURN * rms_length(turned) <= rms_length(y + rotate(mirrored, x)):
         # Otherwise axes are reversed, about which the motion hardly turns.
         yield Trial("body frame", turned, value=float(geodesic_angle(IDENTITY, turn)))
     offset = clock_error(angles[0], starts, length)
@@ -245,7 +245,7 @@ def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Flo
     return centred((earlier - later) / (2 * step))
 
 
-def size(values: Float64) -> float:
+def rms_length(values: Float64) -> float:
     """Return the RMS length of vectors."""
     return float(np.sqrt((values**2).sum(axis=1).mean()))
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.comparison.hypotheses import EXACT
-from quatprop.comparison.trials import ClockError, RateRatio, Trial, size
+from quatprop.comparison.trials import ClockError, RateRatio, Trial, rms_length
 from quatprop.comparison.windows import MISREADINGS, Angles
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class WindowTrials:
     def __init__(self, length: float, starts: Float64, angles: Angles, tried: list[Trial]) -> None:
         self.length = length
         self.before, *self._tried = tried
-        self._motion = max(size(angle.over(starts, length)) for angle in (angles.a, angles.b))
+        self._motion = max(rms_length(angle.over(starts, length)) for angle in (angles.a, angles.b))
         # Overlapping windows repeat each other.
         self._freedom = 3 * min(len(starts), float(starts[-1] - starts[0]) / length)
         offset = next(trial for trial in tried if trial.name == "time offset")
