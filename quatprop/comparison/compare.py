@@ -119,8 +119,6 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
     statistics = meter.statistics(rising, final)
-    criteria = tuple(judge(settings, statistics, window, meter.drift_deg_h, coverage, sigmas))
-    passed = all(criterion.passed for criterion in criteria)
     if matching.match == "exact" and meter.opposite and largest <= SMALL_ERROR:
         remarks.append(
             f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
@@ -131,7 +129,7 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
             f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
             "exact, with sigma 0, and the error is beyond rounding"
         )
-    return Comparison(
+    measured = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
         association=matching,
@@ -145,12 +143,13 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
         coverage=coverage,
         left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
-        criteria=criteria,
-        passed=passed,
         first_exceeding=meter.first_exceeding,
-        likely_cause=None if criteria and passed else likely_cause(a, b, settings, rising),
         remarks=tuple(remarks),
     )
+    criteria = tuple(judge(settings, measured))
+    passed = all(criterion.passed for criterion in criteria)
+    cause = None if criteria and passed else likely_cause(a, b, settings, rising)
+    return replace(measured, criteria=criteria, passed=passed, likely_cause=cause)
 
 
 def unit(wxyz: Float64) -> Float64:

@@ -91,15 +91,15 @@ class Coverage(NamedTuple):
         return self.time if self.samples is None else min(self.time, self.samples)
 
 
-def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
-    settings: ComparisonSettings,
-    errors: ErrorStatistics,
-    window: WindowStatistics | None,
-    drift_deg_h: float | None,
-    covered: Coverage,
-    sigmas: SigmaStatistics | None,
-) -> Iterator[Criterion]:
+def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
     """Yield the verdict on each criterion that the settings have.
+
+    Parameters
+    ----------
+    settings
+        How to compare.
+    measured
+        The errors; its criteria do not matter.
 
     Raises
     ------
@@ -118,32 +118,33 @@ def judge(  # noqa: PLR0913, PLR0917  # everything that has a limit
         if limit is None:
             continue
         in_sigma = isinstance(limit, Sigmas)
-        if in_sigma and sigmas is None:
+        if in_sigma and measured.sigmas is None:
             shown = "" if setting == "max_sigma" else str(limit)
             raise ComparisonError(
                 f"neither series has standard deviations, which {Setting(setting, shown)} needs; "
                 f"write them with {Setting('sigma')}"
             )
-        value = getattr(sigmas if in_sigma else errors, name)
+        value = getattr(measured.sigmas if in_sigma else measured.error_rad, name)
         most, unit = (limit.count, "sigma") if in_sigma else (limit, "rad")
         yield Criterion(setting, label, value, most, unit, value <= most)
-    for setting, label, measured, unit in (
+    window = measured.window
+    for setting, label, size, unit in (
         ("window_tol", "worst error over windows", window.max_rad if window else None, "rad"),
         ("window_rms_tol", "RMS error over windows", window.rms_rad if window else None, "rad"),
-        ("drift_tol", "drift", drift_deg_h, "deg/h"),
-        ("min_coverage", "coverage", covered.least, "%"),
+        ("drift_tol", "drift", measured.drift_deg_h, "deg/h"),
+        ("min_coverage", "coverage", measured.coverage.least, "%"),
     ):
         if (limit := getattr(settings, setting)) is None:
             continue
-        if measured is None:
+        if size is None:
             raise ComparisonError(
                 f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
             )
-        passed = measured >= limit if setting == "min_coverage" else abs(measured) <= limit
-        yield Criterion(setting, label, measured, limit, unit, passed)
+        passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
+        yield Criterion(setting, label, size, limit, unit, passed)
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
 class Comparison:
     """The geodesic error between two attitude series A and B.
 
@@ -204,10 +205,10 @@ class Comparison:
     coverage: Coverage
     left_out: int
     tolerance_rad: float | None
-    criteria: tuple[Criterion, ...]
-    passed: bool
+    criteria: tuple[Criterion, ...] = ()
+    passed: bool = True
     first_exceeding: ComparedSample | None
-    likely_cause: Cause | None
+    likely_cause: Cause | None = None
     remarks: tuple[str | Text, ...]
 
     def __repr__(self) -> str:

@@ -171,10 +171,8 @@ def _matching(matching: Matching) -> str:
 def _errors(comparison: Comparison) -> Iterator[Row]:
     yield "error", "geodesic angle"
     for name, error in comparison.error_rad._asdict().items():
-        yield (
-            f"  {STATISTICS.get(name, name)}",
-            f"{error:14.6e} rad {math.degrees(error):14.6g} deg",
-        )
+        label = STATISTICS.get(name, name)
+        yield f"  {label}", f"{error:14.6e} rad {math.degrees(error):14.6g} deg"
     if comparison.drift_deg_h is not None:
         # Rounding errors are no drift.
         drift = round(comparison.drift_deg_h, 9) or 0.0
