@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,11 +54,9 @@ def update(case: Case, pin: Pin | None) -> CaseResult:
         if pin is None or pin.reference is None:
             refuse_replacing(Path(case.reference))
     if pin is not None:
-        try:
+        # Whatever has changed, it is updated.
+        with suppress(QuatpropError):
             result = judge(case, pin)
-        except QuatpropError:
-            pass  # whatever has changed, it is updated
-        else:
             if result.verdict == "pass":
                 # It was found to be what this version gives, too.
                 kept = pin._replace(quatprop=__version__)

@@ -6,7 +6,7 @@ stamps out of order) is done in memory.
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import closing, suppress
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -68,13 +68,11 @@ def compare_files(
         files = file_a, file_b
         beginnings = [_beginning(file) for file in files]
         if not keep and _is_streamable(files, beginnings, settings):
-            try:
+            with suppress(_NotStreamableError):
                 of_a, of_b = (chain(*part) for part in beginnings)
                 comparison = _streamed(of_a, of_b, settings)
-            except _NotStreamableError:
-                beginnings = [_beginning(file) for file in files]
-            else:
                 return file_a.facts(), file_b.facts(), comparison
+            beginnings = [_beginning(file) for file in files]
         first, second = (
             file.load(chain(*part)) for file, part in zip(files, beginnings, strict=True)
         )
