@@ -6,7 +6,8 @@ import os
 import time
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
@@ -171,18 +172,19 @@ def open_output(
     sigma
         As for :func:`quatprop.writers.open_writer`.
     """
-    options: dict[str, Any] = {
-        "layout": output.layout,
-        "message": output.message,
-        "comment": output.comment,
-        "sigma": sigma,
-        "beside": output.beside,
-    }
-    if not output.into:
-        return open_writer(output.path, output.to, **options)
-    from quatprop.into import open_into
+    if output.into:
+        from quatprop.into import open_into
 
-    return open_into(log, output.path, stamps, **options)
+        opened = partial(open_into, log, output.path, stamps)
+    else:
+        opened = partial(open_writer, output.path, output.to)
+    return opened(
+        layout=output.layout,
+        message=output.message,
+        comment=output.comment,
+        sigma=sigma,
+        beside=output.beside,
+    )
 
 
 def _refuse_contradictions(job: Job) -> None:
