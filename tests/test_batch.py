@@ -677,6 +677,11 @@ def test_a_cluster_that_is_not_there(tmp_path):
     far = task(log(tmp_path / "a.csv"), tmp_path / "a.npy", "a.npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([far], SETTINGS, "nonsense", Manifest(str(tmp_path))))
+    code = "from quatprop.batch.cluster import _client; _client('nonsense')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=15, check=False
+    )
+    assert "Exception ignored" not in done.stderr
 
 
 def raising(task, settings, _version):

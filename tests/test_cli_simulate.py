@@ -50,6 +50,7 @@ def test_the_command_writes_to_stdout():
         (["--rate", "0"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--start", "+10s"], "'+10s' is not absolute; write RFC 3339 or ns"),
         (["--start", "noon"], "'noon' is not a time"),
+        (["--duration", "0s"], "'0s' is not a duration above 0"),
         (
             ["--samples", "5", "--duration", "1s"],
             "--samples and --duration exclude each other; give one of them",

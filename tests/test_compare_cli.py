@@ -90,6 +90,9 @@ def test_json_has_everything_a_script_needs(files):
     assert (found["passed"], found["tolerance_rad"]) == (False, np.radians(0.1))
     assert found["a"]["samples"] == found["association"]["matched"] == 100
     assert found["likely_cause"]["name"] == "isolated samples"
+    without_limit = run("compare", *files, "--json")
+    assert without_limit.exit_code == 0
+    assert json.loads(without_limit.stdout)["passed"] is None
 
 
 def test_quiet_leaves_the_exit_code(files):

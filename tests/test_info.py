@@ -243,7 +243,7 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     (facts,), _ = info(copy)
     assert [one["source"] for one in facts["sources"]] == ["/imu"]
     ((said,),) = [[one["missing"]] for one in facts["attitudes"]]
-    assert "is encoded as protobuf, which is an extra" in said
+    assert "is encoded as protobuf, which needs the package protobuf" in said
 
 
 def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):

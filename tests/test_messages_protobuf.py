@@ -167,8 +167,8 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "google.protobuf", None)
     with pytest.raises(
         SchemaError,
-        match=r"^log: topic '/t': 'foxglove.Odometry' is encoded as protobuf, which is an extra; "
-        r"install it with pip install 'quatprop\[protobuf\]', or choose another topic$",
+        match=r"^log: topic '/t': 'foxglove.Odometry' is encoded as protobuf, which needs the "
+        r"package protobuf; pip install protobuf, or choose another topic$",
     ):
         rate_fields(channel, "log")
     other = Channel("/t", "foxglove.Grid", "protobuf", "protobuf", b"Odometry")

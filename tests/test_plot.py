@@ -153,7 +153,7 @@ def test_without_matplotlib_the_way_to_it_is_told(turning, rates, tmp_path, comm
     code, _, said = run(*(part.format(**places) for part in command))
     assert (code, said) == (
         2,
-        "Error: pictures need matplotlib, which is not installed; pip install 'quatprop[plot]'\n",
+        "Error: pictures need matplotlib, which is not installed; pip install matplotlib\n",
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rates.csv", "spin.csv"]
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries
 from quatprop.cli import cli
-from quatprop.errors import SeriesError, UsageError
+from quatprop.errors import NoRatesError, SeriesError, UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.rates import (
@@ -118,8 +118,17 @@ def test_propagated_rates_give_the_attitudes_back(tmp_path, rates, suffix):
     options = ["convert", str(source), str(out), "--as", f"{rates}-rates"]
     result = CliRunner().invoke(cli, options)
     assert result.exit_code == 0, result.output
+    columns = {}
+    if rates == "inertial":
+        with pytest.raises(NoRatesError, match="no body rates found; its columns are"):
+            quatprop.read_rates(out)
+        names = ("wx_ref_rad_s", "wy_ref_rad_s", "wz_ref_rad_s")
+        columns = {"rate_cols": names, "rate_unit": "rad/s"}
     again = quatprop.propagate(
-        quatprop.read_rates(out), method="start", rates=rates, q0=given.wxyz[0].tolist()
+        quatprop.read_rates(out, **columns),
+        method="start",
+        rates=rates,
+        q0=given.wxyz[0].tolist(),
     )
     assert (again.t_ns == given.t_ns).all()
     assert geodesic_angle(again.wxyz, given.wxyz).max() < 1e-12

@@ -162,7 +162,7 @@ def test_without_h5py_the_way_out_is_named(tmp_path, monkeypatch):
     path = broad(tmp_path / "a.h5")
     monkeypatch.setitem(sys.modules, "h5py", None)
     assert refusal(path) == (
-        f"Error: {path}: HDF5 needs h5py, which is not installed; pip install 'quatprop[hdf5]'\n"
+        f"Error: {path}: HDF5 needs h5py, which is not installed; pip install h5py\n"
     )
 
 

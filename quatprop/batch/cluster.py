@@ -71,8 +71,7 @@ def on_a_cluster(
         from distributed import as_completed
     except ImportError as error:
         raise UsageError(
-            "a Dask cluster needs the package distributed; install it with "
-            "pip install 'quatprop[dask]'"
+            "a Dask cluster needs distributed, which is not installed; pip install distributed"
         ) from error
     with _client(scheduler) as client:
         waiting, settings = enumerate(tasks), settings.with_threads(1)
@@ -111,8 +110,11 @@ def on_a_cluster(
 def _client(scheduler: str) -> Client:
     """Connect to a cluster."""
     from distributed import Client
+    from distributed.comm.addressing import resolve_address
 
     try:
+        # A client that has refused an address waits for itself for 20 s when it is let go.
+        resolve_address(scheduler)
         return Client(scheduler, timeout=f"{ANSWER_S}s", set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise UsageError(

@@ -83,7 +83,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     elif not quiet:
         rows = comparison_rows(first, second, comparison, spelled)
         show(lines_of(rows), indent=10, err=False)
-    if not comparison.passed:
+    if comparison.passed is False:
         return 1
     return 3 if first.data_lost or second.data_lost or comparison.left_out else 0
 

@@ -11,7 +11,7 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import own_options, with_options
 from quatprop.cli.types import PATH, OneOf
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import count, duration, frequency, numbers
+from quatprop.settings.parsers import count, frequency, length, numbers
 from quatprop.writers.formats import GENERAL_KINDS
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ OPTIONS = own_options(
         "--compression": OneOf(("none", "lz4", "zstd", "bz2")),
         "--motion": OneOf(MOTIONS),
         "--rate sample_rate": frequency,
-        "--duration": duration,
+        "--duration": length,
         "--samples": count,
         "--start start_ns": _moment,
         "--seed": click.IntRange(min=0),

@@ -147,8 +147,8 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
         remarks=tuple(remarks),
     )
     criteria = tuple(judge(settings, measured))
-    passed = all(criterion.passed for criterion in criteria)
-    cause = None if criteria and passed else likely_cause(a, b, settings, rising)
+    passed = all(criterion.passed for criterion in criteria) if criteria else None
+    cause = None if passed else likely_cause(a, b, settings, rising)
     return replace(measured, criteria=criteria, passed=passed, likely_cause=cause)
 
 

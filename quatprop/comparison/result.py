@@ -181,7 +181,7 @@ class Comparison:
     criteria
         The verdict on each criterion.
     passed
-        Whether all criteria passed.
+        Whether all criteria passed; None where there are none.
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
@@ -206,16 +206,16 @@ class Comparison:
     left_out: int
     tolerance_rad: float | None
     criteria: tuple[Criterion, ...] = ()
-    passed: bool = True
+    passed: bool | None = None
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None = None
     remarks: tuple[str | Text, ...]
 
     def __repr__(self) -> str:
         largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)
-        verdict = "passed" if self.passed else "failed"
+        verdict = {True: ", passed", False: ", failed", None: ""}[self.passed]
         return (
-            f"<Comparison: {self.association.matched:,} pairs, max {largest}, RMS {rms}, {verdict}>"
+            f"<Comparison: {self.association.matched:,} pairs, max {largest}, RMS {rms}{verdict}>"
         )
 
     @property

@@ -66,7 +66,7 @@ class Conversion:
     def columns(self, sigma: str | None) -> tuple[str, ...]:
         """Return the names of what is written beside timestamps; `sigma` is None without sigmas."""
         if self.representation in RATES:
-            return RATE_COLUMNS
+            return RATE_COLUMNS[self.representation]
         if self.representation != QUATERNION:
             return REPRESENTATIONS[self.representation].columns
         columns, beside = self.layout.columns, self.output.beside

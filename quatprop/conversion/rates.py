@@ -16,8 +16,11 @@ if TYPE_CHECKING:
 RATES: Final = {"body-rates": "body", "inertial-rates": "inertial"}
 """Name of a representation by rates -> where they are resolved."""
 
-RATE_COLUMNS: Final = ("wx_rad_s", "wy_rad_s", "wz_rad_s")
-"""Columns of rates."""
+RATE_COLUMNS: Final = {
+    "body-rates": ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
+    "inertial-rates": ("wx_ref_rad_s", "wy_ref_rad_s", "wz_ref_rad_s"),
+}
+"""Columns by representation: inertial rates have names that are not taken for body rates."""
 
 
 def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> Iterator[GyroSeries]:

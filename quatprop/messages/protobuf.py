@@ -1,6 +1,6 @@
 """Protobuf messages, defined by the file descriptors that the log carries.
 
-Google's library decodes them one by one. It is an extra: ``pip install quatprop[protobuf]``.
+Google's library decodes them one by one. It is an extra.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def _message_class(type_name: str, schema: bytes) -> Any:
         from google.protobuf.message import DecodeError
     except ImportError:
         raise BadDefinitionError(
-            f"{quoted(type_name)} is encoded as protobuf, which is an extra; "
-            "install it with pip install 'quatprop[protobuf]', or choose another topic"
+            f"{quoted(type_name)} is encoded as protobuf, which needs the package protobuf; "
+            "pip install protobuf, or choose another topic"
         ) from None
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema)

@@ -61,8 +61,7 @@ class Hdf5Log(NumpyTable):
             import h5py
         except ImportError as error:
             raise UsageError(
-                f"{plain(path)}: HDF5 needs h5py, which is not installed; "
-                "pip install 'quatprop[hdf5]'"
+                f"{plain(path)}: HDF5 needs h5py, which is not installed; pip install h5py"
             ) from error
         self._refused = ""
         try:
