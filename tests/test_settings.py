@@ -146,7 +146,7 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
         assert propagation_settings({name: text}).inputs == {}
 
 
-READS_MARKS = {"Text", "__init__", "_refuse"}
+READS_MARKS = {"Text", "__init__", "_refuse", "refuse_placeholder"}
 """What makes a sentence of an f-string, beside every error."""
 
 
