@@ -283,3 +283,23 @@ def test_the_uncertainty_of_an_offset_is_honest():
         squares.append(((offset.added_to_b_ns + true_ns) / offset.found.std_ns) ** 2)
     # chi-squared of 12 degrees of freedom: 99 % between 3.1 and 28.3
     assert 3.1 < np.sum(squares) < 28.3
+
+
+@pytest.mark.parametrize("shape", ["rest", "turn", "jumps", "step", "flip"])
+def test_integration_rules_that_cannot_be_right_are_tried_without_a_warning(shape):
+    """The rates that one of them needs grow without bound, which is no candidate and no warning."""
+    k = np.arange(30.0)[:, None]
+    vector = {
+        "rest": 0 * k + [0, 0, 0],
+        "turn": 0.1 * k * [1, 0, 0],
+        "jumps": np.random.default_rng(1).normal(size=(30, 3)),
+        "step": np.where(k < 15, 0, 2.0) * [1, 0.2, 0.1],
+        "flip": np.where(k % 2, 0, 3.1) * [1, 0, 0],
+    }[shape]
+    a, b = (
+        AttitudeSeries(np.arange(30) * 10**7, exp(rotation))
+        for rotation in (vector, 0.001 * k * [1, 2, 3])
+    )
+    for pair in ((a, b), (b, a)):
+        cause = quatprop.compare(*pair).likely_cause
+        assert cause is None or cause.name != "method"

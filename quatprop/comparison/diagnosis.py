@@ -215,6 +215,7 @@ def method_trials(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Trial]:
         yield Trial("method", _after_rules(t_ns, of_b, of_a, known, other), value=(other, known))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
 def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other: str) -> Float64:
     """Return rotations by `other` less those sought, for rates that give the known by `rule`."""
     zigzag = np.zeros(3)
