@@ -58,6 +58,9 @@ MAX_REMAINING_METHOD = 0.02
 GROSS = 0.5
 """A mistake that leaves less than this comes before causes found in the errors themselves."""
 
+BOUNDED = 1e100
+"""rad: rates that lead to more grow without bound, and are no candidates."""
+
 FRAMES_COME_FIRST = {"method", "scale"}
 """Mistakes that turn no reference frame: where frames differ too, that comes first."""
 
@@ -222,7 +225,8 @@ def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other:
 
     def remaining(zigzag: Float64) -> Float64:
         rate = _rates(t_ns, known, rule, zigzag)
-        return np.asarray(rotation_vectors(t_ns, rate, other) - sought)[INNER]
+        values = np.asarray(rotation_vectors(t_ns, rate, other) - sought)[INNER]
+        return values if np.all(np.abs(values) < BOUNDED) else np.full_like(values, np.inf)
 
     best = remaining(zigzag)
     if rule in DETERMINED or not np.isfinite(best).all():
@@ -230,6 +234,8 @@ def _after_rules(t_ns: Int64, known: Float64, sought: Float64, rule: str, other:
     small = ZIGZAG_SHARE * max(rms_length(known) / float(np.diff(t_ns).mean()) * NS_PER_S, 1e-9)
     for _ in range(ZIGZAG_ROUNDS):
         slopes = [((remaining(zigzag + small * axis) - best) / small).ravel() for axis in np.eye(3)]
+        if not np.isfinite(slopes).all():
+            break
         step, *_ = np.linalg.lstsq(np.stack(slopes, axis=1), -best.ravel(), rcond=None)
         moved = remaining(zigzag + step)
         if not rms_length(moved) < rms_length(best):
