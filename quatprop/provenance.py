@@ -16,13 +16,15 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
+
+Entry = TypeVar("Entry")
 
 _BLOCK_BYTES = 1 << 20
 _PLAIN = (bool, int, float, str)
@@ -102,6 +104,18 @@ def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
             path, "its metadata 'quatprop' is not the JSON it should be; write the file again"
         )
     return provenance
+
+
+def entry_of(provenance: Mapping[str, Any], name: str, kind: type[Entry]) -> Entry:
+    """Return an entry of a provenance, empty where it has not the type that this package writes.
+
+    Examples
+    --------
+    >>> entry_of({"method": 5}, "method", str), entry_of({"method": "mean"}, "method", str)
+    ('', 'mean')
+    """
+    entry = provenance.get(name)
+    return entry if isinstance(entry, kind) else kind()
 
 
 def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:

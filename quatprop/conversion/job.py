@@ -9,7 +9,7 @@ from quatprop import __version__
 from quatprop.conventions import HAMILTON, Meaning
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
-from quatprop.provenance import Digest, as_json
+from quatprop.provenance import Digest, as_json, entry_of
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.writers.formats import WRITERS, layout_of
 
@@ -146,7 +146,7 @@ class ConversionReport:
             "losses": as_json(self.losses),
             "remarks": as_json(self.remarks),
         }
-        convention = _entry(history, "convention", dict)
+        convention = entry_of(history, "convention", dict)
         hamilton = job.meaning.convention == "hamilton"
         return {
             **history,
@@ -159,12 +159,6 @@ class ConversionReport:
                 "attitude": job.meaning.description,
                 **terms,
             },
-            "conversions": [*_entry(history, "conversions", list), step],
+            "conversions": [*entry_of(history, "conversions", list), step],
             "data_lost": bool(history.get("data_lost") or self.data_lost),
         }
-
-
-def _entry(provenance: Mapping[str, Any], name: str, kind: type[Any]) -> Any:
-    """Return an entry of a provenance, if it has the type that this package writes."""
-    entry = provenance.get(name)
-    return entry if isinstance(entry, kind) else kind()

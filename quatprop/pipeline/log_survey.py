@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from quatprop.provenance import entry_of
+
 if TYPE_CHECKING:
     from quatprop.containers.base import Loss
     from quatprop.provenance import JsonObject
@@ -146,14 +148,10 @@ def timing(counts: Counts) -> dict[str, Any]:
 
 def making(provenance: JsonObject) -> dict[str, Any]:
     """Return how attitudes were made; what is not as this package writes it is left out."""
-    convention, source = (
-        part if isinstance(part := provenance.get(key), dict) else {}
-        for key in ("convention", "source")
-    )
-    method, path, q0 = convention.get("method"), source.get("path"), convention.get("q0_wxyz")
-    known_q0 = isinstance(q0, list) and [type(x) for x in q0] == [float] * 4
+    convention = entry_of(provenance, "convention", dict)
+    q0 = entry_of(convention, "q0_wxyz", list)
     return {
-        "method": method if isinstance(method, str) else None,
-        "made_from": path if isinstance(path, str) else None,
-        "q0_wxyz": tuple(q0 or ()) if known_q0 else None,
+        "method": entry_of(convention, "method", str) or None,
+        "made_from": entry_of(entry_of(provenance, "source", dict), "path", str) or None,
+        "q0_wxyz": tuple(q0) if [type(x) for x in q0] == [float] * 4 else None,
     }

@@ -22,6 +22,7 @@ from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import PlottedFile
+from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.series import AttitudeSeries
@@ -200,8 +201,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
         remarks.append(f"{invalid} (zero, absent or not finite): not drawn")
-    convention = source.provenance.get("convention")
-    method = plain(convention.get("method") or "") if isinstance(convention, dict) else ""
+    method = plain(entry_of(source.provenance, "convention", dict).get("method") or "")
     form = "components, sign continuous" if view.components else "zyx angles"
     form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
     propagated = f", propagated with method {method}" if method else ""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop.conventions import Meaning
 from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.errors import UndeclaredError, UsageError
+from quatprop.provenance import entry_of
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
@@ -27,16 +28,14 @@ BY_NAME = "by name"
 
 def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
     """Return what a file says about its numbers, as far as it is understood."""
-    convention = provenance.get("convention")
-    if not isinstance(convention, dict):
-        return {}
-    layout = convention.get("layout")
+    convention = entry_of(provenance, "convention", dict)
+    layout = entry_of(convention, "layout", str)
     recorded = {
         name: convention[name]
         for name in ("convention", "direction", "representation")
         if isinstance(convention.get(name), str)
     }
-    if isinstance(layout, str) and layout in LAYOUTS:
+    if layout in LAYOUTS:
         recorded["layout"] = layout_named(layout).name
     return recorded
 

@@ -13,6 +13,7 @@ from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.provenance import entry_of
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.message_values import without_absent
@@ -154,8 +155,7 @@ def _sigma_axes(log: TableLog, provenance: JsonObject) -> str | None:
     """Return the axes of standard deviations, body axes unless the metadata say otherwise."""
     if not set(SIGMA_COLUMNS) <= {parse_name(name).key for name in log.columns()}:
         return None
-    uncertainty = provenance.get("uncertainty")
-    axes = uncertainty.get("columns_axes") if isinstance(uncertainty, dict) else None
+    axes = entry_of(provenance, "uncertainty", dict).get("columns_axes")
     return "reference" if axes == "reference" else "body"
 
 
