@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
@@ -116,11 +117,12 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
                     schema_encoding="ros1msg",
                     schema=fields[b"message_definition"],
                 )
-        totals = self._totals()
+        totals = self._totals
         for conn in totals.keys() - channels.keys():
             self.losses.note(f"connection {conn}", "its connection record is missing", totals[conn])
         return channels
 
+    @cached_property
     def _totals(self) -> Counter[int]:
         """Return how many messages each connection has."""
         totals: Counter[int] = Counter()
@@ -130,7 +132,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with its number of messages."""
-        totals = self._totals()
+        totals = self._totals
         counts: Counter[Channel] = Counter()
         for conn, channel in self._channels.items():
             counts[channel] += totals[conn]
