@@ -32,8 +32,15 @@ LEVEL_SHARE = 100.0
 """An error this many times above or below its tolerance has a logarithmic axis."""
 
 
-def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist, str]]:
+def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[tuple[Artist, str]]:
     """Draw one panel: gaps behind, then lines, tolerance and marks.
+
+    Parameters
+    ----------
+    axes, panel, picture
+        Where to draw, what, and what it is part of.
+    place
+        Number of the panel from 1, for the names of its lines.
 
     Returns
     -------
@@ -55,7 +62,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture) -> list[tuple[Artist,
     for number, curve in enumerate(panel.curves):
         # Of lines that coincide, those below show on both sides.
         wider = min(len(panel.curves) - 1 - number, WIDEST)
-        _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{len(axes.figure.axes)}_{number}")
+        _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
     axes.grid(visible=True)
     axes.set_axisbelow(True)
     unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""

@@ -118,21 +118,18 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     _require_room(style, least_width, head + MIN_PANEL_HEIGHT * sum(heights) * scale + foot)
     result = Figure(figsize=(style.width, height))
     left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
-    grid = result.add_gridspec(
-        len(panels), 1, left=left, right=right, top=1 - head / height, bottom=foot / height,
-        hspace=0.14, height_ratios=heights,
+    edges = {"left": left, "right": right, "top": 1 - head / height, "bottom": foot / height}
+    rows = result.subplots(
+        len(panels), sharex=True, squeeze=False, height_ratios=heights,
+        gridspec_kw={**edges, "hspace": 0.14},
     )  # fmt: skip
     label = -LABEL * scale / (style.width * (right - left))
     explained: list[tuple[Artist, str]] = [
         (Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8), name)
         for file, name in enumerate(picture.legend)
     ]
-    shared: Axes | None = None
-    for number, panel in enumerate(panels):
-        axes = result.add_subplot(grid[number], sharex=shared)
-        shared = shared or axes
-        explained += draw_panel(axes, panel, picture)
-        axes.tick_params(labelbottom=number == len(panels) - 1)
+    for number, (axes, panel) in enumerate(zip(rows[:, 0], panels, strict=True), 1):
+        explained += draw_panel(axes, panel, picture, number)
         axes.yaxis.set_label_coords(label, 0.5)
     result.axes[-1].set_xlabel("\n".join(time))
     _set_time(result.axes[0], picture)
