@@ -20,6 +20,7 @@ from quatprop import __version__
 from quatprop.check import cases
 from quatprop.check.case_run import propagate_case
 from quatprop.cli import cli, compare, propagate
+from quatprop.errors import ComparisonError
 from quatprop.third_party_errors import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
@@ -695,6 +696,23 @@ def test_the_evidence_of_a_failure_is_kept(folder):
         codes.append(CliRunner().invoke(cli, arguments).exit_code)
     assert codes == [0, 1]
     assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
+
+
+def test_evidence_without_a_comparison_says_why(folder, monkeypatch):
+    """The sentence is text of the page, never markup."""
+
+    def fails(*_arguments):
+        raise ComparisonError("A turns <b>faster</b> & B does not")
+
+    suite = write(folder, TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH.replace("0.1deg", "1e-9deg"))
+    monkeypatch.setattr("quatprop.check.artifacts.compare", fails)
+    assert check(suite, "--artifacts", folder / "failed").exit_code == 1
+    page = folder / "failed" / "coning" / "error.html"
+    assert page.read_text() == (
+        "<!doctype html>\n<p>A turns &lt;b&gt;faster&lt;/b&gt; &amp; B does not</p>\n"
+    )
 
 
 # Reports for CI.

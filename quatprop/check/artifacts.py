@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from html import escape
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
@@ -60,7 +61,8 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
             picture.commit(pair_page(a, b, comparison, spelled))
     except QuatpropError as error:
         # No matplotlib, or nothing to compare: a page of this says so.
-        page.write_text(f"<!doctype html>\n<p>{sentence(error)}</p>\n", encoding="utf-8")
+        text = escape(sentence(error), quote=False)
+        page.write_text(f"<!doctype html>\n<p>{text}</p>\n", encoding="utf-8")
     return place
 
 
