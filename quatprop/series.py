@@ -7,7 +7,7 @@ one are the same type: readers yield many short series in order, writers take th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from typing import Any, Self
 
     import pyarrow as pa
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -12,17 +12,14 @@ from quatprop.api.propagation import PropagatedSeries
 from quatprop.api.reading import path_text, read_attitudes
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES
+from quatprop.settings import READ_ATTITUDES, AttitudeOptions
 from quatprop.settings.values import refuse_unknown
 
 if TYPE_CHECKING:
-    from typing import Unpack
-
     from quatprop.api.reading import StrPath
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.settings import CompareOptions
     from quatprop.conversion.job import ConversionReport
-    from quatprop.settings import AttitudeOptions
 
 
 def compare(

@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import LogError, SuiteError, UnreadableLogError, os_reason
 from quatprop.provenance import JsonObject, as_json, digest_of
@@ -20,7 +20,6 @@ from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from typing import Any
 
 CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
 """How lines begin that an unfinished merge leaves."""

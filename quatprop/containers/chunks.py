@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from quatprop.containers.base import LATEST, MessageBlock, MessageLog
+from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.coalesce import join_blocks
-from quatprop.containers.file_source import source_of
+from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, Buffers, load_in_groups
-from quatprop.containers.time_range import TimedPart, parts_within, span_of
+from quatprop.containers.loading import LARGE, Buffers, ChunkGroup, load_in_groups
+from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
 from quatprop.errors import UnreadableLogError
 
 if TYPE_CHECKING:
@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.base import Channel
     from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
-    from quatprop.containers.loading import ChunkGroup
-    from quatprop.containers.time_range import TimeRange
 
     Bytes = NDArray[np.uint8]
 

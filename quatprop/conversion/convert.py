@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
-from quatprop.conversion.job import ConversionReport
+from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.formats import open_log
@@ -24,9 +24,7 @@ from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from typing import Any
 
-    from quatprop.conversion.job import Conversion
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from quatprop.blocks import reblock
 from quatprop.concurrency.threads import in_background
@@ -13,8 +13,8 @@ from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.kinematics.resample import Listed, Steady, every
-from quatprop.pipeline.gyro_errors import known_errors, uncertainty_report
+from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
@@ -24,7 +24,7 @@ from quatprop.provenance import Digest
 from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.rates import UNITS
-from quatprop.signals.signal import no_parts
+from quatprop.signals.signal import RateSignal, no_parts
 from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
@@ -32,13 +32,9 @@ from quatprop.writers.targets import is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from typing import Protocol
 
-    from quatprop.kinematics.resample import Times
-    from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
     class Observer(Protocol):

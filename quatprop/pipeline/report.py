@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from quatprop import __version__
 from quatprop.containers.stores import digest_of_object, is_address, without_secret
@@ -13,7 +13,6 @@ from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import Self
 
     import numpy as np
     from numpy.typing import NDArray

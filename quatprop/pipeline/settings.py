@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.conditioning import Conditioning
 from quatprop.containers.stores import is_address, without_secret
@@ -27,7 +27,6 @@ from quatprop.writers.formats import keeps_provenance, kind_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from fractions import Fraction
-    from typing import Any
 
     from quatprop.writers.messages.kinds import Message
 

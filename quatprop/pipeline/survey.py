@@ -27,11 +27,11 @@ from quatprop.formats import open_log
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.selection import AttitudeSelection
+from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
-from quatprop.tables.base import TableLog
+from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts
@@ -42,11 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
-    from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
-    from quatprop.tables.base import AnyLog
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 

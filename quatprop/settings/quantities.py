@@ -8,13 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import number
+from quatprop.settings.parsers import Parser, number
 from quatprop.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.settings.parsers import Parser
 
 RAD_PER_UNIT = {
     "rad": 1.0,

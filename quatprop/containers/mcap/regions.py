@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.checksum import crc32
 from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
-from quatprop.containers.limits import CHECKSUMS, checksums_matter
+from quatprop.containers.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.limits import DecompressionBudget
 
 SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 5, 6, 7, 15
 """Opcodes."""
