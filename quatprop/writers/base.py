@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile, OutputPath, output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
     from contextlib import AbstractContextManager
 
-    from quatprop.arrays import AnyArray, Int64, Records
+    from quatprop.arrays import Int64
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:
@@ -118,6 +118,31 @@ class FileWriter(Transaction):
     def __init__(self, output: OutputFile | OutputPath) -> None:
         self._output = output
 
+    def write(self, t_ns: Int64, rows: Any) -> None:
+        """Append a batch of rows.
+
+        Parameters
+        ----------
+        t_ns
+            The stamp of each, shape ``(N,)``, ns; of messages, when each was logged.
+        rows
+            The named columns of a table, all of that length; or encoded messages, shape ``(N,)``,
+            always of the same item size.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the target is otherwise gone.
+        BrokenPipeError
+            The reader of the output has gone.
+        """
+        with self._errors():
+            self._write(t_ns, rows)
+
+    @abstractmethod
+    def _write(self, t_ns: Int64, rows: Any) -> None:
+        """Append a batch of rows."""
+
     def finish(self, provenance: Mapping[str, object]) -> None:
         """Write the file to its end."""
         with self._errors():
@@ -153,45 +178,6 @@ class TableWriter(FileWriter):
 
     _output: OutputFile
 
-    def write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
-        """Append a batch of rows: stamps and the named columns, all of one length.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the target is otherwise gone.
-        BrokenPipeError
-            The reader of the output has gone.
-        """
-        with self._errors():
-            self._write(t_ns, columns)
-
-    @abstractmethod
-    def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
-        """Append a batch of rows."""
-
 
 class MessageWriter(FileWriter):
     """A container to which one topic is written whose messages all have one size."""
-
-    def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append a batch of messages.
-
-        Parameters
-        ----------
-        log_ns
-            When each was logged, shape ``(N,)``, ns.
-        messages
-            The encoded messages, shape ``(N,)``, always of the same item size.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the target is otherwise gone.
-        """
-        with self._errors():
-            self._write(log_ns, messages)
-
-    @abstractmethod
-    def _write(self, log_ns: Int64, messages: Records) -> None:
-        """Append a batch of messages."""

@@ -11,7 +11,7 @@ from quatprop.text import Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from quatprop.conventions.layout import Layout
 
@@ -55,11 +55,10 @@ class Format(NamedTuple):
     keeps_provenance: bool = False
     compressions: tuple[str, ...] = ("none",)
 
-    def load(self) -> Callable[..., Any]:
+    def load(self) -> Any:
         """Import and return the writer."""
         module, _, name = self.opener.partition(":")
-        writer: Callable[..., Any] = getattr(import_module(f"quatprop.writers.{module}"), name)
-        return writer
+        return getattr(import_module(f"quatprop.writers.{module}"), name)
 
 
 def _text(suffixes: tuple[str, ...], opener: str, **options: Any) -> Format:
