@@ -131,10 +131,8 @@ class UlogLog(MessageLog):
     def channels(self) -> list[Channel]:
         """Return every topic instance, in order of topic."""
         counts = np.bincount(self._ids, minlength=1 << 16)
-        return by_topic(
-            replace(channel, count=int(counts[ids].sum()))
-            for channel, ids in self._channels.items()
-        )
+        found = self._channels.items()
+        return by_topic(replace(one, count=int(counts[ids].sum())) for one, ids in found)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.

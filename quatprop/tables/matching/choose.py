@@ -52,11 +52,9 @@ class ColumnMatch:
     dialect
         The convention that was recognised, such as ``"EuRoC"``, or ``""``.
     representation
-        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, or ``"euler-zyx"`` or
-        another sequence.
+        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, ``"euler-zyx"`` and the like.
     layout
-        The order in which quaternion components are stored, ``"scalar-first"`` or
-        ``"scalar-last"``; ``""`` where it is neither and their names say which is which.
+        ``"scalar-first"`` or ``"scalar-last"``; ``""`` where their names say which is which.
     scale
         What stored rates are multiplied by to be in `unit`.
     method
@@ -175,9 +173,8 @@ def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[st
         yield _mount_remark(matcher.notes.mount)
     if unused := matcher.unused_stamps(dialect):
         sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
-        yield Text(
-            f"{sample_rate} counts the rows; the stamps in {matcher.names(unused)} are not used"
-        )
+        names = matcher.names(unused)
+        yield Text(f"{sample_rate} counts the rows; the stamps in {names} are not used")
 
 
 def _mount_remark(mount: str) -> Text:
@@ -187,9 +184,8 @@ def _mount_remark(mount: str) -> Text:
         way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"
     except UsageError:
         way_out = f"as the mounting {mount} is left-handed, it cannot be right"
-    return Text(
-        f"the file says how its sensor is mounted, and rates are taken as they are; {way_out}"
-    )
+    taken = "the file says how its sensor is mounted, and rates are taken as they are"
+    return Text(f"{taken}; {way_out}")
 
 
 def match_quaternion(
