@@ -29,7 +29,7 @@ from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import AnyLog, TableLog
-from quatprop.text import Setting, plain, quoted
+from quatprop.text import Setting, Text, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def first_orientation(
             f"the messages of {quoted(source.name)}, which carry the rates, carry no orientation; "
             f"give another {Setting('q0')}, such as a file of attitudes that convert wrote",
         ) from None
-    signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
+    signal.refuse_placeholder(log.path, Text(f"give another {Setting('q0')}"))
     batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
     try:
         return attitude_in(batches, t_ns, log.path)

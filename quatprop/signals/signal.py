@@ -188,11 +188,12 @@ class AttitudeSignal(Signal):
         """Read stamps and quaternions alone."""
         return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
 
-    def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
+    def refuse_placeholder(self, path: Path | str, way_out: Text) -> None:
         """Refuse an orientation that was never set, in a log at a path."""
         if self.placeholder:
             raise LogError(
                 path,
                 f"the orientation of {quoted(self.name)} is the identity in every message: a "
-                f"placeholder, not an attitude; {way_out}",
+                "placeholder, not an attitude; ",
+                way_out,
             )
