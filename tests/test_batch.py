@@ -405,6 +405,22 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
     assert [{**row} for row in table] == [found[row["output"]] for row in table]
 
 
+def test_the_table_of_the_manifest_is_written_without_pandas(tmp_path):
+    """Importing it takes longer than many logs; a manifest without entries is an empty table."""
+    code = (
+        "import sys; from pathlib import Path; from quatprop.batch.manifest import write_table; "
+        "write_table([], Path('none.parquet')); "
+        "write_table([{'log': 'a', 'remarks': ['é'], 'more': 1}], Path('one.parquet')); "
+        "sys.exit('pandas' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    assert pyarrow.parquet.read_table(tmp_path / "none.parquet").num_rows == 0
+    (row,) = pyarrow.parquet.read_table(tmp_path / "one.parquet").to_pylist()
+    assert {name: value for name, value in row.items() if value is not None} == {
+        "log": "a", "remarks": ["é"],
+    }  # fmt: skip
+
+
 def test_a_topic_is_no_matter_of_tables(tmp_path):
     """Those in a folder are not meant; one that is named is refused before anything is done."""
     table, out = log(tmp_path / "logs" / "a.csv"), tmp_path / "out"
