@@ -157,11 +157,11 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
     """
     from difflib import get_close_matches
 
-    lower = {other.lower(): other for other in names}
-    name = name.lower()
+    lower = {other.lower().strip("-"): other for other in names}
+    name = name.lower().strip("-")
     longer = [other for other in lower if len(name) > 1 and name in other]
     beginning = [other for other in longer if other.startswith(name)]
-    near = beginning or get_close_matches(name, lower, 1) or sorted(longer, key=len)
+    near = beginning or get_close_matches(name, lower, 1, 0.7) or sorted(longer, key=len)
     return lower[near[0]] if near else None
 
 

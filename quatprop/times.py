@@ -190,10 +190,8 @@ def instant(text: str) -> Instant:
     >>> instant("2024-01-01T00:00:00.25Z").ns
     1704067200250000000
     """
-    if text.isdecimal():
-        return Instant(int(text), "clock")
-    if match := re.fullmatch(_RFC3339, text):
-        return Instant(_rfc3339_ns(text, match), "clock")
+    if (ns := absolute_ns(text)) is not None:
+        return Instant(ns, "clock")
     try:
         if text.startswith("-"):
             return Instant(-duration_ns(text[1:]), "last")
@@ -205,7 +203,20 @@ def instant(text: str) -> Instant:
         ) from None
 
 
-def _rfc3339_ns(text: str, match: re.Match[str]) -> int:
+def absolute_ns(text: str) -> int | None:
+    """Return a time in ns from RFC 3339 or integer ns; None where the text is neither.
+
+    Raises
+    ------
+    UsageError
+        There is no such time, or its zone is missing.
+    """
+    if text.isdecimal():
+        return int(text)
+    if (match := re.fullmatch(_RFC3339, text)) is None:
+        if re.fullmatch(_RFC3339, f"{text}Z"):
+            raise UsageError(f"{quoted(text)} has no time zone; add one, such as Z for UTC")
+        return None
     date, clock, fraction, zone = match.groups()
     try:
         moment = datetime.fromisoformat(f"{date}T{clock}{zone.upper().replace('Z', '+00:00')}")

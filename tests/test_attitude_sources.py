@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import (
     AmbiguousTopicError,
+    LogError,
     NoAttitudesError,
     NoSamplesError,
     NoSuchTopicError,
@@ -601,5 +602,5 @@ def test_a_log_whose_orientation_is_absent_has_none(tmp_path):
     """An Imu that marks every orientation as absent is refused as a beginning."""
     message = imu(5, (1.0, 0.0, 0.0, 0.0), -1.0)
     log = ros2(tmp_path / "bag", {"/imu": ("sensor_msgs/msg/Imu", [message])})
-    with pytest.raises(NoAttitudesError, match=r"no attitudes found; .* all of them absent or no"):
+    with pytest.raises(LogError, match=r"the orientation of '/imu' is absent or invalid through"):
         own_orientation(log, None)

@@ -48,7 +48,10 @@ def test_the_command_writes_to_stdout():
         (["--seed", "-1"], "Invalid value for '--seed': -1 is not in the range x>=0"),
         (["--rate", "1e12"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
         (["--rate", "0"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
-        (["--start", "+10s"], "'+10s' is not absolute; write RFC 3339 or ns"),
+        (
+            ["--start", "+10s"],
+            "'+10s' is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer nanoseconds",
+        ),
         (["--start", "noon"], "'noon' is not a time"),
         (["--duration", "0s"], "'0s' is not a duration above 0"),
         (
@@ -66,6 +69,15 @@ def test_wrong_usage_is_one_sentence(tmp_path, arguments, sentence):
     assert result.exit_code == 2
     assert sentence in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_formats_of_attitudes_alone_are_not_offered(tmp_path):
+    """Where the suffix does not tell the format."""
+    sentence = CliRunner().invoke(cli.command, [str(tmp_path / "a.ulg")]).exception
+    assert str(sentence).endswith(
+        ".npz, .mcap, .bag, none for a ROS 2 bag folder, or say to='csv' or 'tsv' or 'jsonl' or "
+        "'parquet' or 'feather' or 'npy' or 'npz' or 'mcap' or 'bag' or 'rosbag2' or 'rosbag2-mcap'"
+    )
 
 
 def test_every_option_says_its_default():

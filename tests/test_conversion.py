@@ -263,7 +263,7 @@ def test_a_table_holds_no_messages(tmp_path, terms):
     sentence = refused(
         table(tmp_path, PLAIN), tmp_path / "out.csv", "--message", "TFMessage", *terms
     )
-    assert "csv holds no messages; leave --message out" in sentence
+    assert "csv holds no messages; leave --message, --out-topic and --frames out" in sentence
 
 
 def test_the_input_is_not_replaced(tmp_path):

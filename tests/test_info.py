@@ -248,7 +248,9 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
 
 def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     """The sentence stands under the log's name and does not repeat it."""
-    (facts,), _ = info(shared_logs / "irregular" / "tilt_laser.bag")
+    log = shared_logs / "irregular" / "tilt_laser.bag"
+    assert text(log)[-1].endswith("; choose one with --frame PARENT:CHILD of quatprop convert")
+    (facts,), _ = info(log)
     (said,) = [one["missing"] for one in facts["attitudes"] if one["source"] == "/tf"]
     assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")
 

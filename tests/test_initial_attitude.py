@@ -204,8 +204,7 @@ def test_what_is_not_declared_of_a_series_is_said_to_convert(resting, tmp_path, 
     result = run(log, "-o", out, option, other)
     assert result.exit_code == 2
     assert result.stderr.endswith(
-        "name the columns with --quat-cols of quatprop convert, --from-layout of quatprop convert "
-        "and --time-col of quatprop convert\n"
+        "name the columns with --quat-cols, --from-layout and --time-col of quatprop convert\n"
     )
 
 
@@ -303,8 +302,8 @@ def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_
     result = run(log, "-o", tmp_path / "out.csv", "--q0", "log")
     assert result.exit_code == 2
     assert result.stderr == (
-        f"Error: {log}: the messages of 'sensor_combined/0', which carry the rates, carry no "
-        "orientation; give another --q0, such as a file of attitudes that convert wrote\n"
+        f"Error: {log}: there is no orientation beside the rates of 'sensor_combined/0'; give "
+        "another --q0, such as a file of attitudes\n"
     )
 
 
@@ -373,3 +372,11 @@ def test_a_series_that_begins_later_says_by_how_much(tmp_path):
         "(1700000015000000000 and 1700000000000000000 ns); are both on the same clock? "
         "If so, begin there with --start 1700000015000000000\n"
     ) in result.stderr
+
+
+def test_no_start_is_advised_that_is_years_after_the_log(tmp_path):
+    """Such clocks have nothing in common."""
+    late = tmp_path / "late.csv"
+    late.write_text("t_ns,qw,qx,qy,qz\n2000000000000000000,1,0,0,0\n2000000001000000000,1,0,0,0\n")
+    result = run(SAMPLES / "tumbling.bag", "-o", tmp_path / "out.csv", "--q0", late)
+    assert result.stderr.endswith("1700000000000000000 ns); are both on the same clock?\n")

@@ -174,10 +174,16 @@ def test_averages_of_px4_want_the_method_end():
     assert chosen("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z").method is None
 
 
-def test_gx_alone_is_not_a_gyroscope():
-    """The name gx may be gravity, so without the gcsv title it is not taken."""
-    with pytest.raises(NoRatesError, match="name the columns with rate_cols and time_col"):
+def test_gx_alone_needs_a_unit():
+    """The name gx may be gravity, so without the gcsv title it is not taken before one is said."""
+    sentence = (
+        "log.csv: the unit of the rates 'gx', 'gy', 'gz' and the unit of the time 't' are not "
+        "declared; say them with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or 'us' "
+        "or 'ns'"
+    )
+    with pytest.raises(UndeclaredError) as caught:
         chosen("t,gx,gy,gz")
+    assert str(caught.value) == sentence
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,13 @@ def test_instants(text, expected):
     assert instant(text) == expected
 
 
+def test_a_time_without_a_zone_is_refused():
+    """It is not taken as UTC, nor as the time of this machine."""
+    sentence = "^'2001-09-09T03:46:40' has no time zone; add one, such as Z for UTC$"
+    with pytest.raises(UsageError, match=sentence):
+        instant("2001-09-09T03:46:40")
+
+
 @pytest.mark.parametrize("text", ["yesterday", "2001-09-09", "1.5", "2001-13-09T03:46:40Z"])
 def test_what_is_no_instant_is_refused(text):
     """Anything else is refused."""

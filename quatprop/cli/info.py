@@ -117,7 +117,8 @@ def _lines(log: LogSurvey) -> Iterator[str]:
     yield from (f"  {_cell(one.source)}: {made}" for one in log.attitudes if (made := _making(one)))
     for signal in (*log.sources, *log.attitudes):
         remarks = (*((signal.missing,) if signal.missing else ()), *signal.remarks)
-        yield from (f"  {_cell(signal.source)}: {spelled(remark)}" for remark in remarks)
+        side = "info" if signal in log.attitudes else ""
+        yield from (f"  {_cell(signal.source)}: {spelled(remark, side)}" for remark in remarks)
     yield from (f"  {line}" for line in loss_lines(log.losses))
 
 

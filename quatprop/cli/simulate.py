@@ -42,12 +42,13 @@ def _exact(text: object) -> Fraction:
 
 def _moment(text: object) -> int:
     """Return an absolute time in ns."""
-    from quatprop.times import instant
+    from quatprop.times import absolute_ns
 
-    moment = instant(str(text))
-    if moment.origin != "clock":
-        raise UsageError(f"{text!r} is not absolute; write RFC 3339 or ns")
-    return moment.ns
+    if (ns := absolute_ns(str(text))) is None:
+        raise UsageError(
+            f"{text!r} is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer nanoseconds"
+        )
+    return ns
 
 
 EXAMPLES = (

@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 """Settings whose option has another name."""
 
-LOOKUPS = {"at", "q0"}
+LOOKUPS = {"at", "q0", "info"}
 """Sides whose attitudes are only looked up; quatprop convert can say everything about them."""
+
+_ELSEWHERE = " of quatprop convert"
 
 
 def option(setting: Setting, side: str = "") -> str:
@@ -26,8 +28,14 @@ def option(setting: Setting, side: str = "") -> str:
     if side and side not in LOOKUPS and setting.name not in _once():
         name += f"-{side}"
     text = f"--{name} {setting.value}" if setting.value else f"--{name}"
-    # Attitudes of a file that is only looked up have no options of their own; start is the run's.
-    return f"{text} of quatprop convert" if side in LOOKUPS and name != "start" else text
+    return text + _ELSEWHERE if side in LOOKUPS and setting.name not in _own(side) else text
+
+
+def _own(side: str) -> set[str]:
+    """Return the settings that the command has itself, of those about what is only looked up."""
+    from quatprop.settings import READ_RATES
+
+    return {*READ_RATES} if side == "info" else {"start"}
 
 
 def _once() -> set[str]:
@@ -39,12 +47,18 @@ def _once() -> set[str]:
 
 def sentence(error: QuatpropError) -> str:
     """Return what an error says, with options in place of the settings it mentions."""
-    return error.text.spelled(partial(option, side=error.side))
+    return _in_options(error.text, error.side)
 
 
-def spelled(text: str | Text) -> str:
+def spelled(text: str | Text, side: str = "") -> str:
     """Return a remark on one line, with options in place of the settings it mentions."""
-    return plain(text.spelled(option) if isinstance(text, Text) else text)
+    return plain(_in_options(text, side) if isinstance(text, Text) else text)
+
+
+def _in_options(text: Text, side: str) -> str:
+    """Spell the settings of a text; whose options they are is said once, after the last."""
+    sentence, elsewhere, rest = text.spelled(partial(option, side=side)).rpartition(_ELSEWHERE)
+    return sentence.replace(_ELSEWHERE, "") + elsewhere + rest
 
 
 def command_line() -> str:

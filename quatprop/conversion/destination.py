@@ -10,7 +10,7 @@ from quatprop.conversion.rates import RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
 from quatprop.text import Setting, Text, listed, quoted
-from quatprop.writers import holds_covariances, open_table
+from quatprop.writers import holds_covariances, open_table, refuse_message
 from quatprop.writers.attitudes import AttitudeWriter, column_table
 from quatprop.writers.formats import WRITERS, format_remarks
 
@@ -72,8 +72,7 @@ def _refuse_other_conventions(job: Conversion) -> None:
             f"definition; leave {Setting('convention')} and {Setting('direction')} out, or choose "
             f"{listed(name for name, known in WRITERS.items() if known.columns)}",
         )
-    if output.message is not None:
-        raise UsageError(f"{kind} holds no messages; leave {Setting('message')} out")
+    refuse_message(kind, output.message)
     if output.beside is not None:
         raise UsageError(
             f"{Setting('beside')} goes with Hamilton quaternions body to reference; leave "

@@ -150,30 +150,22 @@ def first_orientation(
 
     Raises
     ------
-    NoAttitudesError
-        The messages or rows have no orientation, or all of them mark it as absent.
     TimelineError
         The time is outside the orientations that are there.
     LogError
-        The log cannot be used as asked.
+        The messages or rows have no orientation, or the log cannot be used as asked.
     """
     try:
         with errors_of("q0"):
             signal = own_orientation(log, source, selection)
-    except NoSuchTopicError:
-        raise LogError(
-            log.path,
-            f"the messages of {quoted(source.name)}, which carry the rates, carry no orientation; "
-            f"give another {Setting('q0')}, such as a file of attitudes that convert wrote",
-        ) from None
-    signal.refuse_placeholder(log.path, Text(f"give another {Setting('q0')}"))
-    batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
-    try:
+        signal.refuse_placeholder(log.path, Text(f"give another {Setting('q0')}"))
+        batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
         return attitude_in(batches, t_ns, log.path)
     except NoSamplesError:
-        raise NoAttitudesError(
-            log.path, [f"{source.name} ({source.type_name}), all of them absent or no rotation"]
-        ) from None
+        absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
+    except (NoAttitudesError, NoSuchTopicError):
+        absent = f"there is no orientation beside the rates of {quoted(source.name)}"
+    raise LogError(log.path, f"{absent}; give another {Setting('q0')}, such as a file of attitudes")
 
 
 def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
@@ -215,8 +207,9 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
         raise NoSamplesError(path, "its attitudes")
     if before is None or after is None:
         if before is None:
-            stamp, word, side = cast("Row", after)[0], "first", "after"
-            way_out = f" If so, begin there with {Setting('start', str(stamp))}"
+            stamp, word, side, way_out = cast("Row", after)[0], "first", "after", ""
+            if stamp - t_ns < 24 * NS_PER_UNIT["h"]:  # the log may reach so far
+                way_out = f" If so, begin there with {Setting('start', str(stamp))}"
         else:
             stamp, word, side, way_out = before[0], "last", "before", ""
         raise TimelineError(

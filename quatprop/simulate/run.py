@@ -46,7 +46,7 @@ def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     """
     if is_stdout(target):
         return None
-    kind = kind_of(target, kind)
+    kind = kind_of(target, kind, GENERAL_KINDS)
     suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"
     path = Path(target)
     return str(path.with_name((path.name if kind.startswith("rosbag2") else path.stem) + suffix))
@@ -214,7 +214,7 @@ def open_log_writer(
     UsageError
         The kind has no such compression.
     """
-    kind = kind_of(target, kind)
+    kind = kind_of(target, kind, GENERAL_KINDS)
     if kind not in GENERAL_KINDS:
         raise OutputError(
             target, f"kind {quoted(kind)} holds attitudes only; choose {listed(GENERAL_KINDS)}"

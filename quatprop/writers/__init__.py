@@ -82,8 +82,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
 
     kind = kind_of(target, kind)
     chosen = WRITERS[kind]
-    if message is not None and not chosen.encodings:
-        raise UsageError(f"{kind} holds no messages; leave {Setting('message')} out")
+    refuse_message(kind, message)
     order = layout_of(kind, layout)
     refuse_columns(kind, message, sigma, beside)
     if not chosen.encodings:
@@ -96,6 +95,13 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     _refuse_stdout(target, kind)
     encoder = attitude_encoder(message or Message(), chosen.encodings)
     return attitude_messages(open_messages(target, kind, encoder.topic), encoder, target)
+
+
+def refuse_message(kind: str, message: Message | None) -> None:
+    """Refuse a description of messages where a format holds none."""
+    if message is not None and not WRITERS[kind].encodings:
+        settings = f"{Setting('message')}, {Setting('out_topic')} and {Setting('frames')}"
+        raise UsageError(f"{kind} holds no messages; leave {settings} out")
 
 
 def holds_covariances(kind: str, message: Message | None) -> bool:

@@ -11,7 +11,7 @@ from quatprop.text import Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
     from quatprop.conventions.layout import Layout
 
@@ -150,8 +150,15 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     return order
 
 
-def kind_of(target: Path | str, kind: str | None = None) -> str:
+def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str] = WRITERS) -> str:
     """Return the kind of file to write: the given one, or that of the target's suffix.
+
+    Parameters
+    ----------
+    target, kind
+        Where to write, and the kind; None for that of the suffix.
+    choices
+        The kinds that errors offer.
 
     Raises
     ------
@@ -165,7 +172,7 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     """
     if kind is not None:
         if kind not in WRITERS:
-            raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(WRITERS)}")
+            raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(choices)}")
         return kind
     if is_stdout(target) or is_stream(target):
         return "csv"
@@ -173,11 +180,11 @@ def kind_of(target: Path | str, kind: str | None = None) -> str:
     for name, form in WRITERS.items():
         if suffix in form.suffixes:
             return name
-    suffixes = ", ".join(s for form in WRITERS.values() for s in form.suffixes if s)
+    suffixes = ", ".join(s for name in choices for s in WRITERS[name].suffixes if s)
     raise OutputError(
         target,
         f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
-        f"folder, or say {Setting('to', '|'.join(WRITERS))}",
+        f"folder, or say {Setting('to', '|'.join(choices))}",
     )
 
 

@@ -125,12 +125,10 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
 
 
 def _bare_sets(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
-    """Return gx or p and the like where the user declares the unit of rates.
+    """Return gx or p and the like, whose unit the user has to declare.
 
     They are rates unless the table has axes of something else: beside those, gx may be gravity.
     """
-    if not getattr(matcher.selection, "rate_unit", None):
-        return []
     sets = matcher.sets(*WITH_RATE_UNIT)
     others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
     return [columns for columns in matcher.sets(*BARE_RATES) if others == {*columns}]
