@@ -222,8 +222,8 @@ class NoSamplesError(LogError):
         Samples that were left out as before and after the chosen part.
     dropped
         Samples that were left out as not finite.
-    lost
-        What of the log could not be read, if anything.
+    losses
+        Places that could not be read, and why.
     """
 
     def __init__(
@@ -232,9 +232,9 @@ class NoSamplesError(LogError):
         source: str,
         outside: Sequence[int] = (0, 0),
         dropped: int = 0,
-        lost: str = "",
+        losses: Sequence[tuple[str, str, object]] = (),
     ) -> None:
-        reason = f"; lost: {lost}" if lost else "; look with info"
+        reason = "; look with info"
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):
@@ -242,6 +242,8 @@ class NoSamplesError(LogError):
                 f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
                 f"{outside[1]} after; a number without a unit is in ns"
             )
+        elif losses:
+            reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")
 
 

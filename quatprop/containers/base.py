@@ -172,11 +172,6 @@ class Losses(list[Loss]):
         loss = Loss(place, reason, sum(counts.values()) if counts else None)
         self[number : number + 1] = [loss]
 
-    @property
-    def first(self) -> str:
-        """The first of them in words; ``""`` where nothing was lost."""
-        return next((f"{loss.place}: {loss.reason}" for loss in self), "")
-
     def restart(self, count: int) -> None:
         """Forget all but the first `count`, since what comes after them is read again."""
         earlier = self[:count]

@@ -88,7 +88,7 @@ def _written(
         for series in _as_written(job, _counted(check.apply(rows), stamps)):
             write(series)
         if not check.counts.used:
-            raise NoSamplesError(wanted.path, source.name, lost=log.losses.first)
+            raise NoSamplesError(wanted.path, source.name, losses=log.losses)
         columns = job.columns(sigma)
         lost = remarks_on(
             job,

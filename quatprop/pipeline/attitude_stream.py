@@ -153,8 +153,8 @@ class AttitudeStream:
         if first is None:
             dropped = self._timeline.counts.dropped
             outside = self._conditioned.outside
-            lost = "" if self._log is None else self._log.losses.first
-            raise NoSamplesError(self._path, self._source.name, outside, dropped, lost)
+            losses = self._log.losses if self._log else ()
+            raise NoSamplesError(self._path, self._source.name, outside, dropped, losses)
         self._segments = self._begin(first)
         attitudes = self._segments.attitudes(
             chain([first], used),

@@ -167,7 +167,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     counts = timeline.counts
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, done.outside, lost=log.losses.first)
+        raise NoSamplesError(path, source.name, done.outside, losses=log.losses)
     remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts), *log.remarks]
     if path != "-":
         remarks += log_remarks(log, source)
@@ -196,7 +196,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     part = clipped(read, *absolute_range(view.part, *ends), outside)
     deque(stamps.observe(batch.t_ns for batch in drawn.passing(part)), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, outside, lost=log.losses.first)
+        raise NoSamplesError(path, source.name, outside, losses=log.losses)
     remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")

@@ -245,7 +245,7 @@ class AttitudeFile:
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
                 yield batch
             if not ends:
-                raise NoSamplesError(wanted.path, signal.name, lost=self._log.losses.first)
+                raise NoSamplesError(wanted.path, signal.name, losses=self._log.losses)
         self._first_ns, self._last_ns = min(ends), max(ends)
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
