@@ -80,9 +80,8 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             return f"{label} {value:+.6g} deg/h, at most {limit:.6g} deg/h"
         case "min_coverage":
             covered = comparison.coverage
-            samples = ""
-            if covered.samples is not None:
-                samples = f" and {covered.samples:.4g} % of the samples"
+            share = covered.samples
+            samples = "" if share is None else f" and {share:.4g} % of the samples"
             return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
         case _:
             return f"{label} {angle_text(value)}, at most {angle_text(limit)}"

@@ -7,7 +7,7 @@ repaired silently: the counts say what a policy changed.
 
 from __future__ import annotations
 
-from itertools import groupby, pairwise
+from itertools import groupby, pairwise, starmap
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -64,13 +64,10 @@ class Timeline(StampChecks):
             An event that the policy calls an error.
         """
         finite = self.each(batches, self._finite)
-        if self.policy.on_backwards == "sort":
-            ordered: Iterable[GyroSeries] = self._sorted(finite)
-        else:
-            ordered = (self._in_order(batch, kept) for batch, kept in finite)
-        ordered = self.with_gap_limit(ordered, attrgetter("t_ns"))
+        sorts = self.policy.on_backwards == "sort"
+        ordered = self._sorted(finite) if sorts else starmap(self._in_order, finite)
         # Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
-        for batch in reblock(ordered):
+        for batch in reblock(self.with_gap_limit(ordered, attrgetter("t_ns"))):
             self._measure(batch, self.intervals(batch.t_ns))
             yield batch
 
