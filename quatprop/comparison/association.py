@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from typing import Self
 
     from quatprop.arrays import Float64, Int64, Intp
     from quatprop.comparison.settings import ComparisonSettings

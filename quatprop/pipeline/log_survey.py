@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from quatprop.provenance import entry_of
+from quatprop.provenance import JsonObject, entry_of
 
 if TYPE_CHECKING:
     from quatprop.containers.base import Loss
-    from quatprop.provenance import JsonObject
     from quatprop.text import Text
     from quatprop.timeline.counts import Counts
 

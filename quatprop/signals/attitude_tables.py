@@ -13,7 +13,7 @@ from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.provenance import entry_of
+from quatprop.provenance import JsonObject, entry_of
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.message_values import without_absent
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.provenance import JsonObject
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import TableLog
