@@ -505,6 +505,14 @@ def test_a_second_header_of_other_columns_is_refused(header):
         read(f"{first}{header}\n9,4,5,6\n".encode(), rate_unit="rad/s")
 
 
+def test_a_row_of_a_date_and_words_is_no_header():
+    """A logger that could not read its sensor says so in its rows."""
+    text = "time,wx,wy,wz\n2023-11-14T22:13:20Z,1,2,3\n2023-11-14T22:13:21Z,ERR,ERR,ERR\n"
+    t_ns, _, losses = read(text + "2023-11-14T22:13:22Z,1,2,3\n", rate_unit="rad/s")
+    assert len(t_ns) == 2
+    assert losses == [Loss("line 3", "'ERR' in column 'wx' is not a number", 1)]
+
+
 def test_rows_of_one_kind_have_the_header_of_their_kind():
     """Loggers describe all kinds of records first, each in a comment."""
     text = "# GYRO,t_ns,wx [rad/s],wy [rad/s],wz [rad/s]\n# ACC,t_ns,ax,ay,az\n" + "".join(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TimedColumns
 
 _LARGEST = np.iinfo(np.int64).max
+_NAME = re.compile(r"[\W_]*[^\W\d_]")
 _NOT_A_NUMBER = {
     *("", "nan", "-nan", "+nan", "na", "n/a", "#n/a", "null", "none", "1.#qnan", "1.#ind"),
 }
@@ -270,7 +272,7 @@ class RowParser:
 def _is_name(cell: str) -> bool:
     """Whether a cell may be the name of a column, or its unit."""
     is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
-    return not is_number and any(map(str.isalpha, cell))
+    return not is_number and _NAME.match(cell) is not None
 
 
 def squeeze_blanks(data: bytes | memoryview) -> bytes:
