@@ -218,10 +218,8 @@ class NoSamplesError(LogError):
     ----------
     source
         The topic or the columns.
-    outside
-        Samples that were left out as before and after the chosen part.
-    dropped
-        Samples that were left out as not finite.
+    outside, dropped
+        Samples that were left out: before and after the chosen part, and as not finite.
     losses
         Places that could not be read, and why.
     """
@@ -238,10 +236,9 @@ class NoSamplesError(LogError):
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):
-            reason = (
-                f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
-                f"{outside[1]} after; a number without a unit is in ns"
-            )
+            before, after = outside
+            reason = f" between {Setting('start')} and {Setting('end')}: {before} are before, "
+            reason += f"{after} after; a number without a unit is in ns"
         elif losses:
             reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")
@@ -262,10 +259,8 @@ class UndeclaredError(LogError):
     ----------
     unknown
         What is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'".
-    way_out
-        What declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``.
-    several
-        Whether `unknown` is about several things.
+    way_out, several
+        What declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``; whether it is several.
     """
 
     def __init__(

@@ -62,8 +62,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     Returns
     -------
     PropagatedSeries
-        N samples give N attitudes, the first is q0; `report` holds what was read, done, counted and
-        lost.
+        N samples give N attitudes, the first is q0; `report` says what was read, done and lost.
 
     Raises
     ------
@@ -98,13 +97,11 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
         _refuse_log_settings(options)
         if not len(log):
             raise SeriesError("Expected a series with samples, got an empty one")
-        in_memory = AttitudeStream("series", signal_of_series(log), settings, None)
-        return _propagated("series", in_memory, settings, None)
+        stream = AttitudeStream("series", signal_of_series(log), settings, None)
+        return _propagated("series", stream, settings, None)
     path = path_text("log", log, "a GyroSeries")
-    with (
-        use_threads(settings.threads),
-        open_log(path, settings.kind, msg_path=settings.selection.msg_path) as opened,
-    ):
+    kind, msg_path = settings.kind, settings.selection.msg_path
+    with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as opened:
         with beginnings_kept(opened):
             signal = choose_rates(opened, settings.selection)
             stream = AttitudeStream(path, signal, settings, opened)
