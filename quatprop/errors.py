@@ -158,8 +158,6 @@ class MessageError(LogError):
 
     Parameters
     ----------
-    path, reason
-        As for :class:`LogError`.
     positions
         Which messages of the block, so that a caller can go on without them.
     """
