@@ -79,6 +79,7 @@ def test_a_backward_step_is_an_error_by_default(batches):
 
 CAUSES = [
     ([0, 10, 300_000, 20], "because the stamp before it, 300000000000 ns, is 299.99 s ahead"),
+    ([0, 10, 5 * 10**8, 20], "because the stamp before it, 500000000000000 ns, is 500000 s ahead"),
     ([4_294_950, 4_294_960, 3, 13], "as if a counter of 32 bits in us had wrapped around"),
     ([-20 + 2**31, -10 + 2**31, -(2**31), 10 - 2**31], "as if a counter of 32 bits in ms had "),
 ]
@@ -96,6 +97,12 @@ def test_what_the_stamps_show_is_named_where_time_steps_back(stamps, cause, cut)
         _, _, counts = applied(policy, *batches)
         said = next(text for text in map(str, remarks(counts, policy)) if "non-mono" in text)
         assert f" ns {cause}" in said
+
+
+def test_a_step_after_a_long_interval_is_that_of_no_counter():
+    """Whatever has no cause in the stamps around it is said as it is."""
+    with pytest.raises(TimelineError, match=r"1e\+06 s at sample 3 \(t = -5000000 ns\); choose"):
+        applied(Policy(), gyro([0, 10, 10**9, -5]))
 
 
 def test_no_sample_rate_is_remarked_on_where_time_goes_back():

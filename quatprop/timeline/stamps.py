@@ -250,7 +250,7 @@ def cause_of_step(t_ns: Int64, first: int) -> str:
         return ""
     before, middle, after = t_ns[first - 2 : first + 1].tolist()
     for unit, period in COUNTERS.items():
-        if 0 < period - (middle - after) <= _FAR * (middle - before):
+        if 0 < period - (middle - after) <= min(_FAR * (middle - before), period // 1000):
             return f" as if a counter of 32 bits in {unit} had wrapped around"
     if 0 <= _FAR * (after - before) < middle - before:
         ahead = duration_text(middle - before)
