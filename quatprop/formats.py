@@ -186,7 +186,11 @@ def _refuse_several_logs(folder: Path) -> None:
     logs: list[Path] = []
     if not (folder / "metadata.yaml").exists():
         with suppress(OSError):  # the reader of bags has the sentence for it
-            logs = sorted(file for file in folder.iterdir() if file.suffix.lower() in suffixes)
+            logs = sorted(
+                file
+                for file in folder.iterdir()
+                if file.suffix.lower() in suffixes or (file / "metadata.yaml").exists()
+            )
     parts = {suffix for kind in ("mcap", "db3") for suffix in READERS[kind].suffixes}
     if len(logs) > 1 and any(file.suffix.lower() not in parts for file in logs):
         names = listed(file.name for file in logs)

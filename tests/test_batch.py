@@ -361,12 +361,14 @@ def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
     """The other commands refuse a folder with several logs, and name them."""
     log(tmp_path / "in" / "a.csv")
     log(tmp_path / "in" / "b.mcap")
+    (tmp_path / "in" / "c").mkdir()
+    (tmp_path / "in" / "c" / "metadata.yaml").touch()
     output = ["-o", str(tmp_path / "out.csv")] if command == "propagate" else []
     done = CliRunner().invoke(cli, [command, str(tmp_path / "in"), *output])
     assert done.exit_code == 2
     assert done.stderr == (
-        f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap'; name one, or "
-        "use quatprop batch\n"
+        f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap', 'c'; "
+        "name one, or use quatprop batch\n"
     )
 
 

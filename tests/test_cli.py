@@ -380,7 +380,9 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         (["--max-gap", "5"], "Invalid value for '--max-gap': '5' is not a duration"),
         (["--bias", "1,2"], "'1,2' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
         (["--start", "noon"], "Invalid value for '--start': 'noon' is not a time"),
-        (["--rate", "0"], "'0' is not a rate in Hz; write 100, 29.97 or 30000/1001"),
+        (["--rate", "0"], "'0' is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"),
+        (["--at", ""], "Invalid value for '--at': "),
+        (["--report", ""], "Invalid value for '--report': the name is empty; is a variable of the"),
         (["--method", "middle"], "Invalid value for '--method': 'middle' is not one of"),
         (["--with", "euler-zyx,rotvec"], "'euler-zyx,rotvec' names several, and only one is poss"),
         (["--rate-cols", "x,y"], "'x,y' does not name 3 columns X,Y,Z"),
@@ -471,7 +473,7 @@ def test_fewer_rows_out(log, tmp_path):
     """--every keeps every n-th sample; --rate gives the attitude at other times, exactly."""
     out = tmp_path / "o.csv"
     result = run("propagate", log, "-o", out, "--every", "4")
-    assert "samples     11 over 1 s, 10 Hz; 3 attitudes written" in result.stderr
+    assert "samples     11 over 1 s, 10 Hz; 3 of them written" in result.stderr
     assert [row.split(",")[0] for row in out.read_text().splitlines()[1:]] == [
         "0", "400000000", "800000000"
     ]  # fmt: skip

@@ -43,11 +43,14 @@ def test_the_command_writes_to_stdout():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--rate", "fast"], "Invalid value for '--rate': 'fast' is not a rate in Hz; write 100,"),
+        (
+            ["--rate", "fast"],
+            "Invalid value for '--rate': 'fast' is not a rate from 1e-9 to 1e9 Hz; write 100,",
+        ),
         (["--angle", "wide"], "Invalid value for '--angle': 'wide' is not a number"),
         (["--seed", "-1"], "Invalid value for '--seed': -1 is not in the range x>=0"),
-        (["--rate", "1e12"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
-        (["--rate", "0"], "is not a rate in Hz; write 100, 29.97 or 30000/1001"),
+        (["--rate", "1e12"], "is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"),
+        (["--rate", "0"], "is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"),
         (
             ["--start", "+10s"],
             "'+10s' is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer nanoseconds",

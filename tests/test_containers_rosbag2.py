@@ -257,8 +257,8 @@ def test_a_folder_without_a_bag_is_refused(shared_logs, tmp_path):
     """A folder of other files says what a bag folder needs."""
     with pytest.raises(
         UnsupportedLogError,
-        match=r"csv: the folder holds neither \.mcap nor \.db3 files; "
-        r"name a log file or a ROS 2 bag folder",
+        match=r"csv: the folder holds no part of a ROS 2 bag \(\.mcap, \.db3\); "
+        r"name a log file or a bag folder",
     ):
         Rosbag2Log(shared_logs / "csv")
     with pytest.raises(UnreadableLogError, match="name a ROS 2 bag folder"):

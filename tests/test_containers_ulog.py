@@ -335,8 +335,8 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
     with open_log(path) as log:
         (loss,) = log.losses
         assert loss.place == f"2 dropouts, first at byte {path.stat().st_size - 10}"
-        assert loss.reason == "the recorder lost all messages for 320 ms"
+        assert loss.reason == "the recorder lost all messages for 320 ms in total"
     with open_log(shared_logs / "ulog" / "sample.ulg") as log:
         (loss,) = log.losses
         assert loss.place == "4 dropouts, first at byte 36590"
-        assert loss.reason == "the recorder lost all messages for 119 ms"
+        assert loss.reason == "the recorder lost all messages for 119 ms in total"

@@ -131,7 +131,7 @@ def test_what_is_there_is_not_touched(tmp_path, storage):
     (tmp_path / "out").mkdir()
     result = run("propagate", log, "--into", tmp_path / "out")
     assert result.exit_code == 2
-    assert "exists already; remove it or choose another name" in result.stderr
+    assert "exists already; choose another name, with a suffix" in result.stderr
     result = run("propagate", log, "--into", tmp_path / "new", "--out-topic", "/shutter")
     assert result.exit_code == 2
     assert "topic '/shutter' exists already; choose another with --out-topic" in result.stderr

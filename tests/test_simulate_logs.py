@@ -179,7 +179,9 @@ def test_a_kind_that_holds_attitudes_only_is_refused(tmp_path):
 def test_a_bag_folder_that_exists_is_refused(tmp_path):
     """A ROS 2 bag does not replace a folder."""
     (tmp_path / "bag").mkdir()
-    words = f"^{re.escape(str(tmp_path / 'bag'))}: exists already; remove it or choose another"
+    words = (
+        f"^{re.escape(str(tmp_path / 'bag'))}: exists already; choose another name, with a suffix"
+    )
     with pytest.raises(OutputError, match=words):
         open_log_writer(tmp_path / "bag")
 

@@ -284,7 +284,7 @@ def test_a_folder_replaces_nothing(tmp_path, make):
     """Where something is already, a folder is refused."""
     target = tmp_path / "bag"
     make(target)
-    words = f"^{re.escape(str(target))}: exists already; remove it or choose another name$"
+    words = f"^{re.escape(str(target))}: exists already; choose another name, with a suffix "
     with pytest.raises(OutputError, match=words):
         OutputPath(target, folder=True)
     assert list(tmp_path.iterdir()) == [target]

@@ -341,7 +341,7 @@ def test_what_begins_with_its_end_refuses_devices(kind, what):
 def test_a_bag_folder_replaces_nothing(tmp_path, kind):
     """Where something is already, a folder is refused."""
     (tmp_path / "a").mkdir()
-    words = f"^{re.escape(str(tmp_path / 'a'))}: exists already; remove it or choose another name$"
+    words = f"^{re.escape(str(tmp_path / 'a'))}: exists already; choose another name, with a "
     with pytest.raises(OutputError, match=words):
         open_writer(tmp_path / "a", kind)
 

@@ -154,7 +154,7 @@ def command(out: str, **options: Any) -> None:
         )
     if not options["quiet"]:
         beside = f"; the truth is in {truth}" if truth else ""
-        click.echo(f"{out}: {samples:,} samples of {motion}{beside}", err=True)
+        click.echo(f"{out}: {samples:,} sample{'s' * (samples > 1)} of {motion}{beside}", err=True)
 
 
 def _refuse_unused(motion: str, options: Mapping[str, Any]) -> None:

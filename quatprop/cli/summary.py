@@ -166,7 +166,7 @@ def _samples(report: RunReport) -> str:
     if result.span_s:
         text += f" over {duration_text(counts.span_ns)}, {result.sample_rate_hz:.6g} Hz"
     if result.rows != result.samples:
-        text += f"; {result.rows} attitudes written"
+        text += f"; {result.rows} of them written"
     return text
 
 

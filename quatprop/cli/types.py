@@ -21,7 +21,15 @@ else:
     Choice = click.Choice
 
 
-PATH = click.Path(readable=False)
+class _Path(click.Path):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse an empty name, which would be the current folder."""
+        if not value:
+            self.fail("the name is empty; is a variable of the shell not set?", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _Path(readable=False)
 """A file, a folder, or an address; what is wrong with it is found when it is opened."""
 
 

@@ -109,7 +109,7 @@ class UlogLog(MessageLog):
         if records.dropouts:
             total_ms = sum(duration for _, duration in records.dropouts)
             place = f"{len(records.dropouts)} dropouts, first at byte {records.dropouts[0][0]}"
-            self.losses.note(place, f"the recorder lost all messages for {total_ms} ms")
+            self.losses.note(place, f"the recorder lost all messages for {total_ms} ms in total")
         return records
 
     def _appended(self) -> list[int]:

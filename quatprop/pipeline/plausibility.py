@@ -121,11 +121,7 @@ def orientation_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
     remarks: list[str | Text] = [] if remark is None else [remark]
     counts = check.counts
     if counts.zero or counts.not_unit:
-        remarks.append(
-            f"the log's own orientation is invalid in {counts.zero + counts.not_unit} of the first "
-            f"{counts.read} samples ({counts.zero} are zero, {counts.not_unit} off unit length by "
-            f"up to {counts.worst:.3g}); it is not used"
-        )
+        remarks.append(f"the log's own orientation is not used: {counts.summary}")
     return remarks
 
 

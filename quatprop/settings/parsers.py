@@ -165,7 +165,9 @@ def frequency(value: object) -> Fraction:
             return Fraction(str(value))
     except (ValueError, ArithmeticError):
         pass
-    raise UsageError(f"{shown(value)} is not a rate in Hz; write 100, 29.97 or 30000/1001")
+    raise UsageError(
+        f"{shown(value)} is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"
+    )
 
 
 def duration(value: object) -> int:

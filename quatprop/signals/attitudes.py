@@ -253,7 +253,7 @@ def _known(
     if not varies and first and first[0][-1][:1].any():
         _add_remark(
             log,
-            f"the covariance of the orientation is the same in the first {count} messages, so it "
+            f"the covariance of the orientation does not change in {count} messages, so it "
             "is taken as a constant of the driver, not as what is known of each attitude",
         )
     in_part = 0

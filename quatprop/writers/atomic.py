@@ -172,7 +172,8 @@ class OutputPath:
     def __init__(self, target: Path | str, *, folder: bool = False) -> None:
         self.target = target
         if folder and os.path.lexists(target):
-            raise OutputError(target, "exists already; remove it or choose another name")
+            way_out = "choose another name, with a suffix unless it is to be a ROS 2 bag folder"
+            raise OutputError(target, f"exists already; {way_out}")
         self._place = checked_place(target)
         with output_errors(target):
             self._temp = LockedTemp(self._place, lambda path: path.mkdir())

@@ -175,7 +175,8 @@ def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
     if not parts:
         raise UnsupportedLogError(
             path,
-            "the folder holds neither .mcap nor .db3 files; name a log file or a ROS 2 bag folder",
+            "the folder holds no part of a ROS 2 bag (.mcap, .db3); name a log file or a "
+            "bag folder",
         )
     if len(bags) > 1:
         raise UnsupportedLogError(

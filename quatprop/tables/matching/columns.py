@@ -130,7 +130,7 @@ class TableColumns:
                     instead = "convert them to one unit" if facts[1:] else "leave the option out"
                     raise UsageError(
                         f"{plain(self.path)}: {contradiction}; {instead} or, if the option is "
-                        f"right, name the columns too, with {Setting(columns)}"
+                        f"right, give {Setting(columns)} too"
                     )
                 self.overruled.append(Text(f"{contradiction}; read in {chosen}, as asked for"))
             return chosen
