@@ -1,5 +1,6 @@
 """Column names to time, rates and units: known conventions, clear names, options."""
 
+import re
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quatprop import read_rates
+from quatprop import RemarkWarning, read_rates
 from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.selection import RateSelection
@@ -331,7 +332,7 @@ def test_a_unit_against_the_header_is_refused():
     """A unit option alone does not overrule a header that says another."""
     with pytest.raises(UsageError, match=r"rate_unit says rad/s, but .* 'gyro_z_dps' are in deg/s"):
         chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", rate_unit="rad/s")
-    with pytest.raises(UsageError, match=r"time_unit says us, but .* name .* with time_col"):
+    with pytest.raises(UsageError, match=r"time_unit says us, but .* give time_col too"):
         chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", time_unit="us")
 
 
@@ -501,8 +502,13 @@ def test_rows_of_several_sensors_in_turn_are_refused(tmp_path, name, suffix):
     first, second = sorted(map(str, TURNS[name]))
     assert str(caught.value) == (
         f"{path}: its rows are of several sensors, '{first}', '{second}' in column '{name}'; "
-        "write each to a file of its own"
+        "write each to a file of its own, or if it is only one, name its columns with rate_cols"
     )
+    told = (
+        f"its rows are of several sensors, '{first}', '{second}' in column '{name}', and are read"
+    )
+    with pytest.warns(RemarkWarning, match=re.escape(told)):
+        assert len(read_rates(path, rate_cols=["wx", "wy", "wz"]).t_ns) == 9
 
 
 @pytest.mark.parametrize(

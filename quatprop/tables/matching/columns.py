@@ -44,18 +44,26 @@ class TableColumns:
         self.unknown: list[tuple[str, Setting]] = []
         self.overruled: list[Text] = []
 
-    def refuse_several_sensors(self, numbers: Collection[int]) -> None:
-        """Refuse rows of sensors that take turns: those of one would be taken for another's."""
+    def refuse_several_sensors(self, numbers: Collection[int], setting: str) -> None:
+        """Refuse rows of sensors that take turns: those of one would be taken for another's.
+
+        A user who has named the columns knows them, and is only told.
+        """
         for k in self.matching(SENSOR):
             rows = self._head((k, *numbers))
             of_rows = [row[0] for row in rows if not _ABSENT & {str(cell).lower() for cell in row}]
             turns = [str(sensor).strip() for sensor, _ in groupby(of_rows)]
             # A counter has more values, and those of blocks of rows do not come back.
             if 1 < len(sensors := sorted({*turns})) <= min(_MOST_SENSORS, len(turns) - 1):
+                several = f"its rows are of several sensors, {listed(sensors)} in column "
+                several += self.names((k,))
+                if getattr(self.selection, setting, None):
+                    self.overruled.append(Text(f"{several}, and are read as those of one"))
+                    continue
                 raise UnsupportedLogError(
                     self.path,
-                    f"its rows are of several sensors, {listed(sensors)} in column "
-                    f"{self.names((k,))}; write each to a file of its own",
+                    f"{several}; write each to a file of its own, or if it is only one, name its "
+                    f"columns with {Setting(setting)}",
                 )
 
     def matching(self, pattern: str) -> list[int]:

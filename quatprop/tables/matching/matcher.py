@@ -152,7 +152,7 @@ class ColumnMatcher(TableColumns):
         UsageError
             The time is one of the columns.
         """
-        self.refuse_several_sensors(numbers)
+        self.refuse_several_sensors(numbers, self.setting)
         time, sample_rate = self._time(dialect, numbers)
         if both := set(numbers) & set(time):
             raise UsageError(
