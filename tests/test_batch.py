@@ -86,6 +86,7 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
         "name the columns with --rate-cols and --time-col\n"
     )
     assert outputs_in(tmp_path / "out") == ["good.parquet"]
+    assert done.stderr == f"Error: {entries(tmp_path / 'out')['bad.parquet']['error']}\n"
 
 
 @pytest.mark.parametrize(

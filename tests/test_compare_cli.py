@@ -2,6 +2,7 @@
 
 import json
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -93,6 +94,16 @@ def test_json_has_everything_a_script_needs(files):
     without_limit = run("compare", *files, "--json")
     assert without_limit.exit_code == 0
     assert json.loads(without_limit.stdout)["passed"] is None
+
+
+def test_json_names_options(tmp_path):
+    """As everything does that the command line writes."""
+    samples, made = Path(__file__).parent.parent / "sample_logs", tmp_path / "start.csv"
+    assert run("propagate", samples / "coning.mcap", "-o", made, "-q").exit_code == 0
+    found = report(made, samples / "coning.truth.csv")
+    assert found["likely_cause"]["remedy"] == (
+        "if A was propagated, propagate it with --method cubic; if B was, with --method start"
+    )
 
 
 def test_quiet_leaves_the_exit_code(files):

@@ -24,7 +24,7 @@ from quatprop.third_party_errors import as_user_error
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Sequence
+    from collections.abc import Callable, Generator, Iterable, Sequence
 
     from quatprop.batch.logs import FoundLog
     from quatprop.batch.manifest import Manifest
@@ -71,16 +71,21 @@ class BatchSettings(NamedTuple):
         Digest of its settings.
     reports
         Whether results have the reports of the runs.
+    spell
+        Returns a sentence as the manifest has it; a worker has to be able to import it.
     """
 
     job: Job
     options: str
     reports: bool = False
+    spell: Callable[[str | Text], str] = str
 
     @classmethod
-    def of(cls, job: Job, *, reports: bool = False) -> BatchSettings:
+    def of(
+        cls, job: Job, *, reports: bool = False, spell: Callable[[str | Text], str] = str
+    ) -> BatchSettings:
         """Return the settings of a batch, with the digest."""
-        return cls(job, options_digest(job), reports)
+        return cls(job, options_digest(job), reports, spell)
 
     def with_threads(self, count: int) -> BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""
@@ -204,7 +209,13 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
             raise
         result = failed(task, Text(f"{plain(task.log)}: ", user_error.text))
     seconds = time.perf_counter() - began
-    entry = result.entry._replace(seconds=seconds, options=settings.options, origin=origin)
+    entry = result.entry._replace(
+        seconds=seconds,
+        options=settings.options,
+        origin=origin,
+        remarks=tuple(map(settings.spell, result.remarks)),
+        error=settings.spell(result.error) or None,
+    )
     return result._replace(entry=entry)
 
 
@@ -241,7 +252,6 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
         sample_rate_hz=result.sample_rate_hz,
         method=report.convention.method,
         final_wxyz=tuple(map(float, result.final_wxyz)),
-        remarks=tuple(map(str, report.remarks)),
         losses=tuple(f"{loss.place}: {loss.reason}" for loss in report.losses),
         log_bytes=log.bytes,
         log_sha256=log.sha256,

@@ -108,7 +108,7 @@ def command(
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
-    settings = BatchSettings.of(job, reports=as_json)
+    settings = BatchSettings.of(job, reports=as_json, spell=spelled)
     tasks = outdated(planned, settings, manifest) if chosen["skip_existing"] else planned
     skipped = set(planned).difference(tasks)
     lost = with_data_lost(skipped, manifest) if skipped else 0
@@ -245,7 +245,7 @@ def _report(task: BatchTask, result: BatchResult) -> dict[str, object]:
     return {
         "log": task.log,
         "output": without_secret(task.output),
-        "error": str(result.error) or None,
+        "error": result.entry.error,
         "seconds": result.entry.seconds,
         "report": result.report,
     }

@@ -17,7 +17,7 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
-from quatprop.cli.spelling import command_line, spelled
+from quatprop.cli.spelling import command_line, in_options, spelled
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
 from quatprop.settings import ONE_SERIES, READ_ATTITUDES
@@ -79,7 +79,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
             "b": to_json(second.report()),
             **comparison.report(),
         }
-        click.echo(json.dumps(report, indent=2))
+        click.echo(json.dumps(in_options(report), indent=2))
     elif not quiet:
         rows = comparison_rows(first, second, comparison, spelled)
         show(lines_of(rows), indent=10, err=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from quatprop.text import Setting, Text, plain
 
@@ -59,6 +59,15 @@ def _in_options(text: Text, side: str) -> str:
     """Spell the settings of a text; whose options they are is said once, after the last."""
     sentence, elsewhere, rest = text.spelled(partial(option, side=side)).rpartition(_ELSEWHERE)
     return sentence.replace(_ELSEWHERE, "") + elsewhere + rest
+
+
+def in_options(value: Any) -> Any:
+    """Return what becomes JSON, with options in place of the settings that its texts mention."""
+    if isinstance(value, dict):
+        return {name: in_options(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [in_options(item) for item in value]
+    return spelled(value) if isinstance(value, Text) else value
 
 
 def command_line() -> str:
