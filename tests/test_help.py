@@ -96,7 +96,8 @@ def test_the_name_that_was_meant_is_suggested(arguments, sentence):
     """Of commands, options and choices: the one that is nearest, or none."""
     result = run(*arguments)
     assert result.exit_code == 2
-    assert result.stderr.splitlines()[-1].endswith(sentence)
+    (line,) = result.stderr.splitlines()
+    assert line.endswith(sentence)
 
 
 def write_bag(path):
@@ -128,4 +129,5 @@ def test_topics_columns_and_fields_are_suggested(tmp_path, monkeypatch, argument
     write_bag("log.bag")
     result = run("propagate", *arguments, "--rate-unit", "rad/s", "-o", "x.csv")
     assert result.exit_code == 2
-    assert result.stderr.splitlines()[-1].endswith(sentence)
+    (line,) = result.stderr.splitlines()
+    assert line.endswith(sentence)

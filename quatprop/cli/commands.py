@@ -87,8 +87,10 @@ class Commands(click.Group):
         except KeyboardInterrupt:
             click.echo(MESSAGE, err=True)
             ctx.exit(INTERRUPTED)
-        except (click.ClickException, click.Abort, click.exceptions.Exit):
+        except (click.exceptions.NoArgsIsHelpError, click.Abort, click.exceptions.Exit):
             raise
+        except click.ClickException as error:
+            raise Unusable(error.format_message()) from None
         except Exception as error:
             from quatprop.third_party_errors import as_user_error
 
