@@ -131,3 +131,10 @@ def test_topics_columns_and_fields_are_suggested(tmp_path, monkeypatch, argument
     assert result.exit_code == 2
     (line,) = result.stderr.splitlines()
     assert line.endswith(sentence)
+
+
+@pytest.mark.parametrize("command", ["info", "propagate", "convert", "compare"])
+def test_long_lists_of_choices_are_wrapped(command):
+    """They are in the text, not beside the name of the option."""
+    shown = run(command, "--help-all", NO_COLOR="1").stdout
+    assert [line for line in shown.splitlines() if len(line) > 80] == []

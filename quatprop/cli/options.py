@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     """Gives a command an option."""
 
 HELP = {
-    "kind": "Kind of {log}.  [default: told by its content, then by its suffix]",
+    "kind": "KIND  Kind of {log}: {names}.  [default: told by its content, then by its suffix]",
     "topic": "NAME  Topic of {log}.  [default: the only one with {signal}]",
     "msg_path": "PATH  Message definitions for {log}: a .msg file, or a folder of them.  "
     "[default: those in the log or beside it]",
@@ -142,7 +142,8 @@ HELP = {
     "window": "DUR  Also compare the rotations over windows of this length.  [default: none]",
 }
 """What help says of a setting: its value, unless that is a choice or a flag, two spaces, and what
-it does. ``{log}`` is what the command calls its input, ``{signal}`` rates or attitudes."""
+it does. ``{log}`` is what the command calls its input, ``{signal}`` rates or attitudes; ``{names}``
+are the choices."""
 
 
 def setting_options(
@@ -171,7 +172,8 @@ def setting_options(
     for name, parser in parsers.items():
         short = "-t " if name == "topic" and not side else ""
         names = f"{short}{option_name(Setting(name), side)} {name}_{side}".rstrip("_")
-        text = HELP[name].format(log=log, signal=signal)
+        choices = ", ".join(getattr(parser, "names", ()))
+        text = HELP[name].format(log=log, signal=signal, names=choices)
         options.append(_option(names, parser, text, prefix=prefix))
     return options
 

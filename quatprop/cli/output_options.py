@@ -37,8 +37,8 @@ OUTPUT_OPTIONS = own_options(
         "sequence; rotvec; matrix.  [default: none]",
         "--euler-unit": "Unit of Euler angles.  [default: rad]",
         "--header-comment comment": "Begin csv, tsv, tum or euroc with the report in a # comment.",
-        "--message": "What mcap and bags hold: the attitude, a pose, or a transform. "
-        "FrameTransform and PoseInFrame are Foxglove's own, for mcap only.  [default: "
+        "--message": f"TYPE  What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
+        "Foxglove's own, for mcap only.  [default: "
         "QuaternionStamped]",
         "--out-topic": "NAME  Topic of the messages.  [default: /attitude, or /tf for transforms]",
         "--frames": "REFERENCE,BODY  Names of the two frames in the messages.  [default: "
