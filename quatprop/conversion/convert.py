@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
@@ -19,7 +21,6 @@ from quatprop.provenance import digest_ahead
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.text import Setting, listed, quoted
-from quatprop.timeline.stamps import StampChecks
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
-    from quatprop.timeline.counts import Counts
     from quatprop.writers.attitudes import AttitudeWriter
 
 
@@ -79,13 +79,13 @@ def _written(
     """Write the attitudes of a source and return the report on them."""
     wanted, sigma = job.source, kept_sigma(job, source, stored)
     check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-    stamps = StampChecks(wanted.path)
+    order = _Order()
     # A reference that is turned into the body is no place for a position.
     keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
     rows = source.read(positions=keeps and source.has_positions, covariances=sigma is not None)
     write: Callable[[Any], None] = target.write
     with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
-        for series in _as_written(job, _counted(check.apply(rows), stamps)):
+        for series in _as_written(job, order.counted(check.apply(rows))):
             write(series)
         if not check.counts.used:
             raise NoSamplesError(wanted.path, source.name, losses=log.losses)
@@ -106,26 +106,33 @@ def _written(
             columns=columns,
             counts=check.counts,
             losses=tuple(log.losses),
-            remarks=(*source.remarks, *log.remarks, *_order_remarks(stamps.counts), *lost),
+            remarks=(*source.remarks, *log.remarks, *order.remarks(), *lost),
         )
 
 
-def _counted(batches: Iterable[AttitudeSeries], stamps: StampChecks) -> Iterator[AttitudeSeries]:
-    """Yield batches as they are, and count where their stamps step back or are repeated."""
-    for series in batches:
-        stamps.backward(series.t_ns)
-        stamps.intervals(series.t_ns)
-        yield series
+class _Order:
+    """Counts where stamps of a series step back or are repeated, whatever they span."""
 
+    def __init__(self) -> None:
+        self._last = np.empty(0, np.int64)
+        self._back = self._repeated = 0
 
-def _order_remarks(counts: Counts) -> Iterator[str]:
-    """Yield a remark where stamps step back or are repeated."""
-    back, repeated = counts.backwards.count, counts.duplicates.count
-    if back or repeated:
-        yield (
-            f"the timestamps step back {back} times and repeat the one before {repeated} times; "
-            "all rows are written, in the order in which they are read"
-        )
+    def counted(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the batches as they are."""
+        for series in batches:
+            t_ns = np.concatenate([self._last, series.t_ns])
+            self._back += int(np.count_nonzero(t_ns[1:] < t_ns[:-1]))
+            self._repeated += int(np.count_nonzero(t_ns[1:] == t_ns[:-1]))
+            self._last = t_ns[-1:].copy()
+            yield series
+
+    def remarks(self) -> Iterator[str]:
+        """Yield what was counted, if anything."""
+        if self._back or self._repeated:
+            yield (
+                f"the timestamps step back {self._back} times and repeat the one before "
+                f"{self._repeated} times; all rows are written, in the order in which they are read"
+            )
 
 
 def _stored_sigma(source: AttitudeSignal) -> str | None:
