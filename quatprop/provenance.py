@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from quatprop.concurrency.threads import in_background, use_threads
-from quatprop.errors import DamagedLogError, UnreadableLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
@@ -203,7 +203,7 @@ def _digest_at_end(path: Path, hashed: bool) -> Iterator[Digest | None]:
         else:
             yield None
     except OSError as error:
-        raise UnreadableLogError(path, f"it cannot be read: {error.strerror}") from error
+        raise UnreadableLogError(path, os_reason(error)) from error
 
 
 def _of_file(file: Path, hashed: bool) -> Generator[None, None, Digest]:

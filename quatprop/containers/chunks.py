@@ -16,7 +16,7 @@ from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.loading import LARGE, Buffers, ChunkGroup, load_in_groups
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
-from quatprop.errors import UnreadableLogError
+from quatprop.errors import UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -64,7 +64,7 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
 
     def unreadable(self, error: OSError) -> UnreadableLogError:
         """Return the error of a file that the system does not read."""
-        return UnreadableLogError(self.path, f"{error.strerror}; check the path")
+        return UnreadableLogError(self.path, os_reason(error))
 
     @abstractmethod
     def read_index(self) -> None:
