@@ -22,6 +22,7 @@ from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError
+from quatprop.messages import protobuf
 from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text
@@ -240,6 +241,7 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     into = ["propagate", str(SAMPLES / "coning.mcap"), "--into", str(copy), "-q"]
     assert CliRunner().invoke(cli, [*into, "--message", "FrameTransform"]).exit_code == 0
     monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    protobuf._message_class.cache_clear()  # noqa: SLF001  # others may have filled it
     (facts,), _ = info(copy)
     assert [one["source"] for one in facts["sources"]] == ["/imu"]
     ((said,),) = [[one["missing"]] for one in facts["attitudes"]]
