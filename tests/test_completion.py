@@ -96,8 +96,8 @@ def test_what_is_offered(monkeypatch, words, values):
 def test_commands_are_offered_without_importing_them():
     """Completion is quick."""
     code = (
-        "import sys; from quatprop.cli import main; sys.argv = ['quatprop']\n"
-        "try: main()\n"
+        "import sys; from quatprop.cli import run; sys.argv = ['quatprop']\n"
+        "try: run()\n"
         "finally: print(sorted({'numpy', 'quatprop.cli.plot'} & set(sys.modules)))"
     )
     words = {"COMP_WORDS": "quatprop ", "COMP_CWORD": "1", "_QUATPROP_COMPLETE": "bash_complete"}

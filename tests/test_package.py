@@ -3,6 +3,7 @@
 import ast
 import doctest
 import importlib
+import os
 import pkgutil
 import re
 import subprocess
@@ -128,13 +129,29 @@ def test_help_imports_nothing_heavy():
     """`quatprop --help` needs click and nothing else."""
     code = (
         "import sys; sys.argv = ['quatprop', '--help']\n"
-        "from quatprop.cli import main\n"
-        "try: main()\n"
+        "from quatprop.cli import run\n"
+        "try: run()\n"
         "except SystemExit: pass\n"
         "print(sorted({'numpy', 'pyarrow', 'mcap', 'rosbags'} & set(sys.modules)))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads are listed in /proc")
+def test_a_short_run_has_one_thread():
+    """NumPy's threads for large matrices are not started."""
+    code = (
+        "import os, sys; from quatprop.cli import run; sys.argv = ['quatprop', *sys.argv[1:]]\n"
+        "try: run()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "print(len(os.listdir('/proc/self/task')))"
+    )
+    environment = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
+    log = Path(__file__).parents[1] / "sample_logs" / "coning.mcap"
+    command = [sys.executable, "-c", code, "info", str(log)]
+    out = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "1"
 
 
 UNUSED = {

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop import __version__
+from quatprop.cli import FAILED
 from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
 from quatprop.text import did_you_mean
@@ -27,9 +28,6 @@ COMMANDS = {
     "completion": "Print the script that completes names in bash, zsh or fish.",
 }
 """Every command with its one-line help, so that ``--help`` imports none of them."""
-
-FAILED = 2
-"""Exit code of wrong usage, unreadable input and outputs that cannot be written."""
 
 
 class Unusable(click.ClickException):
