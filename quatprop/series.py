@@ -283,10 +283,10 @@ class AttitudeSeries(_Series):
 def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:
     import pyarrow as pa
 
-    from quatprop.arrow_arrays import to_arrow
+    from quatprop.arrow_arrays import series_schema, to_arrow
 
-    named = {"t_ns": t_ns, **columns}
-    return pa.table({name: to_arrow(values) for name, values in named.items()})
+    arrays = [to_arrow(values) for values in (t_ns, *columns.values())]
+    return pa.table(arrays, schema=series_schema(columns))
 
 
 def _data_frame(table: pa.Table) -> Any:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from quatprop.arrow_arrays import to_arrow
+from quatprop.arrow_arrays import series_schema, to_arrow
 from quatprop.provenance import METADATA_KEY
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, block_slices, provenance_json
@@ -45,7 +45,7 @@ class ArrowTable(TableWriter):
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._schema = pa.schema([("t_ns", pa.int64()), *((name, pa.float64()) for name in names)])
+        self._schema = series_schema(names)
         super().__init__(OutputFile(target))
         self._t_ns = np.empty(GROUP, np.int64)
         self._columns = np.empty((len(names), GROUP), np.float64)

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+PAGE = 1 << 16
+"""Rows of a page: each page costs time of its own, and so do calls that write much at once."""
+
+
 class ParquetTable(ArrowTable):
     """Write columns as Parquet.
 
@@ -44,6 +48,7 @@ class ParquetTable(ArrowTable):
                 compression_level=-1,
                 use_dictionary=False,
                 write_statistics=["t_ns"],
+                max_rows_per_page=PAGE,
                 column_encoding={
                     "t_ns": "DELTA_BINARY_PACKED",
                     **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
