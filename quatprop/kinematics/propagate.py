@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.kinematics.product import Pairs, Wxyz
 
-TILE: Final = BLOCK // 8
-"""Steps composed together: few enough for the L2 cache, many enough to make calls cheap."""
+TILE: Final = BLOCK // 4
+"""Steps composed together: few enough for a large L2 cache, many enough to make calls cheap."""
 
 
 def attitudes(
