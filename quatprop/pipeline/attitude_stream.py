@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
-from quatprop.blocks import reblock
-from quatprop.concurrency.threads import in_background
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.containers.stores import without_secret
@@ -21,14 +18,12 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
-from quatprop.settings.parsers import FROM_THE_LOG
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import RateSignal, no_parts
 from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
-from quatprop.writers.targets import is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -127,25 +122,7 @@ class AttitudeStream:
         NoSamplesError
             There are none.
         """
-        if not self._reads_ahead():
-            yield from self._attitudes(self._batches)
-            return
-        # In blocks: handing over each batch of a few chunks would cost as much as decoding it.
-        with closing(in_background(reblock(self._batches))) as batches:
-            yield from self._attitudes(batches)
-
-    def _reads_ahead(self) -> bool:
-        """Return whether the log is read in another thread.
-
-        Not where it is read again for the first attitude, and not from a pipe: waiting for what
-        it gives next could not be interrupted.
-        """
-        if self._log is None or self._settings.q0.source in FROM_THE_LOG:
-            return False
-        return self._path != "-" and not is_stream(self._log.path)
-
-    def _attitudes(self, batches: Iterable[GyroSeries]) -> Iterator[AttitudeSeries]:
-        rates = self._checks.observe(batches)
+        rates = self._checks.observe(self._batches)
         if self._observer is not None:
             rates = self._observer.rates(rates)
         used = self._timeline.apply(rates)
