@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Chunk = TypeVar("Chunk")
 Content = TypeVar("Content")
 
-BUFFER = 1 << 21
+BUFFER = 1 << 22
 """Bytes in a buffer: the chunks in it stay in the processor's cache until they are decoded."""
 
 FIRST = 1 << 16
