@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from click.testing import CliRunner
 
 from quatprop import RemarkWarning
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 ROOT = Path(__file__).parents[1]
 GUIDES = ROOT / "quatprop" / "docs"

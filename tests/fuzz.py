@@ -138,7 +138,7 @@ def problem(log, folder, seed):
     """
     from click.testing import CliRunner
 
-    from quatprop.cli import cli
+    from quatprop.cli.commands import cli
 
     scratch = folder / "scratch"
     # What a stream can be is read from one as well.

@@ -7,7 +7,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.writers.messages.topics import ros2_types
 
 START = 1_700_000_000_000_000_000

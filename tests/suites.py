@@ -2,7 +2,7 @@
 
 from click.testing import CliRunner
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 
 def check(suite, *options):

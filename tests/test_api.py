@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import LogError, SeriesError, UsageError
 from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES

@@ -21,8 +21,8 @@ from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, ManifestEntry, write_table
 from quatprop.batch.outputs import output_paths, shard
 from quatprop.batch.run import BatchSettings, BatchTask, propagate_log
-from quatprop.cli import cli
 from quatprop.cli.batch import command
+from quatprop.cli.commands import cli
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, QuatpropError, UsageError
 from quatprop.pipeline.job import Job

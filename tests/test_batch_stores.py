@@ -16,7 +16,7 @@ import quatprop
 from quatprop.batch.logs import FoundLog, LogSearch
 from quatprop.batch.outputs import shard
 from quatprop.batch.store_manifest import manifest_in
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.stores import list_objects
 from quatprop.containers.transfers import get, put, upload
 

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from quatprop import GyroSeries, propagate
 from quatprop.check.cases import load_cases
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.conditioning.calibration import read_calibration
 from quatprop.errors import UsageError
 

@@ -14,7 +14,7 @@ from suites import check
 from quatprop import __version__
 from quatprop.check.case import CaseResult, exit_code
 from quatprop.check.reference import decimation
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from click.testing import CliRunner
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 LOGS = {
     "auk/auk.bag": "",

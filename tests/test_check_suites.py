@@ -19,7 +19,8 @@ from suites import check
 from quatprop import __version__
 from quatprop.check import cases
 from quatprop.check.case_run import propagate_case
-from quatprop.cli import cli, compare, propagate
+from quatprop.cli import compare, propagate
+from quatprop.cli.commands import cli
 from quatprop.errors import ComparisonError
 from quatprop.third_party_errors import TRACEBACK
 

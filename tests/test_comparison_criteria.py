@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparison_settings
 from quatprop.errors import UsageError

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop import propagate, read_attitudes, write
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 

@@ -8,7 +8,7 @@ from into_logs import write_mcap
 from mcap.writer import CompressionType, Writer
 from test_containers_mcap import every_record, read, saved, truth, written
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.mcap.log import McapLog
 
 MAGIC = b"\x89MCAP0\r\n"

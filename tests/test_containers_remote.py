@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from mcap.writer import CompressionType
 from pyarrow import feather
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers import transfers
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.stores import _with_retry_limit, find, without_secret

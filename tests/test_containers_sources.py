@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from test_containers_ulog import added, gyro, write
 
 from quatprop import read_rates
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import RemarkWarning, UnreadableLogError

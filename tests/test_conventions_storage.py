@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.conventions import REPRESENTATIONS, Meaning, Signs
 from quatprop.conventions.representations import euler_angles, from_euler
 from quatprop.errors import UsageError

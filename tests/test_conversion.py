@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import geodesic_angle
 
 PLAIN = "t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,0.8,0.6,0,0\n"

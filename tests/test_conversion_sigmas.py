@@ -8,7 +8,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 import quatprop
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.kinematics.uncertainty import reference_covariance
 
 LOST = "the standard deviations or covariances of the attitudes are not kept"

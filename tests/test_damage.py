@@ -22,7 +22,7 @@ from rosbags.rosbag1 import Reader as BagReader
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.base import Channel
 from quatprop.errors import LogError, SchemaError
 from quatprop.formats import open_log

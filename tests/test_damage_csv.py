@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from table_rates import rate_batches
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.csv.log import CsvLog

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from test_containers_ulog import added, record
 from test_damage_mcap import MESSAGES, read, unclosed, written
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.concurrency import threads
 from quatprop.containers import chunks, loading
 from quatprop.containers.base import Loss

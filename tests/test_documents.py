@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from documents import GUIDES, ROOT, Document
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.base import Channel
 from quatprop.messages.message_types import MESSAGE_TYPES
 from quatprop.messages.signal_fields import rate_fields

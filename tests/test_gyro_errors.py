@@ -13,7 +13,7 @@ from scipy.spatial.distance import mahalanobis
 from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import DataLossWarning, LogError, RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors

@@ -9,8 +9,7 @@ from into_logs import IMU, imu_message, moments
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli import cli
-from quatprop.cli.commands import COMMANDS
+from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUP
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import PROPAGATE, READ_ATTITUDES

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.cli.spelling import spelled
 from quatprop.containers import kept_blocks
 from quatprop.containers.base import MessageBlock

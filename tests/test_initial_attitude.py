@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.pipeline.initial_attitude import InitialAttitude, level

@@ -15,7 +15,7 @@ from evo.tools import file_interface
 from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, read_attitudes
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 T_S = np.array([0.0, 0.1, 0.2])

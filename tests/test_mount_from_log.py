@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop import GyroSeries, propagate
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import UsageError
 
 N = 100

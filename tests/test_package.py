@@ -167,7 +167,7 @@ UNUSED = {
 def test_a_plain_run_imports_what_it_uses(tmp_path):
     """A short log is propagated in the time that imports take."""
     program = (
-        "import sys; from quatprop.cli import cli\n"
+        "import sys; from quatprop.cli.commands import cli\n"
         "try: cli(sys.argv[1:])\n"
         "except SystemExit as end: assert not end.code\n"
         f"print(sorted({UNUSED!r} & set(sys.modules)))"

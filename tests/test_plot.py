@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
 from quatprop.plot.files import View, view_file

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import exp
 
 HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'

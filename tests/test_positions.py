@@ -6,7 +6,7 @@ from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
 
 import quatprop
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import SeriesError
 
 LOST = "the positions beside the attitudes are not kept: the output has no place for them"

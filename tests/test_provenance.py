@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from mcap.writer import Writer as McapWriter
 
 from quatprop import GyroSeries, propagate
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.formats import open_log
 from quatprop.provenance import Digest, as_json, digest_ahead, digest_of

@@ -10,7 +10,7 @@ from mistakes import Recording
 from rosbags.typesys import Stores, get_typestore
 
 import quatprop
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import GyroSeries
 from quatprop.timeline.counts import Counts

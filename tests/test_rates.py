@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import NoRatesError, SeriesError, UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from conftest import SHARED_LOGS
 
 from quatprop import propagate, read_rates
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import geodesic_angle
 
 TOLERANCE_RAD = 1e-12

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, convert, read_attitudes, write
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
 from quatprop.formats import open_log

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from table_rates import rate_batches
 
 from quatprop import read_rates
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.tables import text_stream, timestamps

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 from quatprop import propagate, read_attitudes, read_rates
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 
 h5py = pytest.importorskip("h5py")
 

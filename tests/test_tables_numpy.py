@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from table_rates import rate_batches
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError, UnsupportedLogError
 from quatprop.formats import open_log
 from quatprop.tables.npy_format import HeaderError, read_header

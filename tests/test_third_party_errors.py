@@ -11,7 +11,7 @@ import zlib
 import pytest
 from click.testing import CliRunner
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.containers.mcap import log as mcap
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError
 from quatprop.formats import open_log

@@ -5,7 +5,7 @@ import struct
 import pytest
 from click.testing import CliRunner
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import AmbiguousTopicError, NoSuchTopicError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection, RateSelection

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.temp_files import LockedTemp

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.writers.formats import WRITERS
 
 TEXT = ("csv", "tsv", "jsonl", "tum", "euroc")

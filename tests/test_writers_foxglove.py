@@ -7,7 +7,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from mcap.reader import make_reader
 from mcap_doctor import examine
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer

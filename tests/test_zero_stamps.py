@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.cli import cli
+from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError
 from quatprop.formats import open_log
 from quatprop.selection import AttitudeSelection, RateSelection

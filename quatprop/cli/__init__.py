@@ -10,12 +10,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:
-    import click
-
-    cli: click.Group
+from typing import NoReturn
 
 FAILED = 2
 """Exit code of wrong usage, unreadable input and outputs that cannot be written."""
@@ -59,12 +54,3 @@ def run() -> None:
     except OSError:
         # Not even stderr can be written to; every other error has become a sentence before.
         sys.exit(FAILED)
-
-
-def __getattr__(name: str) -> click.Group:
-    """Import the commands when they are first used."""
-    if name != "cli":
-        raise AttributeError(f"module 'quatprop.cli' has no attribute {name!r}")
-    from quatprop.cli.commands import cli
-
-    return cli
