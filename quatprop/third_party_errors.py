@@ -100,8 +100,10 @@ def as_user_error(error: Exception) -> QuatpropError | None:
     Returns
     -------
     QuatpropError or None
-        None for a bug in quatprop whose traceback is wanted.
+        The error itself where it is one; None for a bug in quatprop whose traceback is wanted.
     """
+    if isinstance(error, QuatpropError):
+        return error
     reason = _reason(error, READING | ANYWHERE)
     if reason is not None:
         file = getattr(error, "filename", None)

@@ -263,6 +263,11 @@ def test_logs_can_be_listed(tmp_path):
     arguments = ["batch", "--list", "-", "-o", str(tmp_path / "two"), "-j", "1"]
     done = CliRunner().invoke(cli, arguments, input=f"{logs[0]}\n{logs[1]}")
     assert done.stderr.splitlines()[-1] == "2 of 2 logs done, 10 samples"
+    missing = run("--list", tmp_path / "nope", "-o", tmp_path / "out")
+    assert missing.exit_code == 2
+    assert missing.stderr == (
+        f"Error: {tmp_path / 'nope'}: no such file or folder; check the path\n"
+    )
     assert "there are no logs; name files, folders or patterns" in run("-o", "x").stderr
     (tmp_path / "empty").mkdir()
     empty = run(tmp_path / "empty", "-o", "x").stderr

@@ -716,6 +716,21 @@ def test_evidence_without_a_comparison_says_why(folder, monkeypatch):
     )
 
 
+def test_a_failure_is_told_where_its_evidence_cannot_be_kept(folder):
+    """The case has failed, and why, whatever the folder of artifacts is."""
+    suite = write(folder, TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH.replace("0.1deg", "1e-9deg"))
+    (folder / "failed").write_text("a file")
+    result = check(suite, "--artifacts", folder / "failed")
+    assert result.exit_code == 1
+    assert "FAIL" in result.stdout
+    _, why = next(line for line in result.stdout.splitlines() if "above" in line).split("above ")
+    assert why.startswith("the tolerance, first at +")
+    sentence = f"; its artifacts cannot be kept: {folder / 'failed'}: cannot be written: "
+    assert why.partition(sentence)[2] == "Not a directory"
+
+
 # Reports for CI.
 
 

@@ -261,7 +261,7 @@ def test_a_folder_without_a_bag_is_refused(shared_logs, tmp_path):
         r"name a log file or a bag folder",
     ):
         Rosbag2Log(shared_logs / "csv")
-    with pytest.raises(UnreadableLogError, match="name a ROS 2 bag folder"):
+    with pytest.raises(UnreadableLogError, match="no such folder; name a ROS 2 bag folder"):
         Rosbag2Log(tmp_path / "missing")
 
 

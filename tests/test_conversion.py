@@ -196,7 +196,7 @@ def test_rows_that_are_no_rotations_leave_the_old_file(tmp_path):
     )
     assert out.read_text() == "old"
     result = run(path, out, "--on-invalid", "drop", code=3)
-    assert "lost: 1 invalid quaternions: 1 zero" in result.stderr
+    assert "lost: 1 invalid quaternion: 1 zero" in result.stderr
     assert series(out)[0] == [1, 2]
     assert sorted(file.name for file in tmp_path.iterdir()) == ["in.csv", "out.csv"]
 
@@ -216,7 +216,10 @@ def test_normalize_scales_what_has_another_length(tmp_path):
     out = tmp_path / "out.csv"
     result = run(path, out, "--normalize")
     assert series(out)[1].tolist() == [[1, 0, 0, 0], [0.8, 0.6, 0, 0]]
-    assert "warning: 1 rows scaled to unit length, off by up to 1" in result.stderr
+    assert result.stderr.splitlines()[1:] == [
+        f"out  {out}: 2 rows; hamilton body-to-ref, quaternion, qw,qx,qy,qz",
+        "warning: 1 row scaled to unit length, off by up to 1",
+    ]
 
 
 def test_formats_that_only_hold_attitudes_say_so(tmp_path):

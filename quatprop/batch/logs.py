@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.stores import below, exists, find, is_address, list_objects, without_secret
-from quatprop.errors import UnreadableLogError, UsageError
+from quatprop.errors import UnreadableLogError, UsageError, os_reason
 from quatprop.log_kinds import READERS
 from quatprop.text import Setting, quoted
 
@@ -156,7 +156,7 @@ class LogSearch:
         """Yield path and kind of each log in a folder."""
 
         def refuse(error: OSError) -> None:
-            raise UnreadableLogError(error.filename, f"it cannot be listed: {error.strerror}")
+            raise UnreadableLogError(error.filename, os_reason(error))
 
         for place, folders, files in os.walk(top, onerror=refuse):
             if METADATA in files:

@@ -16,6 +16,7 @@ from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
 from quatprop.text import plain
 from quatprop.third_party_errors import as_user_error
+from quatprop.writers.atomic import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -68,12 +69,8 @@ def run_case(
         # An update would make a known failure pass.
         result = (update if updating and not (case.xfail and pin) else judge)(case, pin)
         if artifacts is not None and result.verdict == "fail":
-            from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
-
-            place = write_artifacts(case, pin, artifacts)
-            result = result._replace(reason=f"{result.reason}; see {plain(place)}")
-    except QuatpropError as error:
-        result = CaseResult(case.name, "error", sentence(error))
+            evidence = _keep_evidence(case, pin, artifacts)
+            result = result._replace(reason=f"{result.reason}; {evidence}")
     except Exception as error:
         if (user_error := as_user_error(error)) is None:
             raise
@@ -83,6 +80,17 @@ def run_case(
     elif case.xfail and result.verdict == "pass":
         result = result._replace(verdict="xpass", reason=f"it is known to fail: {case.xfail}")
     return result._replace(seconds=time.perf_counter() - began, line=case.line)
+
+
+def _keep_evidence(case: Case, pin: Pin | None, artifacts: Path) -> str:
+    """Keep the evidence of a failure; return where it is, or why it is not there."""
+    from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
+
+    try:
+        with output_errors(artifacts):
+            return f"see {plain(write_artifacts(case, pin, artifacts))}"
+    except QuatpropError as error:
+        return f"its artifacts cannot be kept: {sentence(error)}"
 
 
 def run_cases(

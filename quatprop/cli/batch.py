@@ -15,7 +15,7 @@ from quatprop.cli import propagate
 from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, own_options, with_options
 from quatprop.cli.spelling import spelled
-from quatprop.cli.types import PATH, OneOf
+from quatprop.cli.types import PATH, OneOf, content_of
 from quatprop.text import listed, plain
 from quatprop.writers.formats import WRITERS
 
@@ -142,10 +142,8 @@ def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> Log
 
     given = list(names)
     if chosen["list_file"] is not None:
-        with click.open_file(
-            chosen["list_file"], encoding="utf-8", errors="surrogateescape"
-        ) as file:
-            given += [name for line in file if (name := line.rstrip("\r\n"))]
+        text = content_of(chosen["list_file"]).decode("utf-8-sig", "surrogateescape")
+        given += [name for line in text.split("\n") if (name := line.rstrip("\r"))]
     of_messages = next(filter(chosen.get, OF_MESSAGES), None) if chosen["kind"] is None else None
     search = LogSearch(chosen["root"], folder, of_messages)
     for name in given:

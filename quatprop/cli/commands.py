@@ -72,13 +72,10 @@ class Commands(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error becomes a sentence and an exit code here, and only here."""
         from quatprop.cli.spelling import sentence
-        from quatprop.errors import QuatpropError
 
         try:
             with interruptible():
                 return super().invoke(ctx)
-        except QuatpropError as error:
-            raise Unusable(sentence(error)) from error
         except BrokenPipeError:
             # The reader of our output has gone, as in `| head`: that is its right.
             ctx.exit(0)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import option
-from quatprop.cli.types import PATH
-from quatprop.errors import os_reason
+from quatprop.cli.types import PATH, content_of
 from quatprop.provenance import as_json
 from quatprop.settings.parsers import file_beside
 from quatprop.text import Setting, did_you_mean, plain, quoted
@@ -28,9 +27,7 @@ def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> 
     import tomllib
 
     try:
-        table = tomllib.loads(Path(name).read_bytes().decode("utf-8-sig"))
-    except OSError as error:
-        raise click.UsageError(f"{name}: {os_reason(error)}") from error
+        table = tomllib.loads(content_of(name).decode("utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise click.UsageError(f"{name}: it is not TOML: {error}") from error
     ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx, name, table)}

@@ -96,26 +96,26 @@ def command(*, quiet: bool, **chosen: Any) -> int:
 
 def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
-    from quatprop.rendering import loss_lines, source_text
+    from quatprop.rendering import count_text, loss_lines, source_text
 
     job, stored, counts = report.job, report.signal, report.counts
     order = stored.layout or stored.representation
     stored_as = f"{stored.meaning.convention} {stored.meaning.direction}, {order}"
-    written_as = f"{job.meaning.convention} {job.meaning.direction}"
+    written_as = f"{job.meaning.convention} {job.meaning.direction}, {job.representation}"
     name = source_text(stored.name, stored.type_name)
     yield f"in   {plain(report.path)} ({report.kind}): {name}; {stored_as}, {stored.clock} clock"
     yield (
-        f"out  {plain(job.output.path)}: {counts.used:,} rows of {job.representation}, "
-        f"{written_as}, {','.join(report.columns)}"
+        f"out  {plain(job.output.path)}: {count_text(counts.used, 'row')}; {written_as}, "
+        f"{','.join(report.columns)}"
     )
     if counts.normalized:
         yield (
-            f"warning: {counts.normalized:,} rows scaled to unit length, off by up to "
+            f"warning: {count_text(counts.normalized, 'row')} scaled to unit length, off by up to "
             f"{counts.worst:.3g}"
         )
     if counts.invalid:
         yield (
-            f"lost: {counts.invalid:,} invalid quaternions: {counts.zero} zero, "
+            f"lost: {count_text(counts.invalid, 'invalid quaternion')}: {counts.zero} zero, "
             f"{counts.not_unit} not of unit length, {counts.not_finite} absent or not finite; the "
             f"first at {counts.first_ns} ns"
         )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.spelling import sentence
+from quatprop.errors import UsageError, os_reason
 from quatprop.settings.parsers import Parser, choice_named
 from quatprop.text import did_you_mean
 
@@ -33,6 +34,15 @@ PATH = _Path(readable=False)
 """A file, a folder, or an address; what is wrong with it is found when it is opened."""
 
 
+def content_of(name: str) -> bytes:
+    """Return the content of a file that an option names; of ``-``, what stdin gives."""
+    try:
+        with click.open_file(name, "rb") as file:
+            return bytes(file.read())
+    except OSError as error:
+        raise click.UsageError(f"{name}: {os_reason(error)}") from error
+
+
 TEXTS = "quatprop.texts"
 """Key in ``Context.meta``: the values of options as they were written, by parameter."""
 
@@ -54,8 +64,6 @@ class Parsed(ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return what the parser makes of it, or fail with its sentence."""
-        from quatprop.errors import UsageError
-
         if ctx is not None and param is not None and isinstance(value, str):
             ctx.meta.setdefault(TEXTS, {})[param.name] = value
         try:

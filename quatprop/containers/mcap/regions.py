@@ -16,6 +16,7 @@ from quatprop.checksum import crc32
 from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
 from quatprop.containers.limits import CHECKSUMS, DecompressionBudget, checksums_matter
+from quatprop.errors import os_reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -193,7 +194,7 @@ def load(
     try:
         return _load(source, region, budget, into, check=check)
     except OSError as error:
-        raise RegionError(f"it cannot be read: {error.strerror}") from error
+        raise RegionError(os_reason(error)) from error
     except CompressionError as error:
         raise RegionError(error.reason) from error
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from quatprop.errors import os_reason
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _read(read: Callable[..., Data], *place: object) -> Data:
         return read(*place)
     except OSError as error:
         # A worn memory card fails at one place; the rest of the bag is still good.
-        raise MalformedRecordError(f"it cannot be read ({error.strerror})") from error
+        raise MalformedRecordError(os_reason(error)) from error
 
 
 def record_at(data: Buffer, at: int, origin: int = 0) -> Record:

@@ -15,7 +15,13 @@ from quatprop.containers.compression import CompressionError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
 from quatprop.containers.time_range import TimeRange
-from quatprop.errors import DamagedLogError, LogError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import (
+    DamagedLogError,
+    LogError,
+    UnreadableLogError,
+    UnsupportedLogError,
+    os_reason,
+)
 from quatprop.provenance import of_all_topics
 from quatprop.text import plain, quoted
 
@@ -41,7 +47,7 @@ class Rosbag2Log(MessageLog):
     Raises
     ------
     UnreadableLogError
-        The folder cannot be listed.
+        It is not a folder.
     UnsupportedLogError
         It holds no bag, or several, or a compression that is not read.
     DamagedLogError
@@ -55,10 +61,9 @@ class Rosbag2Log(MessageLog):
     ) -> None:
         super().__init__(path)
         self._source_of_part = source_of_part
-        try:
-            found = folder(path)
-        except OSError as error:
-            raise UnreadableLogError(path, f"{error.strerror}; name a ROS 2 bag folder") from error
+        if not path.is_dir():
+            raise UnreadableLogError(path, "no such folder; name a ROS 2 bag folder")
+        found = folder(path)
         self.losses = found.losses
         self._recorded = of_all_topics(found.custom)
         self._is_zstd = found.message_compression is not None
@@ -126,8 +131,8 @@ class Rosbag2Log(MessageLog):
             place = f"{plain(part.path.name)}: {loss.place}"
             self.losses.note(place, loss.reason, loss.messages)
 
-    def _give_up(self, part: Part, error: Exception) -> None:
-        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+    def _give_up(self, part: Part, error: LogError | CompressionError | OSError) -> None:
+        reason = os_reason(error) if isinstance(error, OSError) else error.reason
         self._note(part, [Loss("the whole part", str(reason))])
 
     def _unite_channels(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
