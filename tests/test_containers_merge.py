@@ -1,4 +1,4 @@
-"""Batches of streams brought into time order with promises, late openings and bounded memory."""
+"""Batches of streams brought into time order with promises and bounded memory."""
 
 import numpy as np
 import pytest
@@ -29,8 +29,8 @@ def all_rows(batches):
 
 @st.composite
 def promised_streams(draw):
-    """Draw streams of batches with promises that are kept, and bounds to begin with."""
-    name, streams, bounds = 0, [], []
+    """Draw streams of batches with promises that are kept."""
+    name, streams = 0, []
     for _ in range(draw(st.integers(0, 4))):
         times = draw(st.lists(st.lists(st.integers(-20, 20), max_size=6), max_size=6))
         batches = []
@@ -43,15 +43,12 @@ def promised_streams(draw):
             batches.append(columns(batch, name, promise))
             name += len(batch)
         streams.append(batches)
-        first = min((time for batch in times for time in batch), default=0)
-        bounds.append(draw(st.sampled_from([NO_BOUND, first, first - 3])))
-    return streams, draw(st.sampled_from([None, bounds]))
+    return streams
 
 
 @given(promised_streams())
-def test_the_merge_is_a_stable_sort_of_everything(case):
+def test_the_merge_is_a_stable_sort_of_everything(streams):
     """With promises that are kept, rows come as one stable sort by time would give them."""
-    streams, bounds = case
     expected = [
         (time, name)
         for stream in streams
@@ -59,7 +56,7 @@ def test_the_merge_is_a_stable_sort_of_everything(case):
         for time, name in zip(batch.log_ns.tolist(), batch.values[0].tolist(), strict=True)
     ]
     expected.sort(key=lambda row: row[0])
-    assert all_rows(merge_by_time(streams, bounds)) == expected
+    assert all_rows(merge_by_time(streams)) == expected
 
 
 @given(st.lists(st.lists(st.lists(st.integers(0, 9), max_size=5), max_size=5), max_size=3))
@@ -105,22 +102,6 @@ def test_rows_at_the_bound_wait_for_an_earlier_stream():
         (5, 200),
         (6, 201),
     ]
-
-
-def test_a_later_file_is_not_opened_before_its_time():
-    """A stream with a bound is asked only when the others have come there."""
-    opened = []
-
-    def file(name, times):
-        opened.append(name)
-        for number, time in enumerate(times):
-            yield columns([time], promise=([*times, 99])[number + 1])
-
-    merged = merge_by_time([file("b", [10, 11, 12]), file("a", [1, 2, 11])], [10, 1])
-    seen = [(next(merged).log_ns.tolist(), list(opened)) for _ in range(2)]
-    assert seen == [([1], ["a"]), ([2], ["a"])]
-    assert [batch.log_ns.tolist() for batch in merged] == [[10], [11], [11], [12]]
-    assert opened == ["a", "b"]
 
 
 def test_rows_later_than_promised_come_out_late():

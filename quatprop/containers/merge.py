@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
+
+    _Waiting = tuple[int, int, int, "Columns"]
+    """First log time, stream and arrival of a batch that is held back: its place in the output."""
 
 _NEVER = int(np.iinfo(np.int64).max) + 1
 """The bound of a stream that has ended: later than any log time."""
@@ -49,9 +53,7 @@ class Columns:
         return Columns(self.log_ns[selected], tuple(column[selected] for column in self.values))
 
 
-def merge_by_time(
-    streams: Sequence[Iterable[Columns]], not_before_ns: Sequence[int] | None = None
-) -> Iterator[Columns]:
+def merge_by_time(streams: Sequence[Iterable[Columns]]) -> Iterator[Columns]:
     """Merge streams of batches into one in order of log time.
 
     The result is that of a stable sort of all rows by log time, with equal times in order of
@@ -66,9 +68,6 @@ def merge_by_time(
     streams
         Batches of rows, all with the same columns. A stream is asked for a batch only when all
         the others are beyond its bound.
-    not_before_ns
-        For each stream a log time that none of its rows precedes, where that is known without
-        opening it; the stream is not opened until the others arrive there.
 
     Yields
     ------
@@ -83,76 +82,47 @@ def merge_by_time(
     >>> [batch.values[0].tolist() for batch in merge_by_time([[even], [odd]])]
     [[10, 11, 12, 13]]
     """
-    merge = _Merge(streams, not_before_ns or [NO_BOUND] * len(streams))
-    while merge.advance():
-        yield from merge.ready()
-
-
-class _Merge:
-    """The batches that are held back, and the bounds of the streams."""
-
-    def __init__(self, streams: Sequence[Iterable[Columns]], bounds: Sequence[int]) -> None:
-        self.streams = [iter(stream) for stream in streams]
-        self.bounds = list(bounds)
-        # First log time, stream and arrival: the place of a batch's first row in the output.
-        self.waiting: list[tuple[int, int, int, Columns]] = []
-        self.arrivals = 0
-
-    def advance(self) -> bool:
-        """Ask the stream with the lowest bound for a batch; False if all have ended."""
-        bound = min(self.bounds, default=_NEVER)
+    iterators = [iter(stream) for stream in streams]
+    bounds = [NO_BOUND] * len(iterators)
+    waiting: list[_Waiting] = []
+    for arrival in count():
+        bound = min(bounds, default=_NEVER)
         if bound == _NEVER:
-            return False
-        stream = self.bounds.index(bound)
-        batch = next(self.streams[stream], None)
+            return
+        stream = bounds.index(bound)
+        batch = next(iterators[stream], None)
         if batch is None:
-            self.bounds[stream] = _NEVER
+            bounds[stream] = _NEVER
         elif len(batch) == 0:
-            self.bounds[stream] = max(bound, batch.not_before_ns)
+            bounds[stream] = max(bound, batch.not_before_ns)
         else:
             batch = _sorted(batch)
-            not_before_ns = batch.not_before_ns
-            if not_before_ns == NO_BOUND:
-                not_before_ns = int(batch.log_ns[-1])
-            self.bounds[stream] = max(bound, not_before_ns)
-            self._wait(batch, stream, self.arrivals)
-            self.arrivals += 1
-        return True
+            is_bounded = batch.not_before_ns != NO_BOUND
+            later_ns = batch.not_before_ns if is_bounded else int(batch.log_ns[-1])
+            bounds[stream] = max(bound, later_ns)
+            heappush(waiting, (int(batch.log_ns[0]), stream, arrival, batch))
+        if ready := _ready(waiting, bounds):
+            yield _merged(ready)
 
-    def _wait(self, batch: Columns, stream: int, arrival: int) -> None:
-        heappush(self.waiting, (int(batch.log_ns[0]), stream, arrival, batch))
 
-    def ready(self) -> Iterator[Columns]:
-        """Yield the rows that nothing can precede any more."""
-        bound = min(self.bounds)
-        holding = self.bounds.index(bound)
-        group: list[tuple[int, int, Columns]] = []
-        ends: tuple[int, int, int] | None = None
-        for stream, arrival, part in self._parts(bound, holding):
-            first = (int(part.log_ns[0]), stream, arrival)
-            last = (int(part.log_ns[-1]), stream, arrival)
-            if ends is not None and ends < first:
-                yield _merged(group)
-                group, ends = [], None
-            group.append((stream, arrival, part))
-            ends = last if ends is None else max(ends, last)
-        if group:
-            yield _merged(group)
+def _ready(waiting: list[_Waiting], bounds: list[int]) -> list[_Waiting]:
+    """Take the rows that nothing can precede any more out of the batches that are held back.
 
-    def _parts(self, bound: int, holding: int) -> Iterator[tuple[int, int, Columns]]:
-        """Take the ready rows out of the batches that are held back.
-
-        Rows at the bound itself are ready unless the stream with the lowest bound comes before
-        theirs: it may still have rows of that time.
-        """
-        while self.waiting and self.waiting[0][:2] <= (bound, holding):
-            _, stream, arrival, batch = heappop(self.waiting)
-            if (int(batch.log_ns[-1]), stream) <= (bound, holding):
-                yield stream, arrival, batch
-                continue
-            count = int(batch.log_ns.searchsorted(bound, "right" if stream <= holding else "left"))
-            self._wait(batch.rows(slice(count, None)), stream, arrival)
-            yield stream, arrival, batch.rows(slice(count))
+    Rows at the lowest bound itself are ready unless its stream comes before theirs: it may still
+    have rows of that time.
+    """
+    bound = min(bounds)
+    holding = bounds.index(bound)
+    ready = []
+    while waiting and waiting[0][:2] <= (bound, holding):
+        first_ns, stream, arrival, batch = heappop(waiting)
+        if (int(batch.log_ns[-1]), stream) > (bound, holding):
+            size = int(batch.log_ns.searchsorted(bound, "right" if stream <= holding else "left"))
+            rest = batch.rows(slice(size, None))
+            heappush(waiting, (int(rest.log_ns[0]), stream, arrival, rest))
+            batch = batch.rows(slice(size))
+        ready.append((first_ns, stream, arrival, batch))
+    return ready
 
 
 def _sorted(batch: Columns) -> Columns:
@@ -163,13 +133,13 @@ def _sorted(batch: Columns) -> Columns:
     return Columns(rows.log_ns, rows.values, batch.not_before_ns)
 
 
-def _merged(group: list[tuple[int, int, Columns]]) -> Columns:
-    """Return parts that overlap in time as one batch, equal times in order of stream, arrival."""
-    if len(group) == 1:
-        part = group[0][2]
+def _merged(waiting: list[_Waiting]) -> Columns:
+    """Return batches as one, equal times in order of stream, then of arrival."""
+    if len(waiting) == 1:
+        part = waiting[0][3]
         log_ns, values = part.log_ns, part.values
     else:
-        parts = [part for _, _, part in sorted(group, key=lambda entry: entry[:2])]
+        parts = [part for *_, part in sorted(waiting, key=lambda entry: entry[1:3])]
         log_ns = np.concatenate([part.log_ns for part in parts])
         order = np.argsort(log_ns, kind="stable")
         log_ns = log_ns[order]
