@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quatprop.containers.base import MessageLog
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.msg_files import MsgFiles
 from quatprop.containers.stores import below, find, is_address, without_secret
@@ -244,7 +244,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
     source.close()
     try:
         copy = stack.enter_context(DecompressedCopy(path))
-    except CompressionError as error:
+    except UnreadableDataError as error:
         raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
     stack.enter_context(_renamed_errors(path))
     source = stack.enter_context(FileSource(copy.path))

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compression import MAX_SIZE, CompressionError, decompress
+from quatprop.containers.compression import MAX_SIZE, UnreadableDataError, decompress
 
 PACK = {
     "": bytes,
@@ -56,7 +56,9 @@ def test_decompress_returns_what_was_packed(compression, size, declared):
 def test_a_declared_size_is_checked(compression, off):
     """Data that unpacks to another size than declared is refused, whichever way it lies."""
     packed = PACK[compression](TEXT[:1000])
-    with pytest.raises(CompressionError, match=rf"declares {1000 + off} bytes decompressed and "):
+    with pytest.raises(
+        UnreadableDataError, match=rf"declares {1000 + off} bytes decompressed and "
+    ):
         decompress(packed, compression, 1000 + off)
 
 
@@ -71,14 +73,16 @@ def test_a_zstd_frame_without_content_size_is_unpacked_to_the_declared_size():
 def test_a_size_over_the_limit_is_refused_before_anything_is_allocated(compression):
     """A chunk that declares a terabyte is refused."""
     packed = PACK[compression](b"x")
-    with pytest.raises(CompressionError, match=r"declares 1099511627776 bytes decompressed, over"):
+    with pytest.raises(
+        UnreadableDataError, match=r"declares 1099511627776 bytes decompressed, over"
+    ):
         decompress(packed, compression, 1 << 40)
 
 
 def test_a_zstd_frame_that_claims_a_terabyte_is_refused():
     """The size in the frame header is compared before it is allocated."""
     frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 40) + b"\x01\x00\x00"
-    with pytest.raises(CompressionError, match="and holds 1099511627776"):
+    with pytest.raises(UnreadableDataError, match="and holds 1099511627776"):
         decompress(frame, "zstd", 100)
 
 
@@ -86,14 +90,16 @@ def test_a_bomb_of_undeclared_size_is_refused_at_the_limit(monkeypatch):
     """Data without declared size stops growing at the limit."""
     monkeypatch.setattr("quatprop.containers.compression.MAX_SIZE", 1 << 20)
     for compression in ("lz4", "zstd", "bz2"):
-        with pytest.raises(CompressionError, match="it decompresses to more than 1048576 bytes"):
+        with pytest.raises(UnreadableDataError, match="it decompresses to more than 1048576 bytes"):
             decompress(PACK[compression](bytes(1 << 22)), compression)
     assert MAX_SIZE == 1 << 30
 
 
 def test_an_unknown_compression_is_named():
     """What this version cannot unpack is said in one sentence."""
-    with pytest.raises(CompressionError, match="its compression 'brotli' is not one of none, lz4"):
+    with pytest.raises(
+        UnreadableDataError, match="its compression 'brotli' is not one of none, lz4"
+    ):
         decompress(b"", "brotli", 0)
 
 
@@ -104,8 +110,8 @@ def test_damaged_data_raises_nothing_but_compression_error(compression, noise, c
     packed = PACK[compression](TEXT[:4000])
     size = 4000 if declared else None
     for bad in (noise, packed[: len(packed) * cut // 101], packed[:cut] + noise):
-        with pytest.raises(CompressionError):
-            raise CompressionError(str(len(decompress(bad, compression, size))))
+        with pytest.raises(UnreadableDataError):
+            raise UnreadableDataError(str(len(decompress(bad, compression, size))))
 
 
 @pytest.mark.parametrize("suffix", PACK_FILE)
@@ -168,7 +174,7 @@ def test_a_packed_file_without_anything_good_leaves_no_copy(tmp_path, temporary,
     """A file whose first block is damaged is refused and nothing stays behind."""
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT)[:6])
-    with pytest.raises(CompressionError, match="data is damaged"):
+    with pytest.raises(UnreadableDataError, match="data is damaged"):
         DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 
@@ -177,7 +183,9 @@ def test_a_file_that_is_not_packed_is_refused(tmp_path, temporary):
     """Plain bytes are no packed file."""
     path = tmp_path / "log.mcap"
     path.write_bytes(TEXT)
-    with pytest.raises(CompressionError, match="it is not compressed with zstd, lz4, bz2 or gzip"):
+    with pytest.raises(
+        UnreadableDataError, match="it is not compressed with zstd, lz4, bz2 or gzip"
+    ):
         DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 
@@ -193,7 +201,9 @@ def test_a_copy_that_does_not_fit_says_where(tmp_path, temporary, monkeypatch):
     path.write_bytes(gzip.compress(TEXT))
     way = Path.open
     monkeypatch.setattr(Path, "open", lambda p, mode: Full() if mode == "wb" else way(p, mode))
-    with pytest.raises(CompressionError, match=r"does not fit into .* \(No space.*; set TMPDIR to"):
+    with pytest.raises(
+        UnreadableDataError, match=r"does not fit into .* \(No space.*; set TMPDIR to"
+    ):
         DecompressedCopy(path)
     assert list(temporary.iterdir()) == []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from quatprop.containers.compression import CompressionError, decompressed_pieces
+from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
 from quatprop.containers.limits import decompressed_limit, too_large
 from quatprop.temp_files import temp_folder
 
@@ -49,7 +49,7 @@ class DecompressedCopy:
 
     Raises
     ------
-    CompressionError
+    UnreadableDataError
         The file is not compressed, nothing of it can be decompressed, or the disk is full.
     OSError
         The file cannot be read.
@@ -60,7 +60,7 @@ class DecompressedCopy:
         with path.open("rb") as compressed:
             compression = file_compression(compressed.read(4))
             if not compression:
-                raise CompressionError("it is not compressed with zstd, lz4, bz2 or gzip")
+                raise UnreadableDataError("it is not compressed with zstd, lz4, bz2 or gzip")
             compressed.seek(0)
             self._temp = temp_folder()
             self.path = self._temp.path / f"copy{Path(path.stem).suffix}"
@@ -77,7 +77,7 @@ class DecompressedCopy:
             while True:
                 try:
                     piece = next(pieces, b"")
-                except CompressionError as error:
+                except UnreadableDataError as error:
                     if copy.tell() == 0:
                         raise
                     self.damage = error.reason
@@ -85,12 +85,12 @@ class DecompressedCopy:
                 if not piece:
                     return
                 if copy.tell() + len(piece) > limit:
-                    raise CompressionError(too_large(limit))
+                    raise UnreadableDataError(too_large(limit))
                 try:
                     copy.write(piece)
                     copy.flush()
                 except OSError as error:
-                    raise CompressionError(
+                    raise UnreadableDataError(
                         f"its decompressed copy does not fit into {self.path.parent} "
                         f"({error.strerror}); set TMPDIR to a folder with room"
                     ) from error

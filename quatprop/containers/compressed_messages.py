@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.compression import CompressionError, decompress
+from quatprop.containers.compression import UnreadableDataError, decompress
 
 if TYPE_CHECKING:
     from quatprop.containers.base import MessageBlock
@@ -48,7 +48,7 @@ def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple
         try:
             size = frame_content_size(message)
             messages.append(decompress(message, "zstd", size if size >= 0 else None))
-        except (CompressionError, ZstdError):
+        except (UnreadableDataError, ZstdError):
             continue
         intact.append(k)
     lengths = np.fromiter(map(len, messages), np.int64, len(messages))

@@ -31,13 +31,13 @@ _FEED = 1 << 12
 """Bytes given to zstd at a time: its output has no limit, and 4 bytes can become 128 KiB."""
 
 
-class CompressionError(Exception):
-    """Data that cannot be decompressed; readers add the place.
+class UnreadableDataError(Exception):
+    """Data that cannot be decompressed or is not what it should be; readers add the place.
 
     Parameters
     ----------
     reason
-        What is wrong, as the end of a sentence about the chunk, message or file.
+        What is wrong, as the end of a sentence about the record, chunk, message or file.
     """
 
     def __init__(self, reason: str) -> None:
@@ -72,7 +72,7 @@ def decompress(
 
     Raises
     ------
-    CompressionError
+    UnreadableDataError
         The data is damaged, of another size than declared, or larger than :data:`MAX_SIZE`, or
         the compression is unknown.
 
@@ -84,21 +84,23 @@ def decompress(
     """
     decompressor = _DECOMPRESSORS.get(compression)
     if decompressor is None:
-        raise CompressionError(
+        raise UnreadableDataError(
             f"its compression {compression!r} is not one of none, lz4, zstd, bz2"
         )
     if size is None:
         return _undeclared(data, compression)
     if size > MAX_SIZE:
-        raise CompressionError(f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}")
+        raise UnreadableDataError(
+            f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}"
+        )
     try:
         if into is not None and _fill(data, compression, into):
             return into.data
         result = decompressor(data, size)
     except _decompression_errors(compression) as error:
-        raise CompressionError(f"its {compression} data is damaged") from error
+        raise UnreadableDataError(f"its {compression} data is damaged") from error
     if len(result) != size:
-        raise CompressionError(f"it declares {size} bytes decompressed and holds {len(result)}")
+        raise UnreadableDataError(f"it declares {size} bytes decompressed and holds {len(result)}")
     if into is not None:
         into.data[:] = result
         return into.data
@@ -113,7 +115,7 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
     for piece in decompressed_pieces(BytesIO(data), compression):
         result += piece
         if len(result) > MAX_SIZE:
-            raise CompressionError(f"it decompresses to more than {MAX_SIZE} bytes")
+            raise UnreadableDataError(f"it decompresses to more than {MAX_SIZE} bytes")
     return result
 
 
@@ -139,7 +141,7 @@ def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
     result = bytearray()
     limit = min(size, MAX_SIZE)
     if compression in _DECOMPRESSORS:
-        with suppress(CompressionError):
+        with suppress(UnreadableDataError):
             for piece in decompressed_pieces(BytesIO(data), compression):
                 result += piece
                 if len(result) >= limit:
@@ -199,7 +201,7 @@ def _decompress_zstd(data: Buffer, size: int) -> bytes:
 
     in_frame = zstandard.frame_content_size(data)
     if in_frame not in {-1, size}:  # -1: the frame does not say
-        raise CompressionError(f"it declares {size} bytes decompressed and holds {in_frame}")
+        raise UnreadableDataError(f"it declares {size} bytes decompressed and holds {in_frame}")
     if size == 0:
         return b""
     return bytes(_contexts.zstd.decompress(data, max_output_size=size))
@@ -230,8 +232,8 @@ def _decompress_bz2(data: Buffer, size: int) -> bytes:
     return result
 
 
-def _holds_more(size: int) -> CompressionError:
-    return CompressionError(f"it declares {size} bytes decompressed and holds more")
+def _holds_more(size: int) -> UnreadableDataError:
+    return UnreadableDataError(f"it declares {size} bytes decompressed and holds more")
 
 
 _DECOMPRESSORS: dict[str, Callable[[Buffer, int], Buffer]] = {
@@ -258,7 +260,7 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
 
     Raises
     ------
-    CompressionError
+    UnreadableDataError
         The data is damaged or cut off; the pieces before hold what precedes the damage.
     """
     try:
@@ -279,7 +281,7 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
                 while piece := stream.read1(_PIECE):
                     yield piece
     except _decompression_errors(compression) as error:
-        raise CompressionError(f"its {compression} data is damaged or cut off") from error
+        raise UnreadableDataError(f"its {compression} data is damaged or cut off") from error
 
 
 def _frames(file: BinaryIO, new_frame: Callable[[], Any], *limit: int) -> Iterator[bytes]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.errors import UsageError
 from quatprop.text import quoted
 
@@ -48,11 +48,11 @@ class DecompressionBudget:
 
         Raises
         ------
-        CompressionError
+        UnreadableDataError
             The limit is exceeded.
         """
         if self._spent > self._limit:
-            raise CompressionError(too_large(self._limit))
+            raise UnreadableDataError(too_large(self._limit))
 
     def spend(self, size: int) -> None:
         """Count bytes that were decompressed."""

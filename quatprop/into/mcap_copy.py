@@ -15,6 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Header, MetadataIndex, Schema
 
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import messages_at
@@ -25,7 +26,7 @@ from quatprop.containers.mcap.records import (
     read_metadata,
     read_schema,
 )
-from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, RegionError, chunk_head, load
+from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, chunk_head, load
 from quatprop.containers.mcap.summary import MAGIC, read_footer
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
@@ -147,7 +148,7 @@ class McapCopy:
             return indexes
         try:
             return _indexes(load(self._source, region, self._budget).data)
-        except RegionError:
+        except UnreadableDataError:
             return {}  # copied as it is; the reader of its messages reports it
 
     def _copy_record(self, file: McapFile) -> int:

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import BagChunk, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
-    MalformedRecordError,
     RecordFile,
     index_offsets,
     walked_records,
@@ -157,7 +156,7 @@ class BagCopy:
                 bag.append_chunk(self._pieces(record), known)
                 return
             loaded = read_chunk(self._file, chunk)
-        except (CompressionError, MalformedRecordError):
+        except UnreadableDataError:
             return  # the reader of its messages reports it
         compression = "none"
         if record is not None and not loaded.damage:
@@ -227,6 +226,6 @@ def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
                 place = (*divmod(time, NS_PER_S), record.start)
                 rows[record.number(b"conn")].append(place)
             end = record.end
-    except MalformedRecordError:
+    except UnreadableDataError:
         pass  # the complete records are used
     return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}, end

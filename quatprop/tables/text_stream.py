@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 import numpy as np
 
 from quatprop.containers.compressed_files import file_compression
-from quatprop.containers.compression import CompressionError, decompressed_pieces
+from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, os_reason
 from quatprop.text import Setting, plain
 
@@ -88,7 +88,7 @@ class TextStream:
         """Read on; all that precedes damage is given out."""
         try:
             self._rest = memoryview(next(self._pieces, b""))
-        except CompressionError as error:
+        except UnreadableDataError as error:
             self.damage = error.reason
         except OSError as error:
             self.damage = f"it cannot be read further: {plain(error)}"

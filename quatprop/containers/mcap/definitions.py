@@ -10,11 +10,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import Channel
-from quatprop.containers.compression import decompress_prefix
+from quatprop.containers.compression import UnreadableDataError, decompress_prefix
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
-from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, RegionError, load
+from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, load
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def _define_from(
     """Add the definitions in a region; return whether it can be read."""
     try:
         loaded = load(source, region, budget, check=check)
-    except RegionError:
+    except UnreadableDataError:
         return False
     data = loaded.data
     walked = walk_records(data)

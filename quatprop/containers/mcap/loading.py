@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.byte_ranges import LARGE
 from quatprop.containers.chunks import ChunkReader
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
 from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
@@ -15,7 +16,7 @@ from quatprop.containers.mcap.messages import (
     messages_past_damage,
     only_messages,
 )
-from quatprop.containers.mcap.regions import PEEK, Loaded, Region, RegionError, load
+from quatprop.containers.mcap.regions import PEEK, Loaded, Region, load
 from quatprop.containers.mcap.selected import selected_messages
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import UnsupportedLogError
@@ -93,7 +94,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         """Return the records of a region."""
         try:
             return load(self.source, chunk, self.budget, into=into)
-        except RegionError as error:
+        except UnreadableDataError as error:
             return Loaded(damage=error.reason, is_readable=False)
 
     def selected(self, chunk: Region, whole: Loaded | None = None) -> Loaded | None:
@@ -103,7 +104,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         own = chunk.own(self.ids)
         try:
             return selected_messages(self.source, chunk, own, self.definitions, whole)
-        except (RegionError, OSError):
+        except (UnreadableDataError, OSError):
             return None  # it is read whole, compared with its checksum, and the error noted
 
     def messages_at(self, content: Loaded, chunk: Region) -> MessageBlock | None:
@@ -131,7 +132,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         """Return the messages of regions that hold nothing else behind the first definitions."""
         try:
             begin = self.definitions.check_leading(data.data, first, first.own(self.ids))
-        except RegionError:
+        except UnreadableDataError:
             return None
         messages = only_messages(data.data, begin)
         return None if messages is None else (messages.block, int(messages.channels[0]))
@@ -153,7 +154,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         if content.is_readable:
             try:
                 messages = self._by_index_or_walk(content, chunk)
-            except RegionError as error:
+            except UnreadableDataError as error:
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
             else:
@@ -203,7 +204,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost += lost
         return messages
 
-    def _refuse_redefined(self, loaded: Loaded, region: Region, error: RegionError) -> None:
+    def _refuse_redefined(self, loaded: Loaded, region: Region, error: UnreadableDataError) -> None:
         """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
         if loaded.has_checksum:
             raise UnsupportedLogError(
@@ -224,13 +225,13 @@ def _check_times(loaded: Loaded, region: Region, messages: LocatedMessages) -> N
 
     Raises
     ------
-    RegionError
+    UnreadableDataError
         Log times are outside the range that the chunk states.
     """
     if loaded.has_checksum or region.may_have_logged(messages.block.log_ns):
         return
     if checksums_matter():
-        raise RegionError(
+        raise UnreadableDataError(
             "its log times are outside the range that it states, so it is not what was recorded; "
             f"with {CHECKSUMS}=ignore it is read all the same"
         )

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.mcap.definitions import IDS
-from quatprop.containers.mcap.regions import MESSAGE, Region, RegionError
+from quatprop.containers.mcap.regions import MESSAGE, Region
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 
@@ -38,7 +39,7 @@ class DefinitionCheck:
 
         Raises
         ------
-        RegionError
+        UnreadableDataError
             As for :meth:`check_beside`.
         """
         if not len(data) or data[0] == MESSAGE:
@@ -65,7 +66,7 @@ class DefinitionCheck:
 
         Raises
         ------
-        RegionError
+        UnreadableDataError
             A channel that is read, or its schema, is redefined there.
         """
         # Messages that fill the rest of the chunk need not be followed one by one.
@@ -90,7 +91,7 @@ class DefinitionCheck:
                 self._found[record] = self._redefined(*record)
             channels, what, change = self._found[record]
             if not set(ids).isdisjoint(region.own(channels)):
-                raise RegionError(
+                raise UnreadableDataError(
                     f"it redefines {what} ({change}), so it is not certain whose messages these are"
                 )
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
 from quatprop.containers.chunks import ChunkContent
-from quatprop.containers.compression import CompressionError, decompress, decompress_prefix
+from quatprop.containers.compression import UnreadableDataError, decompress, decompress_prefix
 from quatprop.containers.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 from quatprop.errors import os_reason
 
@@ -131,14 +131,6 @@ class Region:
         return max(0, size // INDEX_ENTRY)
 
 
-class RegionError(Exception):
-    """A region that cannot be read, and why; the log notes it as a loss."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
-
-
 @dataclass(frozen=True, eq=False)
 class Loaded(ChunkContent):
     """A region that was read.
@@ -188,15 +180,13 @@ def load(
 
     Raises
     ------
-    RegionError
+    UnreadableDataError
         The region is damaged.
     """
     try:
         return _load(source, region, budget, into, check=check)
     except OSError as error:
-        raise RegionError(os_reason(error)) from error
-    except CompressionError as error:
-        raise RegionError(error.reason) from error
+        raise UnreadableDataError(os_reason(error)) from error
 
 
 def _load(
@@ -219,7 +209,7 @@ def _load(
     front = memoryview(source.read(region.start, region.length if at_once else PEEK))
     chunk = chunk_head(front, region.length)
     if chunk is None:
-        raise RegionError("no chunk of the indexed length begins there")
+        raise UnreadableDataError("no chunk of the indexed length begins there")
     budget.check()
     if into is not None and len(into) != chunk.size:
         into = None
@@ -236,7 +226,7 @@ def _load(
         data = decompress(content, chunk.compression, chunk.size or None, into)
     budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
-        raise RegionError(
+        raise UnreadableDataError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
             "it is read all the same"
         )

@@ -57,7 +57,7 @@ def selected_messages(
 
     Raises
     ------
-    RegionError
+    UnreadableDataError
         It redefines a selected channel.
     """
     index = index_of(source, region)

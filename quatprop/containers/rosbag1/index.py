@@ -15,12 +15,11 @@ import numpy as np
 
 from quatprop.containers.base import Losses
 from quatprop.containers.chunks import ChunkContent
-from quatprop.containers.compression import decompress, decompress_prefix
+from quatprop.containers.compression import UnreadableDataError, decompress, decompress_prefix
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_CHUNK_INFO,
     OP_CONNECTION,
-    MalformedRecordError,
     Record,
     RecordFile,
     data_fields,
@@ -101,7 +100,7 @@ class ChunkRecords(ChunkContent):
         """Index entries of each connection."""
         try:
             return index_offsets(self.read_index())
-        except MalformedRecordError:
+        except UnreadableDataError:
             return {}
 
     @property
@@ -154,7 +153,7 @@ class BagIndex:
         """Add a connection record; the first of a connection counts, and later ones repeat it."""
         try:
             described = data_fields(data)
-        except MalformedRecordError:
+        except UnreadableDataError:
             described = {}
         # Both have a topic; messages were recorded under the one in the header.
         number = record.number(b"conn") + self.first_conn
@@ -182,10 +181,8 @@ def read_chunk(
 
     Raises
     ------
-    MalformedRecordError
-        There is no chunk where the index points.
-    CompressionError
-        It cannot be decompressed.
+    UnreadableDataError
+        There is no chunk where the index points, or it cannot be decompressed.
     """
     if chunk.is_unchunked:
         size = chunk.end - chunk.start
@@ -193,7 +190,7 @@ def read_chunk(
         return ChunkRecords(np.frombuffer(records, np.uint8))
     record = record or file.record(chunk.start)
     if record.op != OP_CHUNK:
-        raise MalformedRecordError("there is no chunk")
+        raise UnreadableDataError("there is no chunk")
     size, length = record.number(b"size"), record.end - record.data
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
     index = index_reader(file, chunk, record, size)
@@ -259,7 +256,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
             else:
                 index.chunks.append(_chunk_of_info(record, data))
             at = record.end
-    except MalformedRecordError:
+    except UnreadableDataError:
         return None
     index.chunks.sort(key=lambda chunk: chunk.start)
     for chunk, following in zip(index.chunks, index.chunks[1:], strict=False):
@@ -273,7 +270,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
 def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
     """Return the chunk that a chunk info record describes."""
     if record.number(b"ver") != 1 or len(data) != 8 * record.number(b"count"):
-        raise MalformedRecordError("its chunk info is damaged")
+        raise UnreadableDataError("its chunk info is damaged")
     counts = np.frombuffer(data, "<u4").reshape(-1, 2)
     start = record.number(b"chunk_pos", 8)
     first_ns = record.time(b"start_time") if len(counts) else 0

@@ -10,14 +10,13 @@ import numpy as np
 from quatprop.containers.base import Losses, MessageBlock
 from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
 from quatprop.containers.chunks import ChunkReader
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, offsets_of, read_chunk
 from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
 from quatprop.containers.rosbag1.records import (
     HEAD,
     OP_CHUNK,
     OP_MESSAGE,
-    MalformedRecordError,
     begin_of_messages,
     surviving_records,
 )
@@ -78,7 +77,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         try:
             self.budget.check()
             loaded = read_chunk(self.file, chunk, into, self._record(chunk.start))
-        except (MalformedRecordError, CompressionError) as error:
+        except UnreadableDataError as error:
             return ChunkRecords(damage=str(error))
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
@@ -131,7 +130,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             record = self.file.record(start)
             record.number(b"size")
             is_chunk = record.op == OP_CHUNK and b"compression" in record.fields
-        except MalformedRecordError:
+        except UnreadableDataError:
             return None
         return record if is_chunk and record.end <= self.file.size else None
 

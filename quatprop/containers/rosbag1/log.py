@@ -12,10 +12,11 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader
 from quatprop.containers.rosbag1.rebuild import rebuild_index
-from quatprop.containers.rosbag1.records import OP_BAG_HEADER, MalformedRecordError, RecordFile
+from quatprop.containers.rosbag1.records import OP_BAG_HEADER, RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
@@ -85,7 +86,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
             header = self._file.record(len(line))
             encryptor = header.fields.get(b"encryptor", b"")
             has_header = header.op == OP_BAG_HEADER
-        except MalformedRecordError:
+        except UnreadableDataError:
             has_header = False
         if not has_header:
             raise DamagedLogError(self.path, "its bag header is damaged; try `rosbag reindex`")

@@ -7,12 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.rosbag1.records import (
-    OP_MESSAGE,
-    MalformedRecordError,
-    fields_of,
-    header_end_of,
-)
+from quatprop.containers.compression import UnreadableDataError
+from quatprop.containers.rosbag1.records import OP_MESSAGE, fields_of, header_end_of
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -123,7 +119,7 @@ def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
         (op, op_size), (conn, conn_size), (time, time_size) = (
             places[name] for name in (b"op", b"conn", b"time")
         )
-    except (MalformedRecordError, KeyError):
+    except (UnreadableDataError, KeyError):
         return None
     if (op_size, conn_size, time_size) != (1, 4, 8):
         return None

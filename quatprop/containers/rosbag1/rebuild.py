@@ -7,7 +7,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_BAG_HEADER,
@@ -15,7 +15,6 @@ from quatprop.containers.rosbag1.records import (
     OP_CONNECTION,
     OP_INDEX_DATA,
     OP_MESSAGE,
-    MalformedRecordError,
     Record,
     RecordFile,
     index_offsets,
@@ -35,7 +34,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
         try:
             record = file.record(at)
             _add(file, index, record)
-        except MalformedRecordError as error:
+        except UnreadableDataError as error:
             at = _resumed(file, index, at, str(error))
         else:
             at = record.end
@@ -85,7 +84,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
     """Add one record to the index."""
     if record.op == OP_CHUNK:
         if _is_damaged_chunk(file, record):
-            raise MalformedRecordError("its chunk is damaged")
+            raise UnreadableDataError("its chunk is damaged")
         end = min(record.end, file.size)
         index.chunks.append(BagChunk(record.start, end, first_conn=index.first_conn))
     elif record.op == OP_MESSAGE:
@@ -104,7 +103,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
     elif record.op == OP_BAG_HEADER:
         index.begin_bag()
     elif record.end > file.size:
-        raise MalformedRecordError("its record is cut off")
+        raise UnreadableDataError("its record is cut off")
     elif record.op == OP_CONNECTION:
         index.add_connection(record, file.at(record.data, record.end - record.data))
     elif record.op == OP_INDEX_DATA and index.chunks:
@@ -126,7 +125,7 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
     """Walk the records of a chunk for its connections, counts and earliest time."""
     try:
         loaded = read_chunk(file, chunk)
-    except (MalformedRecordError, CompressionError) as error:
+    except UnreadableDataError as error:
         index.losses.note(chunk.place, str(error))
         return
     times: list[int] = []
@@ -139,7 +138,7 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
             elif record.op == OP_MESSAGE:
                 counts[record.number(b"conn")] += 1
                 times.append(record.time(b"time"))
-    except MalformedRecordError as error:
+    except UnreadableDataError as error:
         damage = damage or str(error)
     if loaded.damage or damage:
         index.losses.note(chunk.place, loaded.damage or damage)

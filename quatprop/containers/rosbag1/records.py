@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.errors import os_reason
 from quatprop.times import NS_PER_S
 
@@ -49,10 +50,6 @@ _LENGTH = struct.Struct("<I")
 Data = TypeVar("Data")
 
 
-class MalformedRecordError(ValueError):
-    """Bytes that are not a record; readers catch it and note the place."""
-
-
 @dataclass(frozen=True, slots=True)
 class Record:
     """A record: its place in the file, and the fields of its header.
@@ -74,7 +71,7 @@ class Record:
         """Return an unsigned number of `size` bytes from the header."""
         value = self.fields.get(name, b"")
         if len(value) != size:
-            raise MalformedRecordError(f"its field {name.decode()} is missing or damaged")
+            raise UnreadableDataError(f"its field {name.decode()} is missing or damaged")
         return int.from_bytes(value, "little")
 
     def time(self, name: bytes) -> int:
@@ -125,13 +122,13 @@ class RecordFile:
 
         Raises
         ------
-        MalformedRecordError
+        UnreadableDataError
             There is none.
         """
         head = self.at(start, HEAD)
         size = int.from_bytes(head[:4], "little") + 8
         if size > MAX_HEADER:
-            raise MalformedRecordError("there is no record")
+            raise UnreadableDataError("there is no record")
         return record_at(head if size <= len(head) else self.at(start, size), 0, start)
 
 
@@ -140,7 +137,7 @@ def _read(read: Callable[..., Data], *place: object) -> Data:
         return read(*place)
     except OSError as error:
         # A worn memory card fails at one place; the rest of the bag is still good.
-        raise MalformedRecordError(os_reason(error)) from error
+        raise UnreadableDataError(os_reason(error)) from error
 
 
 def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
@@ -148,12 +145,12 @@ def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
 
     Raises
     ------
-    MalformedRecordError
+    UnreadableDataError
         There is none.
     """
     header_end = header_end_of(data, at)
     if header_end + 4 > len(data):
-        raise MalformedRecordError("its record is cut off")
+        raise UnreadableDataError("its record is cut off")
     fields = {
         name: bytes(data[begin:end]) for name, begin, end in fields_of(data, at + 4, header_end)
     }
@@ -167,7 +164,7 @@ def header_end_of(data: Buffer, at: int) -> int:
     if end <= len(data):
         end += _LENGTH.unpack_from(data, at)[0]
     if end > len(data):
-        raise MalformedRecordError("its record is cut off")
+        raise UnreadableDataError("its record is cut off")
     return end
 
 
@@ -182,7 +179,7 @@ def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, in
         end = header_end_of(data, at)  # a field has its length before it as a header has
         name, equals, _ = bytes(data[at + 4 : min(end, stop)]).partition(b"=")
         if end > stop or not equals:
-            raise MalformedRecordError("its header is damaged")
+            raise UnreadableDataError("its header is damaged")
         yield name, at + 5 + len(name), end
         at = end
 
@@ -201,7 +198,7 @@ def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
             if record.op != OP_INDEX_DATA or record.number(b"ver") != 1:
                 break
             conn, count = record.number(b"conn"), record.number(b"count")
-        except MalformedRecordError:
+        except UnreadableDataError:
             break
         if record.end - record.data != count * INDEX_ENTRY.itemsize or record.end > len(data):
             break
@@ -215,7 +212,7 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
 
     Raises
     ------
-    MalformedRecordError
+    UnreadableDataError
         The chunk is damaged there, or ends within a record.
     """
     at = 0
@@ -231,7 +228,7 @@ def begin_of_messages(data: NDArray[np.uint8]) -> int | None:
         for record in walked_records(data):
             if record.op == OP_MESSAGE:
                 return record.start
-    except MalformedRecordError:
+    except UnreadableDataError:
         pass
     return None
 
@@ -252,7 +249,7 @@ def surviving_records(
     records: list[Record] = []
     try:
         records.extend(walked_records(data))
-    except MalformedRecordError as error:
+    except UnreadableDataError as error:
         return max(records, _indexed_records(data, indexed), key=len), str(error)
     return records, ""
 
@@ -267,7 +264,7 @@ def _indexed_records(data: NDArray[np.uint8], indexed: NDArray[np.int64]) -> lis
         try:
             records.append(_whole_record(data.data, at, limit))
             at = records[-1].end
-        except MalformedRecordError:
+        except UnreadableDataError:
             at = limit
     return records
 
@@ -275,7 +272,7 @@ def _indexed_records(data: NDArray[np.uint8], indexed: NDArray[np.int64]) -> lis
 def _whole_record(data: memoryview, at: int, limit: int) -> Record:
     record = record_at(data, at)
     if record.end > limit:
-        raise MalformedRecordError("a record in it is damaged or cut off")
+        raise UnreadableDataError("a record in it is damaged or cut off")
     if record.op == OP_MESSAGE:
         record.number(b"conn")
         record.time(b"time")

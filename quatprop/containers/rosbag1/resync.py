@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.records import (
     INDEX_ENTRY,
     OP_BAG_HEADER,
@@ -16,7 +17,6 @@ from quatprop.containers.rosbag1.records import (
     OP_CONNECTION,
     OP_INDEX_DATA,
     OP_MESSAGE,
-    MalformedRecordError,
     data_fields,
     record_at,
 )
@@ -80,7 +80,7 @@ def is_chunk(record: Record) -> bool:
     """Tell whether the fields of a chunk header are consistent."""
     try:
         size = record.number(b"size")
-    except MalformedRecordError:
+    except UnreadableDataError:
         return False
     compression = record.fields.get(b"compression")
     length = record.end - record.data
@@ -109,7 +109,7 @@ def _around(file: RecordFile, op: int, start: int) -> Record | None:
             continue
         try:
             record = record_at(data, at, first)
-        except MalformedRecordError:
+        except UnreadableDataError:
             continue
         if record.fields.get(b"op") is not None:
             return record
@@ -127,7 +127,7 @@ def _is_record(file: RecordFile, record: Record) -> bool:
             if record.end >= file.size:
                 return record.end == file.size
             record = file.record(record.end)
-        except MalformedRecordError:
+        except UnreadableDataError:
             return False
     return True
 

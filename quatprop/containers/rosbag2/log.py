@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
 from quatprop.containers.compressed_messages import decompressed
-from quatprop.containers.compression import CompressionError
+from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
 from quatprop.containers.time_range import TimeRange
@@ -94,7 +94,7 @@ class Rosbag2Log(MessageLog):
         try:
             log = self._open(part)
             part.channels = {channel: channel for channel in log.channels()}
-        except (LogError, CompressionError, OSError) as error:
+        except (LogError, UnreadableDataError, OSError) as error:
             self._give_up(part, error)
             if part.copy:
                 part.copy.close()
