@@ -131,7 +131,7 @@ class Rosbag2Log(MessageLog):
             place = f"{plain(part.path.name)}: {loss.place}"
             self.losses.note(place, loss.reason, loss.messages)
 
-    def _give_up(self, part: Part, error: LogError | CompressionError | OSError) -> None:
+    def _give_up(self, part: Part, error: LogError | UnreadableDataError | OSError) -> None:
         reason = os_reason(error) if isinstance(error, OSError) else error.reason
         self._note(part, [Loss("the whole part", str(reason))])
 
