@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import os
-import sys
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -183,7 +182,7 @@ def digest_ahead(path: Path | str, *, hashed: bool = True) -> Iterator[Callable[
     UnreadableLogError
         The source cannot be read to its end.
     """
-    with closing(in_background(_digest_at_end(Path(path), hashed), ahead=sys.maxsize)) as steps:
+    with closing(in_background(_digest_at_end(Path(path), hashed), ahead=None)) as steps:
         next(steps)  # starts it
         yield lambda: deque(steps, maxlen=1)[0] or Digest()
 

@@ -1,5 +1,6 @@
 """Files that logs are read from: opened once, read from several threads, recognised as files."""
 
+import errno
 import json
 import os
 import struct
@@ -7,6 +8,7 @@ import sys
 import threading
 from collections import Counter
 from io import BytesIO
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -19,7 +21,7 @@ from quatprop import read_rates
 from quatprop.cli.commands import cli
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import RemarkWarning, UnreadableLogError
+from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError
 from quatprop.formats import open_log
 
 OPENED: Counter[str] | None = None
@@ -203,3 +205,19 @@ def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
     result = CliRunner().invoke(cli, [*arguments, "--report", str(report)])
     assert result.exit_code == 0, result.output
     assert json.loads(report.read_text())["unchecked_chunks"] == 1
+
+
+@pytest.mark.parametrize("name", ["coning.mcap", "tumbling.bag"])
+def test_a_place_that_cannot_be_read_is_lost_with_its_reason(monkeypatch, name):
+    """As on a worn memory card: the file is opened, and one chunk of it is not read."""
+    read = FileSource.read
+
+    def fail(source, start, length):
+        if start <= 20_000 < start + length < source.size:
+            raise OSError(errno.EIO, "Input/output error")
+        return read(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", fail)
+    log = Path(__file__).parents[1] / "sample_logs" / name
+    with pytest.warns(DataLossWarning, match=r": it cannot be read: 'Input/output error'$"):
+        read_rates(log)

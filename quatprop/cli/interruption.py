@@ -34,7 +34,6 @@ def handle_signals() -> None:
         signal.signal(signal.SIGINT, _exit_at_once)
     if hasattr(signal, "setitimer"):
         sys.unraisablehook = _raise_again
-    sys.meta_path.insert(0, _PyarrowFinder())
 
 
 @contextmanager
@@ -75,16 +74,3 @@ def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
 
     signal.signal(signal.SIGALRM, raise_error)
     signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-
-
-class _PyarrowFinder:
-    """Turns off the handlers of pyarrow's CSV parser before it is imported.
-
-    They would take signals while it parses, and a process that is told to end then would abort.
-    """
-
-    def find_spec(self, name: str, _path: object = None, _target: object = None) -> None:
-        """Leave it to other finders to find the module."""
-        if name == "pyarrow.csv":
-            # Already complete, as the package that the parser is in.
-            sys.modules["pyarrow"].enable_signal_handlers(False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from quatprop.arrays import Float64
     from quatprop.series import AttitudeSeries
@@ -76,22 +76,36 @@ def compare(
     coverage = Coverage(
         meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
     )
-    left_out = lost_of_a + lost_of_b
-    matching = Matching.of(pairs)
-    return conclude(a, b, settings, meter, matching, offset, coverage, pairs, left_out, remarks)
+    measured = Measured(
+        meter, Matching.of(pairs), offset, coverage, pairs, lost_of_a + lost_of_b, remarks
+    )
+    return conclude(a, b, settings, measured)
 
 
-def conclude(  # noqa: PLR0913, PLR0917  # what was measured
-    a: AttitudeSeries,
-    b: AttitudeSeries,
-    settings: ComparisonSettings,
-    meter: ErrorMeter,
-    matching: Matching,
-    offset: AppliedOffset,
-    coverage: Coverage,
-    pairs: Pairs | None = None,
-    left_out: int = 0,
-    remarks: Iterable[str] = (),
+class Measured(NamedTuple):
+    """What was measured of two series.
+
+    Parameters
+    ----------
+    meter
+        The errors.
+    association, time_offset, coverage, left_out, remarks
+        As for :class:`quatprop.comparison.result.Comparison`.
+    pairs
+        What was compared; None where the result need not have it, nor the errors.
+    """
+
+    meter: ErrorMeter
+    association: Matching
+    time_offset: AppliedOffset
+    coverage: Coverage
+    pairs: Pairs | None = None
+    left_out: int = 0
+    remarks: Sequence[str] = ()
+
+
+def conclude(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings, measured: Measured
 ) -> Comparison:
     """Judge and explain errors, once all are measured.
 
@@ -101,25 +115,22 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
         The series in which a cause is looked for: all of them, or the first part.
     settings
         How to compare.
-    meter
-        The errors.
-    matching, offset, coverage, left_out, remarks
-        As for :class:`quatprop.comparison.result.Comparison`.
-    pairs
-        What was compared; None where the result need not have it, nor the errors.
+    measured
+        The errors, and how they were obtained.
     """
+    meter, pairs, remarks = measured.meter, measured.pairs, [*measured.remarks]
     window = sigmas = None
     if pairs is not None:
         if settings.window:
             window = window_statistics(pairs, meter.alignment, settings.window)
         sigmas = sigma_statistics(a, b, pairs, meter.alignment)
-    errors, remarks = meter.errors(), list(remarks)
+    errors = meter.errors()
     final, largest = float(errors[-1]), meter.worst.error_rad
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
-    statistics = meter.statistics(rising, final)
-    if matching.match == "exact" and meter.opposite and largest <= SMALL_ERROR:
+    exact = measured.association.match == "exact"
+    if exact and meter.opposite and largest <= SMALL_ERROR:
         remarks.append(
             f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
             "the same attitude, so this is no error"
@@ -129,27 +140,27 @@ def conclude(  # noqa: PLR0913, PLR0917  # what was measured
             f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
             "exact, with sigma 0, and the error is beyond rounding"
         )
-    measured = Comparison(
+    comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
-        association=matching,
-        time_offset=offset,
+        association=measured.association,
+        time_offset=measured.time_offset,
         alignment=meter.alignment,
-        error_rad=statistics,
+        error_rad=meter.statistics(rising, final),
         drift_deg_h=meter.drift_deg_h,
         worst=meter.worst,
         window=window,
         sigmas=sigmas,
-        coverage=coverage,
-        left_out=left_out,
+        coverage=measured.coverage,
+        left_out=measured.left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         first_exceeding=meter.first_exceeding,
         remarks=tuple(remarks),
     )
-    criteria = tuple(judge(settings, measured))
+    criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
     cause = None if passed else likely_cause(a, b, settings, rising)
-    return replace(measured, criteria=criteria, passed=passed, likely_cause=cause)
+    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause)
 
 
 def unit(wxyz: Float64) -> Float64:

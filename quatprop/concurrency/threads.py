@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from contextlib import contextmanager
@@ -121,7 +122,7 @@ def _computed(result: Result | Deferred[Result]) -> Result:
     return result.compute() if isinstance(result, Deferred) else result
 
 
-def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, None, None]:
+def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator[Item, None, None]:
     """Yield items that another thread computes a few ahead; with one thread, as they are asked for.
 
     Close the iterator to stop early; `items` are closed in the thread that computed them.
@@ -131,7 +132,7 @@ def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, 
     items
         Iterated in the other thread; its errors are raised here, after the items before them.
     ahead
-        How many are computed before they are asked for.
+        How many are computed before they are asked for; None: all of them.
 
     Examples
     --------
@@ -142,7 +143,7 @@ def in_background(items: Iterable[Item], ahead: int = AHEAD) -> Generator[Item, 
         yield from items
         return
     results: SimpleQueue[tuple[Item] | BaseException | None] = SimpleQueue()
-    room = threading.Semaphore(ahead)
+    room = threading.Semaphore(sys.maxsize if ahead is None else ahead)
     stopped = threading.Event()
 
     def compute() -> None:
