@@ -8,6 +8,8 @@ READY := $(VENV)/.ready-dev
 READY_BENCH := $(VENV)/.ready-bench
 # Exact versions, so that the sample logs and the test results are the same on every machine.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
+# As a path, where type checkers find it; by default it would be a hook that only Python knows.
+EDITABLE := $(INSTALL) --config-settings editable_mode=compat --editable
 
 .PHONY: demo test lowest dist fuzz lint format documents bench sample-logs clean help
 
@@ -30,15 +32,15 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(READY_DEMO): pyproject.toml .ci/constraints.txt | $(BIN)/python
-	$(INSTALL) --editable '.[plot]'
+	$(EDITABLE) '.[plot]'
 	@touch $@
 
 $(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python
-	$(INSTALL) --editable '.[dev]'
+	$(EDITABLE) '.[dev]'
 	@touch $@ $(READY_DEMO)
 
 $(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python
-	$(INSTALL) --editable '.[dev,bench]'
+	$(EDITABLE) '.[dev,bench]'
 	@touch $@ $(READY) $(READY_DEMO)
 
 demo: $(READY_DEMO)

@@ -181,7 +181,7 @@ def _complete(log: AnyLog, folders: list[Path], msg_path: str | Path | None) -> 
 
 def _refuse_several_logs(folder: Path) -> None:
     """Refuse a folder with other logs than the parts of a bag: none of them is left out."""
-    # A text beside the parts of a bag is a note, as a rule.
+    # A text beside the parts of a bag is a note, as a rule, and a file .truth. is no log.
     suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes} - {".txt"}
     logs: list[Path] = []
     if not (folder / "metadata.yaml").exists():
@@ -189,7 +189,8 @@ def _refuse_several_logs(folder: Path) -> None:
             logs = sorted(
                 file
                 for file in folder.iterdir()
-                if file.suffix.lower() in suffixes or (file / "metadata.yaml").exists()
+                if (file.suffix.lower() in suffixes and ".truth." not in file.name)
+                or (file / "metadata.yaml").exists()
             )
     parts = {suffix for kind in ("mcap", "db3") for suffix in READERS[kind].suffixes}
     if len(logs) > 1 and any(file.suffix.lower() not in parts for file in logs):

@@ -367,6 +367,7 @@ def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
     """The other commands refuse a folder with several logs, and name them."""
     log(tmp_path / "in" / "a.csv")
     log(tmp_path / "in" / "b.mcap")
+    (tmp_path / "in" / "b.truth.csv").touch()
     (tmp_path / "in" / "c").mkdir()
     (tmp_path / "in" / "c" / "metadata.yaml").touch()
     output = ["-o", str(tmp_path / "out.csv")] if command == "propagate" else []

@@ -646,6 +646,23 @@ def test_a_part_without_samples_says_where_they_are(log, tmp_path):
     )
 
 
+@pytest.mark.parametrize("unit_ns", [1_000_000_000, 1_000_000])
+def test_a_start_in_other_units_than_ns_is_refused(log, tmp_path, unit_ns):
+    """Unix time in seconds or milliseconds would leave nothing out, unnoticed in a script."""
+    first_ns = 1_700_000_000_000_000_000
+    rows = "".join(f"{first_ns + 100_000_000 * k},0,0,1\n" for k in range(11))
+    log.write_text(EUROC + rows)
+    start = first_ns // unit_ns + 1
+    refused(
+        run("propagate", log, "-o", tmp_path / "out.csv", "--start", str(start)),
+        f"--start is at {start} ns, and the first sample at {first_ns} ns; a number without a unit "
+        "is in ns: write all digits, a date, or a duration from the first sample such as +5s",
+    )
+    longer = run("propagate", log, "-o", "-", "--start", "-2s")
+    assert longer.exit_code == 0
+    assert longer.stdout.count("\n") == 1 + 11
+
+
 def test_an_end_of_the_part_that_leaves_nothing_out_is_remarked_on(log, tmp_path):
     """An end outside the log may be a slip of the unit; a relative one cannot be."""
     out = tmp_path / "out.csv"

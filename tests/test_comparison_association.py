@@ -110,6 +110,13 @@ def test_the_nearest_sample_is_near_enough_or_none():
     assert associate(a, b, max_dt=4, min_matched=10).t_ns.tolist() == [0, 100, 200]
 
 
+def test_no_more_samples_are_matched_than_there_are():
+    """The first of A is matched, too, though B begins a little later."""
+    a, b = random_series(range(0, 1000, 100)), random_series(range(2, 1002, 100))
+    pairs = associate(a, b, max_dt=9)
+    assert (pairs.match, len(pairs), pairs.candidates) == ("nearest", 10, 10)
+
+
 def test_too_few_pairs_are_refused_with_both_spans():
     """The error says how many there are, how many must be, and where both series lie."""
     a, b = random_series(range(0, 1000, 10)), random_series(range(5, 1005, 10))

@@ -227,7 +227,8 @@ def test_what_is_sorted_is_read_whole(logs, tmp_path):
 
 def test_a_start_before_the_log_is_remarked_on(logs, tmp_path):
     """It may be a slip of the unit, however little is read."""
-    report, table = attitudes(logs / "log.mcap", tmp_path, "5", str(T0_NS + 5 * NS_PER_S))
+    start, end = str(T0_NS // 2), str(T0_NS + 5 * NS_PER_S)
+    report, table = attitudes(logs / "log.mcap", tmp_path, start, end)
     assert np.array_equal(table["t_ns"], T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
     assert report.conditioning.part is not None
     assert any("leaves nothing out" in str(remark) for remark in report.remarks)

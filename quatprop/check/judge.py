@@ -236,8 +236,9 @@ def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
         What the lock has of it; None if nothing.
     """
     lines = [f"{plain(case.name)} (line {case.line} of the suite)"]
-    facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else _facts(case, pin)
-    return "\n".join([*lines, *(f"  {name:<10} {text}".rstrip() for name, text in facts)])
+    facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else [*_facts(case, pin)]
+    width = max(10, *(len(name) for name, _ in facts))
+    return "\n".join([*lines, *(f"  {name:<{width}} {text}".rstrip() for name, text in facts)])
 
 
 def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:

@@ -141,7 +141,9 @@ def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, max_dt_ns: int | Non
     index, looked_up = find(dense, sparse.t_ns, max_dt_ns)
     kept = sparse.wxyz[index]
     both = (kept, looked_up) if at == "A" else (looked_up, kept)
-    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, _candidates(a, b))
+    # The nearest of a sample just outside the common time can be within reach, too.
+    candidates = max(_candidates(a, b), len(index))
+    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates)
 
 
 def interval_ns(series: AttitudeSeries) -> int:

@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
 
+_NOT_NS = 100_000
+"""A stamp this many times the start that is asked for shows that the start is not in ns."""
+
+
 class PartOfLog(NamedTuple):
     """The part of a log that holds a time range, found by the index of the log.
 
@@ -79,6 +83,8 @@ def absolute_range(
         None if instant is None else instant.ns + origins[instant.origin]
         for instant in (settings.start, settings.end)
     )
+    if settings.start is not None and settings.start.origin == "last":
+        start_ns = max(settings.start.ns + last_ns, first_ns)
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
             f"{Setting('start')} is {duration_text(start_ns - end_ns)} after {Setting('end')}; "
@@ -119,10 +125,21 @@ def clipped(
     """Yield the samples with start <= t <= end; None leaves an end open.
 
     The samples before and after are counted in the two numbers of `outside`.
+
+    Raises
+    ------
+    UsageError
+        The start is so far before the first sample that it must be in seconds or milliseconds.
     """
     low = np.iinfo(np.int64).min if start_ns is None else start_ns
     high = np.iinfo(np.int64).max if end_ns is None else end_ns
-    for batch in batches:
+    for number, batch in enumerate(batches):
+        if not number and low > 0 and any(batch.t_ns[:1] // low >= _NOT_NS):
+            raise UsageError(
+                f"{Setting('start')} is at {low} ns, and the first sample at {batch.t_ns[0]} ns; a "
+                "number without a unit is in ns: write all digits, a date, or a duration from the "
+                "first sample such as +5s"
+            )
         inside = (batch.t_ns >= low) & (batch.t_ns <= high)
         outside[0] += int(np.count_nonzero(batch.t_ns < low))
         outside[1] += int(np.count_nonzero(batch.t_ns > high))

@@ -260,7 +260,7 @@ class ColumnMatcher(TableColumns):
         names = listed(self.columns[k].text for k in candidates)
         return UndeclaredError(
             self.path,
-            f"which column is the time (of {names})",
+            f"the time column (one of {names})",
             Text(f"{Setting('time_col', 'C')}, or {Setting('sample_rate', 'HZ')} for rows at a "
                 "steady rate"),
         )  # fmt: skip
