@@ -1,5 +1,6 @@
 """ROS 2 bag folders, message for message against rosbags' own reader."""
 
+import re
 import shutil
 import sqlite3
 import time
@@ -16,8 +17,9 @@ from ruamel.yaml import YAML
 
 from quatprop.containers.base import Loss
 from quatprop.containers.file_source import FileSource
+from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.log import Rosbag2Log
-from quatprop.containers.rosbag2.parts import folder
+from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -273,6 +275,39 @@ def test_a_missing_part_is_a_loss(tmp_path):
     assert losses == [Loss("part 'bag_1.db3'", "it is not in the folder", 360)]
     imu = "/imu", "sensor_msgs/msg/Imu"
     assert found[imu] == expected[imu][:300] + expected[imu][600:]
+
+
+def test_parts_that_were_renamed_are_found_by_their_names(tmp_path):
+    """Metadata that name none of the files are those of before; that is said."""
+    path, expected = split_bag(tmp_path / "bag")
+    for part in path.glob("*.db3"):
+        part.rename(path / part.name.replace("bag", "drive"))
+    found, losses = messages(path)
+    reason = "the parts that it names are not in the folder; they are found by their names"
+    assert losses == [Loss("metadata.yaml", reason)]
+    assert found == expected
+
+
+def test_metadata_that_count_no_messages_are_not_believed(tmp_path):
+    """A recorder that died has not counted its messages; those of a database are there."""
+    path = write_bag(tmp_path / "bag")
+    expected, _ = messages(path)
+    edited_counts = re.sub(r"message_count: \d+", "message_count: 0", (path / METADATA).read_text())
+    (path / METADATA).write_text(edited_counts)
+    assert messages(path) == (expected, [])
+    with Rosbag2Log(path) as log:
+        assert {channel.count for channel in log.channels()} == {None}
+
+
+def test_a_part_by_itself_is_decompressed_message_by_message(tmp_path):
+    """An MCAP file out of a folder, whose metadata say that messages are compressed."""
+    path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.MESSAGE))
+    expected, _ = messages(path)
+    with McapLog(path / "bag.mcap") as log:
+        for channel in log.channels():
+            rows = expected[channel.topic, channel.type_name]
+            assert rows_of(log, channel) == rows
+        assert not log.losses
 
 
 def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):

@@ -284,6 +284,33 @@ def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
         rate_candidates(log, RateSelection())
 
 
+@pytest.mark.parametrize("second", ["vehicle_angular_velocity", "sensor_gyro"])
+def test_an_id_that_is_given_to_another_topic_keeps_the_messages_of_the_first(tmp_path, second):
+    """Messages belong to the topic that their id had when they were written."""
+    path = tmp_path / "log.ulg"
+    rates = [[float(k), -k, 2.0] for k in range(20)]
+    begin = [
+        data("sensor_gyro", 7, timestamp_sample=k, **dict(zip("xyz", rates[k], strict=True)))
+        for k in range(10)
+    ]
+    end = [
+        data(second, 7, timestamp_sample=k, xyz=rates[k], **dict(zip("xyz", rates[k], strict=True)))
+        for k in range(10, 20)
+    ]
+    removed, damage = record(b"R", struct.pack("<H", 7)), b"\xff" * 5
+    write(path, added("sensor_gyro", 0, 7), *begin, removed, added(second, 1, 7), *end[:5], damage,
+          *end[5:], added("sensor_gyro", 0, 7), *begin)  # fmt: skip
+    with open_log(path) as log:
+        counts = {channel.topic: channel.count for channel in log.channels()}
+    assert counts == {"sensor_gyro/0": 20, f"{second}/1": 10}
+    first, losses = read(path, topic="sensor_gyro/0")
+    assert [loss.reason for loss in losses] == ["its records cannot be followed for 5 bytes"]
+    assert first.t_ns.tolist() == [k * 1000 for k in range(10)] * 2
+    np.testing.assert_array_equal(first.rate, rates[:10] * 2)
+    other, _ = read(path, topic=f"{second}/1")
+    np.testing.assert_array_equal(other.rate, rates[10:])
+
+
 def test_windows_change_nothing(tmp_path, monkeypatch):
     """Records, marks and damage that lie across the border of what is read at a time are found."""
     stamps = list(range(1000, 300_000, 1000))

@@ -94,14 +94,15 @@ def test_encapsulations_with_tags_are_refused(identifier, form):
     """What is not decoded is never misread."""
     root = Struct("pkg/msg/T", (("a", Primitive("u4")),))
     decoder = BinaryDecoder(channel_of(root, "cdr"), ["a"], "log")
-    plain = b"\0\1\0\0\1\0\0\0"
-    for messages in ([identifier + b"\0\0\1\0\0\0"], [plain, identifier + b"\0\0\1\0\0\0", plain]):
-        with pytest.raises(
-            UnsupportedLogError,
-            match=f"^log: messages of topic '/topic' are encapsulated as {form}; "
-            "record with plain CDR$",
-        ):
+    other, plain = identifier + b"\0\0\1\0\0\0", b"\0\1\0\0\1\0\0\0"
+    reason = f"^log: messages of topic '/topic' are encapsulated as {form}; record with plain CDR$"
+    for messages in ([other], [other, other]):
+        with pytest.raises(UnsupportedLogError, match=reason):
             decoder.columns(block_of(messages))
+    for messages in ([plain, other, plain], [other, plain, other], [other, plain, b""]):
+        with pytest.raises(MessageError, match=reason) as raised:
+            decoder.columns(block_of(messages))
+        assert raised.value.positions == tuple(k for k, one in enumerate(messages) if one == other)
 
 
 def test_collections_of_strings_are_refused_in_XCDR2_only():

@@ -18,6 +18,7 @@ from quatprop.errors import (
     NoRatesError,
     SchemaError,
     UndeclaredError,
+    UnsupportedLogError,
 )
 from quatprop.formats import open_log
 from quatprop.messages.json import JsonDecoder
@@ -307,6 +308,33 @@ def test_a_first_message_that_is_no_object_is_refused(tmp_path):
         pytest.raises(SchemaError, match="is not a JSON object"),
     ):
         choose_rates(log, RateSelection())
+
+
+def test_definitions_with_and_without_a_stamp_are_not_mixed(tmp_path):
+    """The stamps of one topic are of one clock."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for number, name in enumerate(("sensor_msgs/Imu", "sensor_msgs/msg/Imu")):
+            channel = writer.register_channel(
+                "/imu", "json", writer.register_schema(name, "jsonschema", b"{}")
+            )
+            for k in range(number, 20, 2):
+                message = imu(k, stamp={"sec": 1, "nanosec": k})
+                if number:
+                    del message["header"]
+                writer.add_message(channel, k * 1000, json.dumps(message).encode(), 0)
+        writer.finish()
+    with open_log(path) as log, pytest.raises(UnsupportedLogError) as raised:
+        choose_rates(log, RateSelection())
+    assert str(raised.value) == (
+        f"{path}: topic '/imu' was recorded with 2 different message definitions, and some have no "
+        "header stamp; choose clock='log'"
+    )
+    series, _ = read(path, clock="log")
+    assert series.t_ns.tolist() == list(range(0, 20_000, 1000))
+    assert series.rate[:, 0].tolist() == list(range(20))
 
 
 @pytest.mark.parametrize("number", ["6.7e54", "-1e300", "1.5e-200"])

@@ -48,19 +48,25 @@ _HEAD = struct.Struct("<HB")
 _FLAGS = struct.Struct("<8s8s3Q")
 _FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
 _KINDS = frozenset(b"BFIMPQARDLCSO")
+_IDS = 1 << 16
 _WORD = re.compile(r"\w+")
 
 
 @dataclass(slots=True)
 class _Records:
-    """The result of a walk over the records."""
+    """The result of a walk over the records.
+
+    A subscription has the number of its id, or one of its own where the id had another topic
+    before; `numbers` has that of each id at the end of the walk.
+    """
 
     losses: Losses
+    numbers: list[int] = field(default_factory=lambda: list(range(_IDS)))
     formats: dict[str, str] = field(default_factory=dict)
     subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
     offsets: array[int] = field(default_factory=lambda: array("q"))
     sizes: array[int] = field(default_factory=lambda: array("H"))
-    ids: array[int] = field(default_factory=lambda: array("H"))
+    ids: array[int] = field(default_factory=lambda: array("l"))
     dropouts: list[tuple[int, int]] = field(default_factory=list)
 
 
@@ -130,8 +136,9 @@ class UlogLog(MessageLog):
 
     def channels(self) -> list[Channel]:
         """Return every topic instance, in order of topic."""
-        counts = np.bincount(self._ids, minlength=1 << 16)
         found = self._channels.items()
+        highest = max((max(ids) for _, ids in found), default=0)
+        counts = np.bincount(self._ids, minlength=highest + 1)
         return by_topic(replace(one, count=int(counts[ids].sum())) for one, ids in found)
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
@@ -222,7 +229,7 @@ def _add_records(data: bytes, base: int, records: _Records) -> int:
     """Add records up to the first that is damaged or not whole; return their bytes."""
     unpack, size_of_head = _HEAD.unpack_from, _HEAD.size
     offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
-    position, last = 0, len(data) - size_of_head
+    position, last, numbers = 0, len(data) - size_of_head, records.numbers
     while position <= last:
         size, kind = unpack(data, position)
         begin, after = position + size_of_head, position + size_of_head + size
@@ -232,14 +239,16 @@ def _add_records(data: bytes, base: int, records: _Records) -> int:
             if size > 1:
                 offset(base + position)
                 size_note(size)
-                id_note(data[begin] | data[begin + 1] << 8)
+                id_note(numbers[data[begin] | data[begin + 1] << 8])
         elif kind == _FORMAT:
             name, _, fields = data[begin:after].decode("utf-8", "replace").partition(":")
             records.formats[name] = fields
         elif kind == _SUBSCRIPTION and size > _HEAD.size:
             instance, id_ = struct.unpack_from("<BH", data, begin)
-            name = data[begin + 3 : after].decode("utf-8", "replace")
-            records.subscriptions[id_] = (name, instance)
+            topic = data[begin + 3 : after].decode("utf-8", "replace"), instance
+            if records.subscriptions.get(numbers[id_], topic) != topic:
+                numbers[id_] = _IDS + len(records.subscriptions)
+            records.subscriptions[numbers[id_]] = topic
         elif kind == _DROPOUT and size > 1:
             records.dropouts.append((base + position, data[begin] | data[begin + 1] << 8))
         position = after
@@ -263,8 +272,9 @@ def _after_damage(source: FileSource, position: int, end: int, records: _Records
     topic that came before the damage, with the same length; but not in another file that follows,
     which has subscriptions of its own.
     """
-    sizes = np.full(1 << 16, -1)
+    sizes = np.full(_IDS + len(records.subscriptions), -1)
     sizes[np.array(records.ids, np.int64)] = records.sizes
+    sizes = sizes[records.numbers]
     while position < end:
         data = source.read(position, min(_WINDOW, end - position))
         sync, message = data.find(SYNC), _first_message(data, sizes)

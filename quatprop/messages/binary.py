@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray, Intp
+    from quatprop.arrays import AnyArray, Int64, Intp
     from quatprop.containers.base import Channel, MessageBlock
     from quatprop.messages.plan import Plan
 
@@ -50,6 +50,13 @@ UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
     0x0015: "delimited XCDR2",
 }
 """Encapsulations in which fields carry tags or sizes, which plans do not support."""
+
+
+def _identifiers(block: MessageBlock) -> Int64:
+    """Return the first two bytes of CDR messages as numbers; 0 for those without all four."""
+    starts = np.where(block.ends - block.starts < XCDR1.header, -1, block.starts)
+    first, second = (block.data[starts + k].astype(np.int64) for k in (0, 1))
+    return np.where(starts < 0, 0, first << 8 | second)
 
 
 class BinaryDecoder:
@@ -103,9 +110,10 @@ class BinaryDecoder:
         Raises
         ------
         MessageError
-            Messages end before a wanted field; its `positions` say which of the block.
+            Messages end before a wanted field, or are not encapsulated like the others, in a way
+            that is not read; its `positions` say which of the block.
         UnsupportedLogError
-            Messages are encapsulated in a way that is not read.
+            All messages are encapsulated in a way that is not read.
         """
         try:
             return self._columns(block)
@@ -125,7 +133,9 @@ class BinaryDecoder:
 
     def _mixed(self, block: MessageBlock) -> list[AnyArray]:
         """Return the columns of messages in several encapsulations, each decoded by itself."""
-        identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+        identifiers = _identifiers(block)
+        if not set(identifiers.tolist()) <= ENCAPSULATIONS.keys():
+            raise self._not_plain(block)
         mixed = self._empty_columns(len(block))
         for identifier in np.unique(identifiers):
             same = np.flatnonzero(identifiers == identifier)
@@ -150,12 +160,21 @@ class BinaryDecoder:
         identifier = int(block.data[begin]) << 8 | int(block.data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
+        raise self._not_plain(block)
+
+    def _not_plain(self, block: MessageBlock) -> MessageError | UnsupportedLogError:
+        """Return the error for encapsulations that are not read: of some messages, or of all."""
+        identifiers = _identifiers(block)
+        bad = np.flatnonzero(~np.isin(identifiers, list(ENCAPSULATIONS)))
+        identifier = int(identifiers[bad[0]])
         form = UNREADABLE_ENCAPSULATIONS.get(identifier, "an unknown form")
-        raise UnsupportedLogError(
-            self.path,
+        reason = (
             f"messages of topic {quoted(self.channel.topic)} are encapsulated as {form} "
-            f"(0x{identifier:04x}); record with plain CDR",
+            f"(0x{identifier:04x}); record with plain CDR"
         )
+        if len(bad) < len(block):
+            return MessageError(self.path, reason, bad.tolist())
+        return UnsupportedLogError(self.path, reason)
 
     def _plan(self, placement: Placement) -> Plan:
         if placement not in self._plans:

@@ -100,7 +100,7 @@ def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKi
     UsageError
         Several fields of one topic remain.
     UnsupportedLogError
-        One topic has several message definitions, and their samples are not alike.
+        One topic has several message definitions, and their samples or stamps are not alike.
     LogError
         Something about the signal is not declared.
     """
@@ -141,6 +141,12 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
             f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
             "definitions, which are not read together; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
+        )
+    if len({s.clock for s in signals}) > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
+            f"definitions, and some have no header stamp; choose {Setting('clock', 'log')}",
         )
 
     def merged() -> Iterator[Columns]:

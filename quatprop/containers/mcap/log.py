@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
+from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import build_index
 from quatprop.containers.mcap.loading import McapReader, message_count
@@ -15,9 +16,13 @@ from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Region
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
+    from pathlib import Path
+
+    from quatprop.containers.file_source import FileSource
 
 
 class McapLog(ChunkedLog[Region]):
@@ -27,6 +32,8 @@ class McapLog(ChunkedLog[Region]):
     ----------
     log
         The file.
+    is_zstd
+        Whether messages are known to be compressed one by one; those in CDR are recognised.
 
     Attributes
     ----------
@@ -45,6 +52,10 @@ class McapLog(ChunkedLog[Region]):
 
     kind = "mcap"
     has_publish_time = True
+
+    def __init__(self, log: Path | FileSource, *, is_zstd: bool = False) -> None:
+        self._is_zstd = is_zstd
+        super().__init__(log)
 
     def read_index(self) -> None:
         """Read what the file holds and where."""
@@ -106,7 +117,12 @@ class McapLog(ChunkedLog[Region]):
             count += len(block)
             self.unchecked_chunks = len(self._unchecked)
             self._remark_on_clamped(block)
-            yield block
+            whole, lost = decompressed(block, channel.encoding, is_known=self._is_zstd)
+            if lost:
+                place, reason = f"topic {quoted(channel.topic)}", "their zstd data is damaged"
+                self.losses.note(place, reason, lost, int(block.log_ns[0]))
+            if len(whole):
+                yield whole
         return count + reader.lost
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:

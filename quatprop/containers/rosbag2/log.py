@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
@@ -123,7 +122,7 @@ class Rosbag2Log(MessageLog):
             return Db3Log(source.path, is_zstd=self._is_zstd)
         from quatprop.containers.mcap.log import McapLog
 
-        return McapLog(source)
+        return McapLog(source, is_zstd=self._is_zstd)
 
     def _note(self, part: Part, losses: Iterable[Loss]) -> None:
         """Note losses of a part."""
@@ -253,19 +252,9 @@ class Rosbag2Log(MessageLog):
         except (LogError, OSError) as error:
             self._give_up(part, error)
             return
-        damaged = 0
         with nullcontext() if part.log else log:
-            for block in log.blocks(own) if within is None else log.blocks_within(own, within):
-                whole, lost = block, 0
-                if log.kind != "db3":
-                    whole, lost = decompressed(block, own.encoding, is_known=self._is_zstd)
-                damaged += lost
-                if len(whole):
-                    yield whole
+            yield from log.blocks(own) if within is None else log.blocks_within(own, within)
             self._note(part, log.losses)
-        if damaged:
-            place = f"topic {quoted(own.topic)}"
-            self._note(part, [Loss(place, "their zstd data is damaged", damaged)])
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""

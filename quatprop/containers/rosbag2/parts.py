@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -94,6 +94,10 @@ def folder(path: Path) -> Folder:
         found.parts = _numbered(path, there)
     else:
         _compare(metadata, there, found)
+        if there and not found.parts:
+            found = replace(found, parts=_numbered(path, there), losses=Losses())
+            reason = "the parts that it names are not in the folder; they are found by their names"
+            found.losses.note(METADATA, reason)
     return found
 
 
@@ -267,4 +271,5 @@ class Part:
 def total_count(counts: list[int | None], stated: int | None) -> int | None:
     """Return the number of messages as the parts count them, or else as the metadata states it."""
     known = [count for count in counts if count is not None]
-    return sum(known) if len(known) == len(counts) else stated
+    # A recorder that died has stated nothing, or 0.
+    return sum(known) if len(known) == len(counts) else stated or None
