@@ -18,7 +18,7 @@ from mcap.records import AttachmentIndex, Channel, Header, MetadataIndex, Schema
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
-from quatprop.containers.mcap.messages import messages_at
+from quatprop.containers.mcap.messages import index_entries, messages_at
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -143,8 +143,13 @@ class McapCopy:
 
     def _indexes_of(self, region: Region) -> Indexes:
         """Return the message index of a chunk, made from its messages where it is damaged."""
-        indexes = _parsed(self._read(region.start + region.length, region.index_length))
-        if indexes and indexes.keys() == (region.holds or {}).keys():
+        index = self._read(region.start + region.length, region.index_length)
+        indexes = {
+            id_: entries.view(INDEX_ENTRY).reshape(-1)
+            for id_, place in (region.holds or {}).items()
+            if (entries := index_entries(index, region, place, id_)) is not None
+        }
+        if 0 < len(index) == sum(INDEX_HEAD.size + each.nbytes for each in indexes.values()):
             return indexes
         try:
             return _indexes(load(self._source, region, self._budget).data)
@@ -208,20 +213,6 @@ def _header(source: FileSource) -> Header:
             content = source.read(len(MAGIC) + RECORD.size, min(length, _NAMES))
             return Header(*(part.decode() for part in prefixed(content, 0, 2)))
     return Header("", "")
-
-
-def _parsed(index: bytes) -> Indexes:
-    """Return the message index of each channel; empty where they are damaged."""
-    indexes: Indexes = {}
-    at = 0
-    while at + INDEX_HEAD.size <= len(index):
-        opcode, length, id_, size = INDEX_HEAD.unpack_from(index, at)
-        at += RECORD.size + length
-        is_whole = length == size + 6 and size % INDEX_ENTRY.itemsize == 0 and at <= len(index)
-        if opcode != Opcode.MESSAGE_INDEX or not is_whole or id_ in indexes:
-            return {}
-        indexes[id_] = np.frombuffer(index[at - size : at], INDEX_ENTRY)
-    return indexes if at == len(index) else {}
 
 
 def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:

@@ -11,10 +11,9 @@ from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.mcap.definitions import ids_by_channel
 from quatprop.containers.mcap.index import build_index
 from quatprop.containers.mcap.loading import McapReader, message_count
-from quatprop.containers.mcap.metadata import read_provenance
 from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Region
-from quatprop.containers.mcap.summary import MAGIC
+from quatprop.containers.mcap.summary import MAGIC, read_provenance
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.text import quoted
 

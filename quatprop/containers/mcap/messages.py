@@ -224,18 +224,37 @@ def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArra
     parts = []
     for channel in ids:
         if channel in region.holds:
-            part = _index_entries(
-                index, region.holds[channel] - region.start - region.length, channel
-            )
-            if part is None:
+            entries = index_entries(index, region, region.holds[channel], channel)
+            if entries is None:
                 return None
-            parts.append(part)
+            parts.append(entries[:, 1])
     if len(parts) == 1:
         return parts[0]
     return np.sort(np.concatenate([*parts, np.empty(0, np.int64)]))
 
 
-def _index_entries(index: Buffer, at: int, channel: int) -> NDArray[np.int64] | None:
+def index_entries(
+    index: Buffer, region: Region, place: int, channel: int
+) -> NDArray[np.int64] | None:
+    """Return the log times and offsets in the message index of a channel.
+
+    Parameters
+    ----------
+    index
+        The message indexes of the region, which follow it in the file.
+    region
+        The region.
+    place
+        Where in the file that of the channel begins.
+    channel
+        The id of the channel in the region.
+
+    Returns
+    -------
+    ndarray or None
+        Shape ``(N, 2)``, int64; None where it is damaged.
+    """
+    at = place - region.start - region.length
     if at < 0 or at + INDEX_HEAD.size > len(index):
         return None
     opcode, length, of_channel, size = INDEX_HEAD.unpack_from(index, at)
@@ -244,4 +263,4 @@ def _index_entries(index: Buffer, at: int, channel: int) -> NDArray[np.int64] | 
         return None
     if begin + size > len(index):
         return None
-    return np.frombuffer(index, "<i8", size // 8, begin)[1::2]
+    return np.frombuffer(index, "<i8", size // 8, begin).reshape(-1, 2)

@@ -265,9 +265,7 @@ class ChunkHead(NamedTuple):
 
 
 def head_of(source: FileSource, region: Region) -> ChunkHead | None:
-    """Return the head of a region; None where no chunk of its length begins."""
-    if not region.is_chunk:
-        return None
+    """Return the head of a chunk; None where none of its length begins."""
     return chunk_head(source.read(region.start, PEEK), region.length)
 
 

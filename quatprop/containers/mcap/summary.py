@@ -1,4 +1,4 @@
-"""The footer and summary section of an MCAP file."""
+"""The footer and summary section of an MCAP file, and the metadata records that it lists."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.mcap.records import MALFORMED, prefixed, read_channel, read_schema
+from quatprop.containers.mcap.records import (
+    MALFORMED,
+    prefixed,
+    read_channel,
+    read_metadata,
+    read_schema,
+)
 from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
 from quatprop.provenance import METADATA_KEY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
@@ -22,7 +28,8 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x89MCAP0\r\n"
 """The bytes with which every MCAP file begins and ends."""
-_FOOTER, _CHUNK_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 11, 13
+_FOOTER, _CHUNK_INDEX, _STATISTICS, _METADATA, _METADATA_INDEX = 2, 8, 11, 12, 13
+_LARGEST_METADATA = 1 << 24
 _FOOTER_FIELDS = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
@@ -196,3 +203,38 @@ def _indexed_chunk(content: memoryview, data_end: int) -> Region:
         last_ns=min(last, LATEST),
         size=size,
     )
+
+
+def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str]:
+    """Return the provenance of each topic, as JSON; under ``""`` that of all others.
+
+    Parameters
+    ----------
+    source
+        The file.
+    offsets
+        Where its metadata records with provenance begin.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    """
+    entries = [_metadata_at(source, offset) for offset in offsets]
+    return {
+        entry.get("topic", ""): entry["provenance"] for entry in entries if "provenance" in entry
+    }
+
+
+def _metadata_at(source: FileSource, offset: int) -> dict[str, str]:
+    """Return the entries of one record; none where it is damaged."""
+    head = source.read(offset, RECORD.size)
+    if len(head) < RECORD.size:
+        return {}
+    opcode, length = RECORD.unpack(head)
+    if opcode != _METADATA or length > _LARGEST_METADATA:
+        return {}
+    try:
+        return read_metadata(source.read(offset + RECORD.size, length))[1]
+    except MALFORMED:
+        return {}
