@@ -28,6 +28,12 @@ KNOWN = {
     "timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt": (
         *("PX4 ulog2csv", (1, 2, 3), "rad/s", (0,), "us"),
     ),
+    "timestamp,timestamp_sample,xyz[0],xyz[1],xyz[2],xyz_derivative[0]": (
+        *("PX4 ulog2csv", (2, 3, 4), "rad/s", (1,), "us"),
+    ),
+    "timestamp,timestamp_sample,device_id,x,y,z,temperature,error_count,samples": (
+        *("PX4 ulog2csv", (3, 4, 5), "rad/s", (1,), "us"),
+    ),
     "timestamp,rollspeed,pitchspeed,yawspeed,q[0],q[1],q[2],q[3]": (
         *("PX4 ulog2csv", (1, 2, 3), "rad/s", (0,), "us"),
     ),
@@ -90,6 +96,9 @@ KNOWN = {
     ),
 }
 
+FILES = {"xyz[0]": "a_vehicle_angular_velocity_0.csv", ",device_id,": "a_sensor_gyro_0.csv"}
+"""Names of files that a convention goes by, and a part of the header of each."""
+
 
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
@@ -110,7 +119,8 @@ def matched(columns):
 def test_a_header_that_names_columns_and_units_needs_no_options(header):
     """Every convention is recognised with its columns, its units and its name."""
     dialect, *columns = KNOWN[header]
-    assert matched(chosen(header)) == (*columns, dialect)
+    name = next((name for sign, name in FILES.items() if sign in header), "log.csv")
+    assert matched(chosen(header, name)) == (*columns, dialect)
 
 
 def test_every_dialect_has_a_name():
@@ -454,15 +464,36 @@ def test_a_topic_is_refused():
         ("tv_sec,tv_usec", "tv_sec"),
         ("tv_sec,tv_usec", "tv_sec,tv_usec"),
         ("t_sec,micros", "t_sec,micros"),
+        ("sec,msec", None),
+        ("seconds,milliseconds", "seconds,milliseconds"),
+        ("time_s,time_ms", "time_s,time_ms"),
+        ("t (s),t (ms)", "t (s),t (ms)"),
     ],
 )
-def test_microseconds_beside_seconds_are_microseconds(tmp_path, names, time_col):
+def test_parts_of_a_second_have_the_unit_of_their_name(tmp_path, names, time_col):
     """As the time functions of C have them; the second part of a stamp need not be in ns."""
     path = tmp_path / "log.csv"
-    rows = "".join(f"1700000000,{10_000 * k},1,2,3\n" for k in range(3))
+    parts = 10 if "ms" in names or "milli" in names else 10_000
+    rows = "".join(f"1700000000,{parts * k},1,2,3\n" for k in range(3))
     path.write_text(f"{names},gx_dps,gy_dps,gz_dps\n{rows}")
     rates = read_rates(path, time_col=time_col)
     assert (rates.t_ns - 1_700_000_000 * 10**9).tolist() == [0, 10_000_000, 20_000_000]
+
+
+@pytest.mark.parametrize("name", ["usec", "msec"])
+@pytest.mark.parametrize("seconds", ["{}.01", "{}"])
+def test_seconds_are_not_added_to_a_clock_beside_them(tmp_path, name, seconds):
+    """Each column is the whole time then; the one that is named is taken alone."""
+    path = tmp_path / "log.csv"
+    per_second = {"usec": 10**6, "msec": 10**3}[name]
+    rows = "".join(f"{seconds.format(k)},{k * per_second},1,2,3\n" for k in range(3))
+    path.write_text(f"sec,{name},gx_dps,gy_dps,gz_dps\n{rows}")
+    with pytest.raises(UndeclaredError, match=rf"the time column \(one of 'sec', '{name}'\)"):
+        read_rates(path)
+    t_ns = read_rates(path, time_col="sec", time_unit="s").t_ns
+    assert np.diff(t_ns).tolist() == [10**9] * 2
+    t_ns = read_rates(path, time_col=name, time_unit=name[:1] + "s").t_ns
+    assert t_ns.tolist() == [0, 10**9, 2 * 10**9]
 
 
 @pytest.mark.parametrize("mark", ["covariance0", "covariance[0]", "covariance.0"])
@@ -483,7 +514,13 @@ WRITERS = {
     "csv": partial(pd.DataFrame.to_csv, index=False),
     "jsonl": partial(pd.DataFrame.to_json, orient="records", lines=True),
 }
-TURNS = {"imu_id": (0, 1), "Sensor": ("gyro", "acc"), "header.frame_id": ("left", "right")}
+TURNS = {
+    "imu_id": (0, 1),
+    "I": (0, 1),
+    "IMU.instance": (0, 1),
+    "Sensor": ("gyro", "acc"),
+    "header.frame_id": ("left", "right"),
+}
 
 
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "feather"])
@@ -513,7 +550,12 @@ def test_rows_of_several_sensors_in_turn_are_refused(tmp_path, name, suffix):
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("id", range(9)), ("frame", [0, 0, 0, 1, 1, 1, 2, 2, 2]), ("mode", "abababab?")],
+    [
+        ("id", range(9)),
+        ("i", range(9)),
+        ("frame", [0, 0, 0, 1, 1, 1, 2, 2, 2]),
+        ("mode", "abababab?"),
+    ],
 )
 def test_counters_and_states_are_no_sensors(tmp_path, name, values):
     """A number that counts rows never comes back, and other columns may."""

@@ -32,8 +32,8 @@ HELP = {
     "[default: those in the log or beside it]",
     "clock": "Timestamp source.  [default: header where the message has one, else log]",
     "time_field": "A.B  Message field of {log} that is the time.  [default: the header stamp]",
-    "time_col": "C  Time column of {log}, by name or number from 0; two (SEC,NANOSEC or "
-    "SEC,USEC) of one stamp.  [default: by the header]",
+    "time_col": "C  Time column of {log}, by name or number from 0; two (SEC,NANOSEC, "
+    "SEC,USEC or SEC,MSEC) of one stamp.  [default: by the header]",
     "time_unit": "Unit of the time in {log}.  [default: as the log says]",
     "sample_rate": "HZ  Rows a second of {log}, a table without a time.  [default: none]",
     "rate_field": "A.B.C  Message field that is the rate.  [default: known from the message type]",

@@ -67,10 +67,10 @@ _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 SENSOR = (
-    r"(?:.*[._])?(?:sensor|device|imu|frame)(?:_?(?:id|name|type|no|number|index))?"
-    r"|id|kind|topic|type"
+    r"(?:.*[._])?(?:sensor|device|imu|frame|instance)(?:_?(?:id|name|type|no|number|index))?"
+    r"|id|kind|topic|type|(?:.*\.)?i"
 )
-"""Names of a column that may say which sensor a row is of."""
+"""Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
 _NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = r"(?:gyroscope|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
 GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
@@ -96,7 +96,13 @@ EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
 EULER_NUMBERED = _NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
 _MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
 
-_px4 = partial(Dialect, "PX4 ulog2csv", time=("timestamp",), rate_unit="rad/s", time_unit="us")
+_px4 = partial(
+    Dialect,
+    "PX4 ulog2csv",
+    time=("timestamp_sample", "timestamp"),
+    rate_unit="rad/s",
+    time_unit="us",
+)
 _sensor_logger = partial(
     Dialect,
     "Sensor Logger",
@@ -118,7 +124,7 @@ DIALECTS = (
         "ns",
         bias=r"b_w_[a-z]+_[a-z]+_" + _XYZ,
     ),
-    _px4(time=("timestamp_sample", "timestamp"), bias="gyro_bias" + _INDEX),
+    _px4(bias="gyro_bias" + _INDEX),
     _px4("gyro_rad" + _INDEX, method="end"),
     _px4("(?P<part>roll|pitch|yaw)speed", _Q_INDEX, needs=("rollspeed", "q[0]", "q[3]")),
     _px4("xyz" + _INDEX, file="vehicle_angular_velocity"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -17,7 +18,9 @@ from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
 from quatprop.tables.matching.column_names import TIME_UNITS
 from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES, Dialect
+from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, listed, plain
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 _INSTANT = r"(?!.*(?:period|delta|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns that may be the time where a unit says that they are one."""
 
-_MICROSECONDS = r"(?:(?:micro|u)secs?|micro(?:second)?s|us)"
+_PARTS_OF_A_SECOND = "|".join(name for unit in ("ms", "us", "ns") for name in TIME_UNITS[unit])
 
 
 class ColumnMatcher(TableColumns):
@@ -173,9 +176,7 @@ class ColumnMatcher(TableColumns):
             convention = dialect.time_unit if by_convention else ""
             unit = self.unit("time", time, TIME_UNITS, convention)
         elif time:
-            unit, key = "s", self.columns[time[1]].key
-            # Where its name does not say it, it is nanoseconds, as in messages of ROS.
-            fraction_unit = "us" if re.fullmatch(rf"(?:.*[._])?{_MICROSECONDS}", key) else "ns"
+            unit, fraction_unit = "s", self._fraction_unit(time[1])
         if self.unknown:
             unknown, ways = (" and ".join(f"{part}" for part in parts)
                              for parts in zip(*self.unknown, strict=True))  # fmt: skip
@@ -239,7 +240,7 @@ class ColumnMatcher(TableColumns):
         parts = name.split(",")
         if len(parts) == 2 and name not in (column.text.strip() for column in self.columns):  # noqa: PLR2004
             return tuple(self.position(part, "time_col") for part in parts)
-        return self._with_fraction(self.position(name, "time_col"))
+        return self._with_fraction(self.position(name, "time_col"), is_named=True)
 
     def _clock(self, dialect: Dialect) -> tuple[str, ...]:
         """Return the patterns of the time columns of the chosen clock."""
@@ -265,10 +266,34 @@ class ColumnMatcher(TableColumns):
                 "steady rate"),
         )  # fmt: skip
 
-    def _with_fraction(self, first: int) -> Positions:
+    def _with_fraction(self, first: int, *, is_named: bool = False) -> Positions:
         """Return a time column with the one of its fractions, if it is one of two."""
         match = re.fullmatch(r"(.*[._])?secs?", self.columns[first].key)
         if not match:
             return (first,)
-        others = self.matching(re.escape(match[1] or "") + rf"(?:(?:nano|n)secs?|{_MICROSECONDS})")
-        return (first, *others[:1])
+        others = self.matching(re.escape(match[1] or "") + f"(?:{_PARTS_OF_A_SECOND})")
+        if not (others and self._are_two_clocks(first, others[0])):
+            return (first, *others[:1])
+        if is_named:
+            return (first,)
+        raise self._ambiguous_time((first, others[0]))
+
+    def _are_two_clocks(self, seconds: int, part: int) -> bool:
+        """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 2 s.
+
+        In odd messages of ROS the nanoseconds go on a little beyond a second.
+        """
+        unit = self._fraction_unit(part)
+        for cells in self._head((seconds, part)):
+            with suppress(ValueError):
+                whole, fraction = from_text(f"{cells[0]}", "s"), from_text(f"{cells[1]}", unit)
+                if whole % NS_PER_S or fraction >= 2 * NS_PER_S:
+                    return True
+        return False
+
+    def _fraction_unit(self, k: int) -> str:
+        """Return the unit of the second column of a stamp; ns, as in ROS, if nothing says it."""
+        word = re.split(r"[._]", self.columns[k].key)[-1]
+        declared = self.declared((k,))
+        units = (u for u, names in TIME_UNITS.items() if u == declared or word in names)
+        return next(units, "ns")
