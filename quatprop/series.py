@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import pyarrow as pa
+    from numpy.typing import ArrayLike
 
     from quatprop.arrays import AnyArray, Bool, Float64, Int64, Intp
 
@@ -113,6 +114,16 @@ class GyroSeries(_Series):
     span_ns: Int64 | None = None
     averages: bool = False
 
+    if TYPE_CHECKING:  # what is taken, beside what is kept
+
+        def __init__(
+            self,
+            t_ns: ArrayLike,
+            rate: ArrayLike,
+            span_ns: ArrayLike | None = None,
+            averages: bool = False,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         t_ns, span_ns = stamps_of("t_ns", self.t_ns), self.span_ns
         if span_ns is not None:
@@ -136,7 +147,7 @@ class GyroSeries(_Series):
         return self.span_ns is not None or (self.averages and method not in {"start", "mean"})
 
     @classmethod
-    def from_seconds(cls, t_s: Float64, rate: Float64) -> Self:
+    def from_seconds(cls, t_s: ArrayLike, rate: ArrayLike) -> Self:
         """Return a series whose stamps are seconds as floats.
 
         Parameters
@@ -204,6 +215,17 @@ class AttitudeSeries(_Series):
     covariance: Float64 | None = None
     rate: Float64 | None = None
 
+    if TYPE_CHECKING:
+
+        def __init__(
+            self,
+            t_ns: ArrayLike,
+            wxyz: ArrayLike,
+            position: ArrayLike | None = None,
+            covariance: ArrayLike | None = None,
+            rate: ArrayLike | None = None,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         t_ns = stamps_of("t_ns", self.t_ns)
         rows = {"wxyz": rows_of("wxyz", self.wxyz, len(t_ns), 4)}
@@ -213,7 +235,7 @@ class AttitudeSeries(_Series):
         self._keep(t_ns=t_ns, **rows)
 
     @classmethod
-    def from_seconds(cls, t_s: Float64, wxyz: Float64) -> Self:
+    def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
         """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
         return cls(seconds_in_ns(t_s), wxyz)
 

@@ -329,7 +329,7 @@ def test_no_error_shows_a_table():
     for call, name, way_out in (
         (lambda: quatprop.propagate(FRAME), "log", "; make a GyroSeries of arrays"),
         (lambda: quatprop.compare(series, series.wxyz), "b", "; make an AttitudeSeries of arrays"),
-        (lambda: quatprop.convert(series, "a.csv"), "source", ""),
+        (lambda: quatprop.convert(series, "a.csv"), "source", r"; write\(\) takes a series"),
         (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=series), "at", ""),
     ):
         with pytest.raises(UsageError, match=rf"^{name}: .* is not a path{way_out}$") as caught:
@@ -339,10 +339,15 @@ def test_no_error_shows_a_table():
         quatprop.propagate(GyroSeries(T_NS, RATE), q0=Rotation.identity())
 
 
-def test_series_and_comparisons_are_shown_in_a_line():
+def test_series_and_reports_are_shown_in_a_line(tmp_path):
     """A notebook shows what they hold, not all of it."""
     rates = GyroSeries(T_NS, RATE)
     assert repr(rates) == "<GyroSeries: 3 samples over 20 ms from t = 1700000000000000000 ns>"
+    (tmp_path / "in.csv").write_text("t_ns,qw,qx,qy,qz\n1,0,0,0,0\n2,1,0,0,0\n")
+    out = tmp_path / "out.csv"
+    with pytest.warns(quatprop.DataLossWarning):
+        converted = quatprop.convert(tmp_path / "in.csv", out, on_invalid="drop")
+    assert repr(converted) == f"<ConversionReport: 1 of 2 rows in {out}>"
     result = quatprop.propagate(rates)
     assert repr(result).startswith("<PropagatedSeries: 3 attitudes over 20 ms")
     assert result[1:].wxyz.tolist() == result.wxyz[1:].tolist()

@@ -201,7 +201,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
 
     own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
     refuse_unknown(options, (*own, *READ_ATTITUDES))
-    wanted = attitude_input(path_text("source", source), options)
+    wanted = attitude_input(path_text("source", source, "write() takes a series"), options)
     report = convert_file(
         Conversion(
             source=wanted,
@@ -220,7 +220,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    return read_attitudes(path_text(name, source, "an AttitudeSeries"))
+    return read_attitudes(path_text(name, source, "make an AttitudeSeries of arrays"))
 
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:

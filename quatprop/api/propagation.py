@@ -99,7 +99,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
             raise SeriesError("Expected a series with samples, got an empty one")
         stream = AttitudeStream("series", signal_of_series(log), settings, None)
         return _propagated("series", stream, settings, None)
-    path = path_text("log", log, "a GyroSeries")
+    path = path_text("log", log, "make a GyroSeries of arrays")
     kind, msg_path = settings.kind, settings.selection.msg_path
     with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as opened:
         with beginnings_kept(opened):

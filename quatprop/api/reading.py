@@ -119,12 +119,12 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     return loaded.series
 
 
-def path_text(name: str, path: StrPath, series: str = "") -> str:
-    """Return a path as text; `series` is what arrays are made, where that is taken as well."""
+def path_text(name: str, path: StrPath, hint: str = "") -> str:
+    """Return a path as text; `hint` is what to do with arrays or series."""
     try:
         return parse_path(path)
     except UsageError as error:
-        hint = f"; make {series} of arrays" if series and not isinstance(path, str) else ""
+        hint = f"; {hint}" if hint and not isinstance(path, str) else ""
         raise UsageError(f"{Setting(name)}: ", error.text, hint) from None
 
 

@@ -107,6 +107,10 @@ class ConversionReport:
     losses: tuple[Loss, ...]
     remarks: tuple[str | Text, ...]
 
+    def __repr__(self) -> str:
+        path = self.job.output.path
+        return f"<ConversionReport: {self.counts.used:,} of {self.counts.read:,} rows in {path}>"
+
     @property
     def data_lost(self) -> bool:
         """Whether something could not be read or was left out."""

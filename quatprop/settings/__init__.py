@@ -6,7 +6,7 @@ here: the types that the library takes, and the parser, which takes a value as t
 or as Python has it. Nothing heavy is imported, so that ``quatprop --help`` is quick.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
@@ -75,14 +75,14 @@ class SelectOptions(TypedDict, total=False):
         Rows a second of a table without a time, Hz.
     """
 
-    kind: Annotated[str, Choice(*KINDS)]
-    topic: Annotated[str, text]
-    msg_path: Annotated[str | PathLike[str], path]
-    clock: Annotated[str, Choice(*CLOCKS)]
-    time_field: Annotated[str, text]
-    time_col: Annotated[str | int, lambda value: text(str(value))]
-    time_unit: Annotated[str, Choice(*TIME_UNITS)]
-    sample_rate: Annotated[float | Fraction | str, frequency]
+    kind: Annotated[str | None, Choice(*KINDS)]
+    topic: Annotated[str | None, text]
+    msg_path: Annotated[str | PathLike[str] | None, path]
+    clock: Annotated[str | None, Choice(*CLOCKS)]
+    time_field: Annotated[str | None, text]
+    time_col: Annotated[str | int | None, lambda value: text(str(value))]
+    time_unit: Annotated[str | None, Choice(*TIME_UNITS)]
+    sample_rate: Annotated[float | Fraction | str | None, frequency]
 
 
 class RateOptions(SelectOptions, total=False):
@@ -98,9 +98,9 @@ class RateOptions(SelectOptions, total=False):
         ``"rad/s"`` or ``"deg/s"``.
     """
 
-    rate_field: Annotated[str, text]
-    rate_cols: Annotated[str | Sequence[str | int], columns("X,Y,Z")]
-    rate_unit: Annotated[str, Choice(*RATE_UNITS)]
+    rate_field: Annotated[str | None, text]
+    rate_cols: Annotated[str | Sequence[str | int] | None, columns("X,Y,Z")]
+    rate_unit: Annotated[str | None, Choice(*RATE_UNITS)]
 
 
 class SeriesOptions(SelectOptions, total=False):
@@ -129,14 +129,14 @@ class SeriesOptions(SelectOptions, total=False):
         the angles about z, y and x.
     """
 
-    quat_field: Annotated[str, text]
-    quat_cols: Annotated[str | Sequence[str | int], columns("A,B,C[,D]")]
-    frame: Annotated[str, text]
-    from_layout: Annotated[str, Choice(*LAYOUTS)]
-    from_convention: Annotated[str, Choice(*CONVENTIONS)]
-    from_direction: Annotated[str, Choice(*DIRECTIONS)]
-    from_angle_unit: Annotated[str, Choice("rad", "deg")]
-    from_euler: Annotated[str, Choice(*EULER_SEQUENCES)]
+    quat_field: Annotated[str | None, text]
+    quat_cols: Annotated[str | Sequence[str | int] | None, columns("A,B,C[,D]")]
+    frame: Annotated[str | None, text]
+    from_layout: Annotated[str | None, Choice(*LAYOUTS)]
+    from_convention: Annotated[str | None, Choice(*CONVENTIONS)]
+    from_direction: Annotated[str | None, Choice(*DIRECTIONS)]
+    from_angle_unit: Annotated[str | None, Choice("rad", "deg")]
+    from_euler: Annotated[str | None, Choice(*EULER_SEQUENCES)]
 
 
 class AttitudeOptions(SeriesOptions, total=False):
@@ -150,8 +150,8 @@ class AttitudeOptions(SeriesOptions, total=False):
         ``"error"`` (the default) or ``"drop"``: invalid quaternions.
     """
 
-    normalize: Annotated[bool, flag]
-    on_invalid: Annotated[str, Choice("error", "drop")]
+    normalize: Annotated[bool | None, flag]
+    on_invalid: Annotated[str | None, Choice("error", "drop")]
 
 
 class PropagateOptions(RateOptions, total=False):
@@ -226,36 +226,36 @@ class PropagateOptions(RateOptions, total=False):
         ``"reference"``.
     """
 
-    start: Annotated[str | int | datetime, moment]
-    end: Annotated[str | int | datetime, moment]
-    method: Annotated[str, Choice(*METHODS)]
-    rates: Annotated[str, Choice(*FRAMES)]
-    q0: Annotated[str | PathLike[str] | Sequence[float], initial_attitude]
-    heading: Annotated[float, number]
-    reference_z: Annotated[str, Choice("up", "down")]
-    q0_layout: Annotated[str, Choice(*LAYOUTS)]
-    bias: Annotated[str | PathLike[str] | Sequence[float], bias]
-    calibration: Annotated[str | PathLike[str], path]
-    mount: Annotated[str | Sequence[float], mounting]
-    on_backwards: Annotated[str, Choice("error", "drop", "sort")]
-    on_nonfinite: Annotated[str, Choice("error", "drop", "hold")]
-    max_gap: Annotated[str | int | timedelta, length]
-    on_gap: Annotated[str, Choice("hold", "zero", "split", "error")]
-    every: Annotated[int, count]
-    rate: Annotated[float | Fraction | str, frequency]
-    at: Annotated[str | PathLike[str], path]
-    threads: Annotated[int, count]
+    start: Annotated[str | int | datetime | None, moment]
+    end: Annotated[str | int | datetime | None, moment]
+    method: Annotated[str | None, Choice(*METHODS)]
+    rates: Annotated[str | None, Choice(*FRAMES)]
+    q0: Annotated[str | PathLike[str] | Collection[float] | None, initial_attitude]
+    heading: Annotated[float | None, number]
+    reference_z: Annotated[str | None, Choice("up", "down")]
+    q0_layout: Annotated[str | None, Choice(*LAYOUTS)]
+    bias: Annotated[str | PathLike[str] | Collection[float] | None, bias]
+    calibration: Annotated[str | PathLike[str] | None, path]
+    mount: Annotated[str | Collection[float] | None, mounting]
+    on_backwards: Annotated[str | None, Choice("error", "drop", "sort")]
+    on_nonfinite: Annotated[str | None, Choice("error", "drop", "hold")]
+    max_gap: Annotated[str | int | timedelta | None, length]
+    on_gap: Annotated[str | None, Choice("hold", "zero", "split", "error")]
+    every: Annotated[int | None, count]
+    rate: Annotated[float | Fraction | str | None, frequency]
+    at: Annotated[str | PathLike[str] | None, path]
+    threads: Annotated[int | None, count]
     noise_density: Annotated[
-        str | float, quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)")
+        str | float | None, quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)")
     ]
-    bias_sigma: Annotated[str | float, quantity_of(RATES, "a rate", "20deg/h")]
+    bias_sigma: Annotated[str | float | None, quantity_of(RATES, "a rate", "20deg/h")]
     random_walk: Annotated[
-        str | float, quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)")
+        str | float | None, quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)")
     ]
-    scale_sigma: Annotated[str | float, quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%")]
-    imu: Annotated[str | PathLike[str], path]
-    sigma: Annotated[bool, flag]
-    sigma_axes: Annotated[str, Choice(*SIGMA_AXES)]
+    scale_sigma: Annotated[str | float | None, quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%")]
+    imu: Annotated[str | PathLike[str] | None, path]
+    sigma: Annotated[bool | None, flag]
+    sigma_axes: Annotated[str | None, Choice(*SIGMA_AXES)]
 
 
 def parsers_of(options: type) -> Mapping[str, Parser]:
