@@ -9,9 +9,9 @@ from __future__ import annotations
 import threading
 import zlib
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, partial
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -28,7 +28,11 @@ _PIECE = 1 << 20
 """Bytes that are decompressed at a time when streaming."""
 
 _FEED = 1 << 12
-"""Bytes given to zstd at a time: its output has no limit, and 4 bytes can become 128 KiB."""
+"""Bytes decompressed at a time: all output of a damaged piece is discarded, and that of zstd has no
+limit: 4 bytes can become 128 KiB."""
+
+_GZIP = 16 + zlib.MAX_WBITS
+"""Asks zlib for gzip."""
 
 
 class UnreadableDataError(Exception):
@@ -149,17 +153,6 @@ def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
     return bytes(result[:limit])
 
 
-class _SmallReads:
-    """Gives few bytes at a time, since a library discards all output of a damaged piece."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-
-    def read(self, size: int) -> bytes:
-        """Return the next bytes, fewer than asked for."""
-        return self._file.read(min(size, _FEED))
-
-
 class _Contexts(threading.local):
     """Decompression contexts: creating one costs more than decompressing a small chunk."""
 
@@ -275,11 +268,7 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
 
             yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
         else:
-            import gzip
-
-            with gzip.GzipFile(fileobj=cast("BinaryIO", _SmallReads(file))) as stream:
-                while piece := stream.read1(_PIECE):
-                    yield piece
+            yield from _frames(file, partial(zlib.decompressobj, _GZIP))
     except _decompression_errors(compression) as error:
         raise UnreadableDataError(f"its {compression} data is damaged or cut off") from error
 
@@ -295,6 +284,6 @@ def _frames(file: BinaryIO, new_frame: Callable[[], Any], *limit: int) -> Iterat
             yield piece
         data = b""
         if frame.eof:
-            frame, data = None, frame.unused_data or b""
+            frame, data = None, (frame.unused_data or b"").lstrip(b"\0")  # padding of gzip
     if frame is not None:
         raise EOFError
