@@ -34,22 +34,10 @@ ENCAPSULATIONS: Mapping[int, tuple[Placement, str]] = {
     0x0010: (XCDR2, ">"),
     0x0011: (XCDR2, "<"),
 }
-"""Placement and byte order by the first two bytes of a CDR message, read as big endian."""
+"""Placement and byte order by the first two bytes of a CDR message, read as big endian.
 
-UNREADABLE_ENCAPSULATIONS: Mapping[int, str] = {
-    0x0002: "a parameter list",
-    0x0003: "a parameter list",
-    0x0004: "XML",
-    0x0008: "delimited XCDR2",
-    0x0009: "delimited XCDR2",
-    0x000A: "an XCDR2 parameter list",
-    0x000B: "an XCDR2 parameter list",
-    0x0012: "an XCDR2 parameter list",
-    0x0013: "an XCDR2 parameter list",
-    0x0014: "delimited XCDR2",
-    0x0015: "delimited XCDR2",
-}
-"""Encapsulations in which fields carry tags or sizes, which plans do not support."""
+In the other encapsulations fields carry tags or sizes, which plans do not support.
+"""
 
 
 def _identifiers(block: MessageBlock) -> Int64:
@@ -167,10 +155,9 @@ class BinaryDecoder:
         identifiers = _identifiers(block)
         bad = np.flatnonzero(~np.isin(identifiers, list(ENCAPSULATIONS)))
         identifier = int(identifiers[bad[0]])
-        form = UNREADABLE_ENCAPSULATIONS.get(identifier, "an unknown form")
         reason = (
-            f"messages of topic {quoted(self.channel.topic)} are encapsulated as {form} "
-            f"(0x{identifier:04x}); record with plain CDR"
+            f"messages of topic {quoted(self.channel.topic)} are encapsulated as "
+            f"0x{identifier:04x}, which is not read; record with plain CDR"
         )
         if len(bad) < len(block):
             return MessageError(self.path, reason, bad.tolist())
