@@ -241,6 +241,7 @@ def test_parts_are_counted_as_numbers(tmp_path):
         (part / f"p{number}.db3").rename(path / f"bag_{number}.db3")
     with Rosbag2Log(path) as log:
         assert [part.path.name for part in log._parts] == ["bag_2.db3", "bag_10.db3"]  # noqa: SLF001  # the order shows nowhere else
+        assert log.losses == [Loss("parts between 2 and 10", "they are not in the folder")]
 
 
 def test_several_bags_in_one_folder_are_not_mixed(shared_logs):

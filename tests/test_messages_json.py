@@ -300,6 +300,52 @@ def test_an_Imu_goes_by_many_names(name):
     assert fields.orientation.name == "orientation"
 
 
+@pytest.mark.parametrize(
+    "first",
+    [
+        imu() | {"angular_velocity": None},
+        imu(x=None, y=None, z=None),
+        imu() | {"angular_velocity": [], "header": {}},
+        {"frame": "a"},
+        b"",
+        b"[1]",
+    ],
+)
+def test_the_first_message_may_lack_what_later_ones_have(tmp_path, first):
+    """A gyroscope that warms up; a rate that is missing is not finite, and other messages count."""
+    later = [imu(k, 1, 2, {"sec": 1, "nanosec": k}) for k in range(1, 9)]
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", [first, *later])})
+    series, losses = read(path)
+    is_whole = not isinstance(first, bytes) and first.get("header", {}) != {}
+    assert sum(loss.messages for loss in losses) == 1 - is_whole
+    assert series.t_ns.tolist() == [0] * is_whole + [10**9 + k for k in range(1, 9)]
+    assert np.isnan(series.rate[: int(is_whole)]).all()
+    assert series.rate[int(is_whole) :].tolist() == [[k, 1, 2] for k in range(1, 9)]
+
+
+def test_a_covariance_that_one_message_has_counts_there(tmp_path):
+    """-1 says that its rate is absent."""
+    messages = [imu(k, 1, 2, {"sec": 1, "nanosec": k}) for k in range(9)]
+    for k, message in enumerate(messages):
+        message["angular_velocity_covariance"] = [-1] * 9
+        if k != 4:
+            del message["angular_velocity_covariance"]
+    series, losses = read(write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)}))
+    assert not losses
+    assert np.flatnonzero(np.isnan(series.rate).all(axis=1)).tolist() == [4]
+
+
+def test_stamps_are_exact_where_their_integers_are_text(tmp_path):
+    """Protobuf writes integers of 64 bits as text in JSON."""
+    stamps = [{"sec": "1700000000", "nsec": str(k)} for k in range(9)]
+    messages = [imu(k, 1, 2, stamp) for k, stamp in enumerate(stamps)]
+    messages[5]["header"]["stamp"]["sec"] = "1.5e9"
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)})
+    series, losses = read(path)
+    assert [loss.messages for loss in losses] == [1]
+    assert series.t_ns.tolist() == [1_700_000_000 * 10**9 + k for k in range(9) if k != 5]
+
+
 def test_a_first_message_that_is_no_object_is_refused(tmp_path):
     """There is nothing to tell the fields by."""
     path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", [b"[1]"])})
@@ -308,6 +354,23 @@ def test_a_first_message_that_is_no_object_is_refused(tmp_path):
         pytest.raises(SchemaError, match="is not a JSON object"),
     ):
         choose_rates(log, RateSelection())
+
+
+def test_a_topic_in_an_encoding_that_is_not_read_is_listed_with_it(tmp_path):
+    """The rates may be in it, so its type alone would mislead."""
+    path = tmp_path / "log.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("foxglove.Imu", "flatbuffer", b"")
+        writer.add_message(writer.register_channel("/imu", "flatbuffer", schema), 1, b"imu", 1)
+        writer.finish()
+    with open_log(path) as log, pytest.raises(NoRatesError) as raised:
+        choose_rates(log, RateSelection())
+    assert str(raised.value) == (
+        f"{path}: no body rates found; its topics are '/imu (foxglove.Imu, encoded as flatbuffer, "
+        "which is not read)'; name the field with topic and rate_field"
+    )
 
 
 def test_definitions_with_and_without_a_stamp_are_not_mixed(tmp_path):

@@ -152,13 +152,22 @@ def test_any_field_can_be_named(tmp_path):
 
 def test_descriptors_that_lack_an_import_are_refused():
     """The sentence says what was left out."""
-    channel = Channel("/t", "foxglove.Odometry", "protobuf", "protobuf", described(FOXGLOVE))
+    lacking = file_of("foxglove", {"Odometry": {"pose": ".other.Pose"}}, ["other.proto"])
+    channel = Channel("/t", "foxglove.Odometry", "protobuf", "protobuf", described(lacking))
     with pytest.raises(
         SchemaError,
         match=r"^log: topic '/t': the file descriptors that the log carries cannot be read, or do "
         r"not define 'foxglove.Odometry'; record it with all files that it imports$",
     ):
         rate_fields(channel, "log")
+
+
+def test_the_time_stamp_of_protobuf_itself_may_be_left_out():
+    """As protoc does without --include_imports; every program that reads protobuf knows it."""
+    names = "/t", "foxglove.Odometry", "protobuf", "protobuf"
+    whole = rate_fields(Channel(*names, described(FOXGLOVE, stamp_file())), "log")
+    assert [str(stamp.place) for stamp in whole[0].stamps] == ["timestamp"]
+    assert rate_fields(Channel(*names, described(FOXGLOVE)), "log") == whole
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch):

@@ -1,6 +1,6 @@
 """JSON messages, defined by the first of them.
 
-JSON schemas are optional and loose, so the first message of a channel serves as its definition.
+JSON schemas are optional and loose, so the first messages of a channel serve as its definition.
 Blocks of messages like it are parsed at once, as the lines of one document; others one by one, with
 the same result.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from decimal import Decimal
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from quatprop.text import quoted
 from quatprop.times import instant
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from quatprop.arrays import AnyArray
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
 FLOAT = Primitive("f8")
 INTEGER = Primitive("i8")
 MAX_INTEGER = int(np.iinfo(np.int64).max)
+
+SAMPLED, SAMPLED_BYTES = 50, 1 << 20
+"""How many messages, and of how many bytes, define the others."""
 
 AXES = ("x", "y", "z", "w")
 """The order of components; JSON objects have none."""
@@ -74,6 +78,36 @@ def message_type(channel: Channel) -> Struct:
     if not isinstance(sample, dict):
         raise BadDefinitionError("its first message is not a JSON object")
     return Struct(channel.type_name, _fields(sample))
+
+
+def sample_of(messages: Iterable[bytes]) -> bytes:
+    """Return a message with the fields of all of some messages, whose first values count.
+
+    A value that is null, or an empty list, gives way to that of a later message. What is not a JSON
+    object counts only where nothing else is there.
+    """
+    sample, other, room = None, b"", SAMPLED_BYTES
+    for raw in islice(messages, SAMPLED):
+        try:
+            message = json.loads(raw)
+        except (RecursionError, ValueError):
+            message = None
+        if isinstance(message, dict):
+            sample = _merged(sample, message)
+        else:
+            other = other or raw
+        room -= len(raw)
+        if room < 0:
+            break
+    return other if sample is None else json.dumps(sample).encode()
+
+
+def _merged(one: Any, other: Any) -> Any:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return {name: _merged(one.get(name), other.get(name)) for name in one | other}
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        return list(map(_merged, one, other))
+    return other if one is None or one == [] else one
 
 
 def _fields(sample: JsonObject) -> tuple[tuple[str, Type], ...]:
@@ -175,6 +209,8 @@ class JsonDecoder(ValueDecoder):
             return math.nan
         if isinstance(value, bool) != (number.code == "b1"):
             raise ValueError
+        if number == INTEGER and isinstance(value, str):
+            value = int(value)  # as protobuf writes 64 bits in JSON
         if not isinstance(value, int | float | Decimal):
             raise TypeError
         if number == INTEGER and (value != int(value) or not -MAX_INTEGER < value < MAX_INTEGER):

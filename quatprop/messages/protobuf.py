@@ -93,13 +93,19 @@ def _message_class(type_name: str, schema: bytes) -> Any:
 
 def _add(pool: Any, files: Mapping[str, Any]) -> None:
     """Add files to a pool, those that others import first, in whatever order the log has them."""
-    waiting = dict(files)
+    from google.protobuf import descriptor_pb2, duration_pb2, timestamp_pb2, wrappers_pb2
+
+    # Every program that reads protobuf has these, so some recorders leave them out.
+    known = (module.DESCRIPTOR for module in (duration_pb2, timestamp_pb2, wrappers_pb2))
+    read = descriptor_pb2.FileDescriptorProto.FromString
+    waiting = {file.name: read(file.serialized_pb) for file in known} | dict(files)
 
     def add(name: str) -> None:
         if name in waiting:
-            for imported in waiting.pop(name).dependency:
+            file = waiting.pop(name)
+            for imported in file.dependency:
                 add(imported)
-            pool.Add(files[name])
+            pool.Add(file)
 
     for name in files:
         add(name)

@@ -19,6 +19,7 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
 from quatprop.signals.message_values import channels_of, series_of, stamps_of
 from quatprop.signals.signal import RateSignal, Signal, no_parts
@@ -166,6 +167,13 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
     )
 
 
+def _described(channel: Channel) -> str:
+    """Return topic, type, and the encoding where it is not read."""
+    unread = channel.encoding not in DECODERS
+    encoding = f", encoded as {channel.encoding}, which is not read" if unread else ""
+    return f"{channel.topic} ({channel.type_name}{encoding})"
+
+
 def message_candidates(
     log: MessageLog,
     selection: SelectionT,
@@ -214,10 +222,10 @@ def message_candidates(
         ]
         there = f"the {kind.name} that are recognised are {listed(known)}"
         if not known:
-            there = f"the topics are {listed(f'{c.topic} ({c.type_name})' for c in channels)}"
+            there = f"the topics are {listed(map(_described, channels))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
     if selection.topic is None:
-        raise kind.none(log.path, [f"{c.topic} ({c.type_name})" for c in channels])
+        raise kind.none(log.path, map(_described, channels))
     anywhere = replace(selection, topic=None, **{kind.field: None})
     topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
     choices = f"choose one of {listed(topics)}" if topics else "no topic of this log does"

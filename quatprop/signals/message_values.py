@@ -17,6 +17,7 @@ from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
+from quatprop.messages.values import raw_messages
 from quatprop.progress import metered
 from quatprop.series import GyroSeries
 
@@ -62,10 +63,11 @@ def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
 
 def _with_sample(log: MessageLog, channel: Channel) -> Channel:
     if channel.encoding == "json":
+        from quatprop.messages.json import sample_of
+
         for block in blocks_of(log, channel):
             if len(block):
-                sample = block.data[block.starts[0] : block.ends[0]].tobytes()
-                return replace(channel, sample=sample)
+                return replace(channel, sample=sample_of(raw_messages(block)))
     return channel
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -91,13 +92,14 @@ def folder(path: Path) -> Folder:
     metadata = _metadata(path / METADATA, losses)
     found = Folder(losses=losses)
     if metadata is None:
-        found.parts = _numbered(path, there)
+        found.parts = _numbered(path, there, losses)
     else:
         _compare(metadata, there, found)
         if there and not found.parts:
-            found = replace(found, parts=_numbered(path, there), losses=Losses())
+            found = replace(found, losses=Losses())
             reason = "the parts that it names are not in the folder; they are found by their names"
             found.losses.note(METADATA, reason)
+            found.parts = _numbered(path, there, found.losses)
     return found
 
 
@@ -166,8 +168,8 @@ def _custom(metadata: JsonObject) -> dict[str, str]:
     return {_text(name): _text(value) for name, value in custom.items()}
 
 
-def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
-    """Return the parts in the folder in order of their numbers."""
+def _numbered(path: Path, there: dict[str, Path], losses: Losses) -> list[Path]:
+    """Return the parts in the folder in order of their numbers, and note which are missing."""
     parts: dict[tuple[str, int], Path] = {}
     for name, file in sorted(there.items()):
         match = _PART.fullmatch(name)
@@ -188,6 +190,9 @@ def _numbered(path: Path, there: dict[str, Path]) -> list[Path]:
             f"the folder has no usable metadata.yaml and holds several bags: {listed(bags)}; "
             "name one file",
         )
+    for before, after in pairwise(sorted(number for _, number in parts)):
+        if after > before + 1:
+            losses.note(f"parts between {before} and {after}", "they are not in the folder")
     return [parts[key] for key in sorted(parts)]
 
 
