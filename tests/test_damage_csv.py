@@ -95,6 +95,17 @@ def test_zeros_at_the_end_are_damage(count, zeros, end):
     assert [loss.place for loss in losses[1:]] == [f"line {count + 2}"] * (end != "\n")
 
 
+@pytest.mark.parametrize("end", ["", "\n"])
+@pytest.mark.parametrize("before", [3, 100_000])
+def test_zeros_between_rows_cost_a_row_at_most(before, end):
+    """A recorder that went on after a power failure leaves them, near the beginning or far on."""
+    rows = [f"{k},1,2,0.125\n" for k in range(before + 9)]
+    text = "".join(rows[:before]) + 512 * "\0" + end + "".join(rows[before:])
+    _, kept, losses, _ = read(text)
+    assert kept == before + 9 - (not end)
+    assert [loss.place for loss in losses] == [f"line {before + 2}"]
+
+
 def test_zeros_alone_are_no_table():
     """There is nothing to read."""
     with pytest.raises(UnsupportedLogError, match="it is not UTF-8 text"):

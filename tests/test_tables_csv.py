@@ -13,6 +13,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
@@ -474,14 +475,35 @@ def test_other_formats_are_refused_with_the_way_out(tmp_path, name, content, rea
     [
         '"sep=\t"\nTime\tGyro_X_CAL\tGyro_Y_CAL\tGyro_Z_CAL\tAcc\t\nms\tdeg/s\tdeg/s\tdeg/s\tg\t\n',
         "time\tgyro_x\tgyro_y\tgyro_z\tacc_x\n[ms]\t[deg/s]\t[deg/s]\t[deg/s]\t[m/s^2]\n",
+        "time\tgyroX\tgyroY\tgyroZ\taccelX\n(ms)\t(deg.s^-1)\t(deg.s^-1)\t(deg.s^-1)\t(g)\n",
+        "ms\tdeg/s\tdeg/s\tdeg/s\tg\ntime\tgyro_x\tgyro_y\tgyro_z\tacc_x\n",
     ],
 )
-def test_a_row_of_units_below_the_names_may_have_units_of_other_sensors(head):
+def test_a_row_of_units_beside_the_names_may_have_units_of_other_sensors(head):
     """Those of the time and of the rates are what counts."""
     t_ns, rate, losses = read(f"{head}0\t180\t0\t0\t9.8\n10\t0\t90\t0\t9.8\n".encode())
     assert t_ns.tolist() == [0, 10_000_000]
     assert rate.tolist() == [[np.pi, 0, 0], [0, np.pi / 2, 0]]
     assert losses == []
+
+
+@pytest.mark.parametrize("row", ["float,float,float,float", "s,d/s,d/s,d/s", "(s),(x),(x),(x)"])
+def test_what_repeats_below_the_names_is_no_name(row):
+    """They are types or units that are not known: columns are found, and the user settles it."""
+    header = f"t,gyro_x,gyro_y,gyro_z\n{row}\n"
+    t_ns, rate, losses = read(f"{header}0,1,2,3\n1,4,5,6\n", **UNITS)
+    assert (t_ns.tolist(), rate.tolist(), losses) == ([0, 10**9], [[1, 2, 3], [4, 5, 6]], [])
+
+
+@pytest.mark.parametrize("names", [("sensor", "axis"), (None, None)])
+@pytest.mark.parametrize("index", ["time", None])
+def test_columns_of_several_levels_of_pandas_are_read(names, index):
+    """The levels are joined, and the name of the index stands below them."""
+    columns = pd.MultiIndex.from_product([["acc", "gyro"], ["x", "y", "z"]], names=names)
+    times = pd.to_datetime([0, 10**9], utc=True).rename(index)
+    text = pd.DataFrame([[0, 0, 9, 1, 2, 3], [0, 0, 9, 4, 5, 6]], times, columns).to_csv()
+    t_ns, rate, losses = read(text, rate_unit="rad/s")
+    assert (t_ns.tolist(), rate.tolist(), losses) == ([0, 10**9], [[1, 2, 3], [4, 5, 6]], [])
 
 
 MIXED = "GYRO,{0},1,2,3\nACC,{0},0,0,9.8\n"

@@ -234,6 +234,7 @@ def test_gx_beside_other_axes_may_be_gravity(header):
         ("gyro_x_rad_s", "gyro_x", "rad/s"),
         ("timestamp_us", "timestamp", "us"),
         ("Gyr_X [mdps]", "gyr_x", "mdps"),
+        ("Gyro-X (d/s)", "gyro_x", "d/s"),
     ],
 )
 def test_a_name_is_taken_apart(text, key, unit):

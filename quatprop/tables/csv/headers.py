@@ -100,7 +100,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         It is not a text of one table.
     """
     head = head.rstrip(b"\0")
-    if not head or head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in head:
+    first_line = head.partition(b"\n")[0]
+    if not head or head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in first_line:
         raise UnsupportedLogError(
             path, "it is not UTF-8 text; if it is a table, save it again as a CSV in UTF-8"
         )

@@ -83,24 +83,35 @@ def _without_trailing_cell(row: list[str]) -> list[str]:
 
 
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
-    """Return the names in a row, with the units below them or the titles of groups above them."""
+    """Return the names in a row, with the units or the titles of groups in the row beside it."""
     names = _fitted(rows[header], width)
     above = rows[header - 1] if header else []
     if abs(len(above) - len(rows[header])) > 1:
         return names
     above = _fitted(above, width)
-    if any(above) and not any(map(NUMBER.fullmatch, above)):
-        units = [name[1:-1] if name.startswith("[") else name for name in names]
-        known = [parse_name(f"({unit})").unit in _UNITS for unit in units]
-        # Columns of other sensors may have units that are not known.
-        if sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, units))):
-            return [
-                f"{name} ({unit})" if unit else name
-                for name, unit in zip(above, units, strict=True)
-            ]
-        if "" in above[1:]:
-            return _grouped(above, names)
-    return names
+    if not any(above) or any(map(NUMBER.fullmatch, above)):
+        return names
+    if not any(names[1:]):
+        # pandas writes the name of the index below those of the columns.
+        return [names[0], *column_names(rows, header - 1, width)[1:]]
+    # What repeats below names that do not is no name, known as a unit or not.
+    if _are_units(names) or len({*names}) < len({*above}) == width:
+        return _with_units(above, names)
+    if _are_units(above):
+        return _with_units(names, above)
+    repeat = len({*names}) < width or len({*above}) < width
+    return _grouped(above, names) if repeat or "" in names[:-1] else names
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Return whether cells are units; columns of other sensors may have some that are not known."""
+    known = [parse_name(f"({cell.strip('[()]')})").unit in _UNITS for cell in cells]
+    return sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, cells)))
+
+
+def _with_units(names: list[str], units: list[str]) -> list[str]:
+    pairs = zip(names, (unit.strip("[()]") for unit in units), strict=True)
+    return [f"{name} ({unit})" if unit else name for name, unit in pairs]
 
 
 _UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}

@@ -140,4 +140,4 @@ def _spelling(unit: str) -> str:
 
 def _key(name: str) -> str:
     name = _CAPITAL.sub("_", name.strip())
-    return re.sub(r"\s+", "_", name.lower()).replace("/", ".").lstrip(".")
+    return re.sub(r"[\s-]+", "_", name.lower()).replace("/", ".").lstrip(".")

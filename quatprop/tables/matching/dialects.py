@@ -72,7 +72,9 @@ SENSOR = (
 )
 """Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
 _NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
-_GYROSCOPE = r"(?:gyroscope|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
+_GYROSCOPE = (
+    r"(?:gyroscopes?|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
+)
 GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
 AXIS_FIRST = rf"{_NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
 WITH_RATE_UNIT = tuple(
