@@ -40,8 +40,9 @@ def as_json(value: object) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
     Dataclasses and named tuples become objects with their fields as keys (those of a digest among
-    them), arrays and other sequences become lists, paths and sentences become strings; sentences
-    with settings as the library spells them. Numbers that are not finite become null.
+    them) but for what ``repr`` leaves out, arrays and other sequences become lists, paths and
+    sentences become strings; sentences with settings as the library spells them. Numbers that are
+    not finite become null.
 
     Examples
     --------
@@ -57,7 +58,7 @@ def as_json(value: object) -> Any:
         return value.as_json()
     names = getattr(value, "_fields", None)
     if is_dataclass(value):
-        names = [field.name for field in fields(value)]
+        names = [field.name for field in fields(value) if field.repr]
     if names is not None:
         items = {name: as_json(getattr(value, name)) for name in names}
         # A digest says more about the same thing.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
+from quatprop.rendering import count_text
 from quatprop.text import plain
 from quatprop.writers.atomic import open_atomic, output_errors
 
@@ -107,7 +108,7 @@ def totals(results: Sequence[CaseResult]) -> str:
         for verdict, (_, text, _) in VERDICTS.items()
         if (count := verdicts.count(verdict)) or verdict == "pass"
     ]
-    return f"{len(results)} case{'s' * (len(results) != 1)}: {', '.join(texts)}"
+    return f"{count_text(len(results), 'case')}: {', '.join(texts)}"
 
 
 def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.settings import CHECKS, PROPAGATE, READ_ATTITUDES
+from quatprop.settings.parsers import flag
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
@@ -13,10 +15,7 @@ if TYPE_CHECKING:
 KEY_NAMES = {"kind": "from"}
 """Settings whose key has another name."""
 
-ONCE = {"normalize", "on_invalid"}
-"""Settings of attitudes that a case has once, not with ``reference-`` for the reference."""
-
-FLAGS = {"normalize", "sigma"}
+FLAGS = {name for name, parser in {**PROPAGATE, **READ_ATTITUDES}.items() if parser is flag}
 """Settings that are on or off."""
 
 
@@ -25,7 +24,7 @@ def suite_key(setting: Setting, side: str = "") -> str:
     name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
     if name == "update":  # an option of the command, not a key of a case
         return f"--{name}"
-    if side == "b" and setting.name not in ONCE:
+    if side == "b" and setting.name not in CHECKS:
         name = f"reference-{name}"
     if side in {"at", "q0"}:
         # Attitudes of a file that is only looked up have no keys of their own.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,16 +20,11 @@ from quatprop.cli.options import (
 from quatprop.cli.spelling import command_line, in_options, spelled
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
-from quatprop.settings import ONE_SERIES, READ_ATTITUDES
+from quatprop.settings import CHECKS, ONE_SERIES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.plot.target import PictureFile
-
-
-CHECKS = ("normalize", "on_invalid")
-"""Settings that A and B share."""
 
 EXAMPLES = (
     "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --tol 0.05deg",
@@ -42,7 +37,7 @@ EXAMPLES = (
 @click.argument("b", type=PATH, metavar="B")
 @with_options(
     setting_options(COMPARE, log="B"),
-    setting_options({name: READ_ATTITUDES[name] for name in CHECKS}),
+    setting_options(CHECKS),
     {**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."},
     setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
     setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
@@ -64,13 +59,17 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
-    with progress(quiet=quiet), _error_picture(plot, a, b) as picture:
-        settings = settings_of(chosen)
-        keep = picture is not None
-        first, second, comparison = compare_files(side_a, side_b, settings, keep=keep)
-        if picture is not None:
+    picture = None
+    with progress(quiet=quiet), ExitStack() as stack:
+        if plot is not None:
             from quatprop.plot.errors import pair_page
+            from quatprop.plot.target import PictureFile
 
+            picture = stack.enter_context(PictureFile(plot, [a, b], command=command_line()))
+        first, second, comparison = compare_files(
+            side_a, side_b, settings_of(chosen), keep=picture is not None
+        )
+        if picture is not None:
             picture.commit(pair_page(first, second, comparison, spelled))
     if as_json:
         report = {
@@ -86,15 +85,6 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     if comparison.passed is False:
         return 1
     return 3 if first.data_lost or second.data_lost or comparison.left_out else 0
-
-
-def _error_picture(plot: str | None, a: str, b: str) -> AbstractContextManager[PictureFile | None]:
-    """Return the picture of the error to be drawn; None in it where no picture is wanted."""
-    if plot is None:
-        return nullcontext()
-    from quatprop.plot.target import PictureFile
-
-    return PictureFile(plot, [a, b], command=command_line())
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:

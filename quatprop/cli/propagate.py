@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.pipeline.job import Job
-    from quatprop.plot.propagation import PropagationPicture
-
 
 EXAMPLES = (
     "quatprop propagate sample_logs/tumbling.bag -o attitude.csv --method coning",
@@ -60,20 +58,17 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     from quatprop.pipeline.job import run
 
     job = job_of(chosen)
-    with progress(quiet=quiet), _drawing(job, plot) as picture:
+    picture = None
+    with progress(quiet=quiet), ExitStack() as stack:
+        if plot is not None:
+            from quatprop.plot.propagation import PropagationPicture
+
+            drawing = PropagationPicture(plot, job, spelled, command=command_line())
+            picture = stack.enter_context(drawing)
         report = run(job, picture, summary=not quiet)
     if not quiet:
         show(summary(report, verbose=verbose), INDENT)
     return 3 if report.data_lost else 0
-
-
-def _drawing(job: Job, plot: str | None) -> AbstractContextManager[PropagationPicture | None]:
-    """Return the picture of a job in the making; None in it where no picture is wanted."""
-    if plot is None:
-        return nullcontext()
-    from quatprop.plot.propagation import PropagationPicture
-
-    return PropagationPicture(plot, job, spelled, command=command_line())
 
 
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:

@@ -121,6 +121,7 @@ def command(out: str, **options: Any) -> None:
     The same options give the same bytes.
     """
     from quatprop.cli.progress import progress
+    from quatprop.rendering import count_text
     from quatprop.simulate.gyroscope import Gyroscope, samples_in
     from quatprop.simulate.motion import Shape
     from quatprop.simulate.run import simulate, truth_beside
@@ -154,7 +155,7 @@ def command(out: str, **options: Any) -> None:
         )
     if not options["quiet"]:
         beside = f"; the truth is in {truth}" if truth else ""
-        click.echo(f"{out}: {samples:,} sample{'s' * (samples > 1)} of {motion}{beside}", err=True)
+        click.echo(f"{out}: {count_text(samples, 'sample')} of {motion}{beside}", err=True)
 
 
 def _refuse_unused(motion: str, options: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from quatprop.settings import CHECKS, READ_RATES
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
@@ -25,24 +26,15 @@ def option(setting: Setting, side: str = "") -> str:
     """Return a setting as an option, such as ``--clock log``, or ``--clock-b log`` for side b."""
     side = setting.side or side
     name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
-    if side and side not in LOOKUPS and setting.name not in _once():
-        name += f"-{side}"
-    text = f"--{name} {setting.value}" if setting.value else f"--{name}"
-    return text + _ELSEWHERE if side in LOOKUPS and setting.name not in _own(side) else text
+    # What the command has itself, of the settings about what is only looked up.
+    own = READ_RATES if side == "info" else {"start"}
+    elsewhere = _ELSEWHERE if side in LOOKUPS and setting.name not in own else ""
+    if side and side not in LOOKUPS:
+        from quatprop.comparison.settings import COMPARE
 
-
-def _own(side: str) -> set[str]:
-    """Return the settings that the command has itself, of those about what is only looked up."""
-    from quatprop.settings import READ_RATES
-
-    return {*READ_RATES} if side == "info" else {"start"}
-
-
-def _once() -> set[str]:
-    """Return the settings that a command with two inputs has once, not once for each."""
-    from quatprop.comparison.settings import COMPARE
-
-    return {*COMPARE, "normalize", "on_invalid"}
+        if setting.name not in COMPARE and setting.name not in CHECKS:
+            name += f"-{side}"
+    return (f"--{name} {setting.value}" if setting.value else f"--{name}") + elsewhere
 
 
 def sentence(error: QuatpropError) -> str:

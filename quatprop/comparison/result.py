@@ -5,7 +5,7 @@ Each limit on errors, drift and coverage is a criterion, judged by itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,8 +19,6 @@ from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from _typeshed import DataclassInstance
 
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
@@ -233,11 +231,5 @@ class Comparison:
 
     def report(self) -> Mapping[str, Any]:
         """Return everything but the arrays, JSON-ready."""
-        report = _without_arrays(self)
-        for name, part in (("window", self.window), ("sigmas", self.sigmas)):
-            report[name] = part and _without_arrays(part)
-        return {name: as_json(value) for name, value in report.items()}
-
-
-def _without_arrays(result: DataclassInstance) -> dict[str, object]:
-    return {one.name: getattr(result, one.name) for one in fields(result) if one.repr}
+        report: Mapping[str, Any] = as_json(self)
+        return report

@@ -111,24 +111,12 @@ class ComparisonSettings:
         return self.tol if isinstance(self.tol, float | int) else math.inf
 
 
-def angle_rad(value: object) -> float:
-    """Return an angle in rad: a number in rad, or text such as ``"1e-9rad"`` or ``"0.1deg"``.
-
-    Raises
-    ------
-    UsageError
-        The text is not a number with one of these units.
-
-    Examples
-    --------
-    >>> angle_rad("90deg")
-    1.5707963267948966
-    """
-    return quantity(value, RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+angle_rad = quantity_of(RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
+"""Return an angle in rad: a number in rad, or text such as ``"1e-9rad"`` or ``"0.1deg"``."""
 
 
 def error_limit(value: object) -> float | Sigmas:
-    """Return a limit on an error: an angle as of :func:`angle_rad`, or text such as ``"3sigma"``.
+    """Return a limit on an error: an angle as of :data:`angle_rad`, or text such as ``"3sigma"``.
 
     Raises
     ------

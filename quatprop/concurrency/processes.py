@@ -19,6 +19,8 @@ from collections import Counter
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from quatprop.concurrency.threads import signals_blocked
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from types import FrameType
@@ -164,7 +166,7 @@ class _Worker(Generic[Item, Result]):
     def _spawn(self) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
-        with _signals_blocked():
+        with signals_blocked(_SIGNALS):
             self._process.start()
         theirs.close()
 
@@ -218,7 +220,8 @@ def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
     """Work on items until the other end of the connection is closed."""
     interruption = _Interruption()
     threading.Thread(target=_watch_parent, daemon=True).start()
-    with contextlib.suppress(KeyboardInterrupt, EOFError, OSError), _signals_blocked(block=False):
+    ends = contextlib.suppress(KeyboardInterrupt, EOFError, OSError)
+    with ends, signals_blocked(_SIGNALS, block=False):
         while True:
             item = connection.recv()
             interruption.busy = True
@@ -246,19 +249,6 @@ class _Interruption:
         if not self._interrupted and (self.busy or number == signal.SIGTERM):
             self._interrupted = True
             raise KeyboardInterrupt
-
-
-@contextlib.contextmanager
-def _signals_blocked(*, block: bool = True) -> Iterator[None]:
-    """Hold signals back, as while a process starts; or let them through, where they were."""
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK if block else signal.SIG_UNBLOCK, _SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _watch_parent() -> None:

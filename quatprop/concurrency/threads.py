@@ -164,7 +164,9 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 
     thread = threading.Thread(target=copy_context().run, args=(compute,), daemon=True)
     try:
-        with _signals_held():
+        # Whoever is interrupted has to know that it runs. It keeps holding signals back, so that
+        # they reach the main thread.
+        with signals_blocked(signal.valid_signals()):
             thread.start()
         while isinstance(result := results.get(), tuple):
             room.release()
@@ -179,15 +181,13 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 
 
 @contextmanager
-def _signals_held() -> Iterator[None]:
-    """Hold signals back while a thread starts: whoever is interrupted has to know that it runs.
-
-    The thread keeps holding them back, so that they reach the main thread.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
+def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[None]:
+    """Hold signals back in this thread, as while another starts; or let them through again."""
+    if sys.platform == "win32":
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    how = signal.SIG_BLOCK if block else signal.SIG_UNBLOCK
+    before = signal.pthread_sigmask(how, signals)
     try:
         yield
     finally:

@@ -44,7 +44,7 @@ SETTINGS: dict[Any, Any] = {
     "pdf.fonttype": 42,
 }
 
-METADATA: dict[str, dict[str, Any]] = {
+METADATA: dict[str, dict[str, str | None]] = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
     "pdf": {"CreationDate": None, "ModDate": None, "Creator": "quatprop", "Producer": None},

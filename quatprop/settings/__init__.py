@@ -272,6 +272,9 @@ ONE_SERIES = parsers_of(SeriesOptions)
 READ_ATTITUDES = parsers_of(AttitudeOptions)
 """How attitudes are read: setting -> its parser."""
 
+CHECKS = {name: READ_ATTITUDES[name] for name in READ_ATTITUDES if name not in ONE_SERIES}
+"""How attitudes are checked, those of several series alike: setting -> its parser."""
+
 PROPAGATE = parsers_of(PropagateOptions)
 """Everything that determines the attitudes of a log, and how many threads compute them: setting
 -> its parser."""

@@ -11,7 +11,7 @@ import re
 from contextlib import closing, suppress
 from functools import reduce
 from operator import getitem
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from quatprop.provenance import JsonObject
     from quatprop.tables.base import TimedColumns
 
 HEAD_BYTES = 1 << 16
@@ -136,7 +137,7 @@ def _cell(line: bytes, leaf: Leaf) -> object:
 
 
 def _add_fields(
-    row: dict[str, Any], above: tuple[str, ...], types: dict[tuple[str, ...], pa.DataType | None]
+    row: JsonObject, above: tuple[str, ...], types: dict[tuple[str, ...], pa.DataType | None]
 ) -> None:
     for name, value in row.items():
         path = (*above, name)
