@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from quatprop import propagate, read_attitudes, write
+from quatprop import GyroSeries, __version__, propagate, read_attitudes, write
 from quatprop.cli.commands import cli
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -210,6 +210,17 @@ def test_a_file_that_says_nothing_of_its_making_is_refused(tmp_path):
     shown = run("info", tmp_path / "b.npz", "--as-config").stdout.splitlines()
     assert shown[2] == "# converted afterwards, which this does not repeat"
     assert shown[3:] == ['layout = "scalar-first"', 'method = "mean"']
+
+
+def test_the_settings_of_rates_in_memory_are_for_any_log(tmp_path):
+    """There is no log to name, and no digest of it."""
+    rates = GyroSeries([0, 1_000_000], [[0, 0, 1]] * 2)
+    write(propagate(rates, method="mean"), tmp_path / "a.parquet")
+    assert run("info", tmp_path / "a.parquet", "--as-config").stdout.splitlines() == [
+        "# quatprop propagate LOG -o OUT --config THIS_FILE",
+        f"# by quatprop {__version__}",
+        'method = "mean"',
+    ]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from base64 import b64encode
 from hashlib import sha256
 from html.parser import HTMLParser
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import exp
+
+SAMPLES = Path(__file__).parents[1] / "sample_logs"
 
 HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'
 
@@ -186,6 +189,20 @@ def test_a_page_says_what_its_picture_means(series, tmp_path):
     words = " ".join(page.words)
     assert "Hamilton, ij = k: v_ref = q v_body q*" in words
     assert "400 samples over 19.95 s, 20 Hz" in words
+
+
+def test_the_page_of_propagate_has_its_summary(tmp_path):
+    """Every line of what goes to stderr is on the page, too: sensitivity, errors, bias."""
+    log, target = SAMPLES / "tumbling.bag", tmp_path / "page.html"
+    options = ("--bias", "0,0,0.1", "--noise-density", "0.2deg/sqrt(h)", "--start", "+1s")
+    arguments = ("propagate", log, "-o", tmp_path / "a.csv", *options, "--plot", target)
+    summary = CliRunner().invoke(cli, list(map(str, arguments))).stderr
+    _, page = page_of(*arguments)
+    words = " ".join(" ".join(page.words).split())
+    for line in summary.splitlines():
+        assert " ".join(line.split()) in words
+    assert "first 2023-11-14 22:13:21 UTC" in words
+    assert "max gap 10 median intervals start 1700000001000000000 ns" in words
 
 
 @pytest.mark.parametrize("command", ["plot", "compare", "propagate"])

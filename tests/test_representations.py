@@ -257,6 +257,7 @@ def test_angles_without_a_unit_are_refused(tmp_path):
         ("qw,qx,qy,qz", ["--from-angle-unit", "rad"], "this table has a quaternion; leave it out"),
         ("a.yaw_rad,a.pitch_rad,a.roll_rad,b.yaw_rad,b.pitch_rad,b.roll_rad", [], "which rotation"),
         ("yaw_rate,pitch_rate,roll_rate", [], "no attitudes found; its columns are 't_ns', 'yaw_r"),
+        ("omega_yaw,omega_pitch,omega_roll", [], "no attitudes found"),
         ("yaw_rad,pitch_rad", [], "no attitudes found"),
     ],
 )

@@ -79,9 +79,11 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
         )
     from shlex import quote
 
+    log = "LOG" if source["kind"] == "series" else quote(plain(source["path"]))
+    digest = f"; SHA-256 of the log: {source['sha256']}" if source["sha256"] else ""
     lines = [
-        f"# quatprop propagate {quote(plain(source['path']))} -o OUT --config THIS_FILE",
-        f"# by quatprop {plain(provenance['quatprop'])}; SHA-256 of the log: {source['sha256']}",
+        f"# quatprop propagate {log} -o OUT --config THIS_FILE",
+        f"# by quatprop {plain(provenance['quatprop'])}{digest}",
     ]
     if provenance.get("conversions"):
         lines.append("# converted afterwards, which this does not repeat")

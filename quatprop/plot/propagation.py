@@ -4,38 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from quatprop.pipeline.summary import conventions, facts
 from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.page import Page
 from quatprop.plot.picture import PlottedFile, picture
 from quatprop.plot.target import PictureFile
-from quatprop.provenance import as_json
-from quatprop.rendering import (
-    degrees_text,
-    file_names,
-    instant_text,
-    loss_lines,
-    quaternion_text,
-    source_text,
-)
-from quatprop.times import duration_text
+from quatprop.rendering import file_names, instant_text, loss_lines, source_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.pipeline.job import Job
-    from quatprop.pipeline.report import ConventionReport, RunReport
-    from quatprop.rendering import Row, Spell
+    from quatprop.pipeline.report import RunReport
+    from quatprop.rendering import Spell
     from quatprop.series import AttitudeSeries, GyroSeries
-
-
-CONDITIONING = {
-    "bias_rad_s": "bias, rad/s",
-    "rest": "rest",
-    "mount": "sensor to body",
-    "start_ns": "from, ns",
-    "end_ns": "to, ns",
-}
-"""Key of what was done to the rates -> its name in the table."""
 
 
 class PropagationPicture(PictureFile):
@@ -104,37 +86,8 @@ class PropagationPicture(PictureFile):
             picture=picture([PlottedFile(name, tuple(groups))]),
             warnings=(*warnings, *loss_lines(report.losses)),
             tables=[
-                ("Result", _result(report)),
-                ("Convention", _convention(convention)),
-                ("Processing", _processing(report)),
+                ("Result", [("first", instant_text(report.result.first_ns or 0)), *facts(report)]),
+                ("Convention and settings", conventions(report)),
             ],
         )
         self.commit(page)
-
-
-def _result(report: RunReport) -> Iterator[Row]:
-    source, counts, result = report.source, report.counts, report.result
-    yield "file", f"{source.path} ({source.kind})"
-    yield "rate", f"{source.rate} in {source.rate_unit}, {source.clock} clock"
-    yield "samples", f"{counts.used:,} used of {counts.read:,} read"
-    span = duration_text(counts.span_ns)
-    yield "time", f"{instant_text(result.first_ns or 0)}, {span}"
-    yield "attitudes", f"{result.rows:,} written"
-    yield "final", quaternion_text(result.final_wxyz)
-    yield "net rotation", degrees_text(result.net_rotation_rad)
-    yield "total angle traversed", degrees_text(result.path_angle_rad)
-    yield "largest rate", f"{degrees_text(counts.max_rate)}/s"
-
-
-def _convention(convention: ConventionReport) -> Iterator[Row]:
-    for key in ("quaternion", "product", "attitude", "step", "side", "method", "layout"):
-        yield key, str(getattr(convention, key))
-    yield "q0", f"{as_json(convention.q0_wxyz)} (w, x, y, z), {convention.q0_from}"
-
-
-def _processing(report: RunReport) -> Iterator[Row]:
-    for name, value in as_json(report.policy).items():
-        yield name.replace("_", " "), "10 median intervals" if value is None else str(value)
-    for name, label in CONDITIONING.items():
-        if (value := as_json(getattr(report.conditioning, name))) is not None:
-            yield label, str(value)

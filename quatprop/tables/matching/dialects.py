@@ -86,7 +86,7 @@ BARE_RATES = ("g" + _XYZ, r"(?P<part>[pqr])")
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
 _NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
-_NOT_ROTATION = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint|rate|speed|vel|acc))"
+_NOT_ROTATION = _NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))"
 _QUATERNION = (
     rf"{_NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"

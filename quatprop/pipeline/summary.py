@@ -1,0 +1,136 @@
+"""What a run read, did and found, in words: the summary and the page of a picture show it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from quatprop.rendering import Row, degrees_text, quaternion_text, source_text
+from quatprop.text import plain
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from quatprop.arrays import Float64
+    from quatprop.conditioning.static_detection import Rest
+    from quatprop.pipeline.gyro_errors import UncertaintyReport
+    from quatprop.pipeline.report import ResultReport, RunReport
+
+
+def facts(report: RunReport) -> Iterator[Row]:
+    """Yield what was read, done and found, as labels and texts."""
+    source, counts, result = report.source, report.counts, report.result
+    convention = report.convention
+    name = source_text(source.name, source.type)
+    yield "source", f"{plain(source.path)} ({source.kind}): {name}"
+    yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
+    yield "samples", _samples(report)
+    why = ""
+    if convention.method_from == "log":
+        why = f" (the samples are {convention.samples} over the intervals before their stamps)"
+    yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
+    if (bias := report.conditioning.bias_rad_s) is not None:
+        yield "bias", _bias(bias, report.conditioning.rest)
+    if (series := report.conditioning.bias_series) is not None:
+        origin = f"{plain(series.source)} ({plain(series.field)})"
+        yield "bias", f"{series.values} values of {origin}, interpolated in time"
+    if (matrix := report.conditioning.calibration) is not None:
+        yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
+    if (mount := report.conditioning.mount) is not None:
+        yield "mount", _mount(mount, report.conditioning.mount_frames)
+    if convention.q0_from not in {"given", "identity"}:
+        yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+    if result.method_sensitivity_rad is not None:
+        yield "sensitivity", _sensitivity(result)
+    if report.uncertainty is not None:
+        yield from _uncertainty(report.uncertainty)
+    yield "final", quaternion_text(result.final_wxyz)
+    rotation = (
+        f"{degrees_text(result.net_rotation_rad)} from q0 to the final attitude, "
+        f"{degrees_text(result.path_angle_rad)} traversed, "
+        f"at most {degrees_text(counts.max_rate)}/s"
+    )
+    yield "rotation", rotation
+
+
+def _sensitivity(result: ResultReport) -> str:
+    # Rounding errors are no sensitivity.
+    by_method, by_sampling = (
+        degrees_text(round(angle or 0.0, 12), 3)
+        for angle in (result.method_sensitivity_rad, result.sampling_sensitivity_rad)
+    )
+    return (
+        f"the final attitude differs by {by_method} from method {result.next_method}, "
+        f"by {by_sampling} from every second sample"
+    )
+
+
+ERRORS = {
+    "noise_density": ("noise", "deg/sqrt(h)", 60 * 180 / math.pi),
+    "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
+    "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
+    "scale_sigma": ("scale factors", "ppm", 1e6),
+}
+"""What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
+
+
+def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
+    sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
+    share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
+    yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
+    known = (
+        f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
+        f"({plain(uncertainty.origins[key])})"
+        for key, (name, unit, factor) in ERRORS.items()
+        if key in uncertainty.origins
+    )
+    yield "", f"from {', '.join(known)}"
+
+
+def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
+    bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*bias_rad_s)
+    if rest is None:
+        return bias
+    return (
+        f"{bias}, from {rest.samples} samples at rest over "
+        f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
+        f"scatter {rest.scatter_rad_s:.3g} rad/s; steady by {', '.join(rest.steady)}; "
+        "the whole log was searched"
+    )
+
+
+def _mount(mount: Float64, frames: Sequence[str] | None) -> str:
+    if frames is not None:
+        return f"{plain(' -> '.join(frames))}, by the static transforms of the log"
+    rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount)
+    return f"{rows} (matrix, sensor axes to body axes)"
+
+
+def _samples(report: RunReport) -> str:
+    counts, result = report.counts, report.result
+    text = f"{result.samples}"
+    if counts.read != counts.used:
+        text += f" of {counts.read}"
+    if result.span_s:
+        text += f" over {duration_text(counts.span_ns)}, {result.sample_rate_hz:.6g} Hz"
+    if result.rows != result.samples:
+        text += f"; {result.rows} of them written"
+    return text
+
+
+def conventions(report: RunReport) -> Iterator[Row]:
+    """Yield the conventions and the settings of a run, as labels and texts."""
+    convention, policy, conditioning = report.convention, report.policy, report.conditioning
+    for name in ("quaternion", "product", "attitude", "step", "layout"):
+        yield name, str(getattr(convention, name))
+    yield "q0", quaternion_text(convention.q0_wxyz)
+    for name in ("on_backwards", "on_nonfinite", "on_gap"):
+        yield name.replace("_", " "), getattr(policy, name)
+    limit = policy.max_gap_ns
+    yield "max gap", "10 median intervals" if limit is None else duration_text(limit)
+    for name, t_ns in (("start", conditioning.start_ns), ("end", conditioning.end_ns)):
+        if t_ns is not None:
+            yield name, f"{t_ns} ns"
+    if report.seconds is not None:
+        yield "seconds", f"{report.seconds:.3f}"
