@@ -8,9 +8,16 @@ import pyulog
 from px4_messages import DEFINITIONS, write_mcap
 from streams import propagated
 
+import quatprop
 from quatprop.containers import ulog
 from quatprop.containers.ulog import SYNC
-from quatprop.errors import AmbiguousTopicError, DamagedLogError, SchemaError, UnsupportedLogError
+from quatprop.errors import (
+    AmbiguousTopicError,
+    DamagedLogError,
+    SchemaError,
+    TimelineError,
+    UnsupportedLogError,
+)
 from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.selection import RateSelection
@@ -309,6 +316,21 @@ def test_an_id_that_is_given_to_another_topic_keeps_the_messages_of_the_first(tm
     np.testing.assert_array_equal(first.rate, rates[:10] * 2)
     other, _ = read(path, topic=f"{second}/1")
     np.testing.assert_array_equal(other.rate, rates[10:])
+
+
+@pytest.mark.parametrize("topic", ["sensor_gyro", "vehicle_angular_velocity"])
+def test_a_clock_that_begins_again_steps_back(tmp_path, topic):
+    """Messages are in the order in which they were recorded, whatever their stamps say."""
+    path = tmp_path / "log.ulg"
+    stamps = [*range(5000, 9000, 10), *range(1000, 5000, 10)]
+    write(path, added(topic, 0, 1), *(
+        data(topic, 1, timestamp=stamp + 3, timestamp_sample=stamp) for stamp in stamps
+    ))  # fmt: skip
+    for clock, late_us in (("header", 0), ("log", 3)):
+        series, _ = read(path, clock=clock)
+        assert series.t_ns.tolist() == [(stamp + late_us) * 1000 for stamp in stamps]
+    with pytest.raises(TimelineError, match=r"time steps back by 7\.99 ms at sample 400 "):
+        quatprop.propagate(path)
 
 
 def test_windows_change_nothing(tmp_path, monkeypatch):

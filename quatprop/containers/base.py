@@ -232,10 +232,14 @@ class MessageLog(Log):
 
     Attributes
     ----------
+    has_log_time
+        Whether it records when a message was logged; if not, the time in a message stands for it,
+        and the order of the file is that of the recording.
     has_publish_time
         Whether it records when a message was published, besides when it was logged.
     """
 
+    has_log_time = True
     has_publish_time = False
 
     @abstractmethod

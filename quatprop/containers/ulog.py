@@ -91,6 +91,7 @@ class UlogLog(MessageLog):
     """
 
     kind = "ulog"
+    has_log_time = False
 
     def __init__(self, log: Path | FileSource) -> None:
         self._source = source_of(log)

@@ -179,7 +179,7 @@ def series_of(rows: Iterable[Columns], *, averages: bool) -> Iterator[GyroSeries
 def logged_values(
     log: MessageLog, channel: Channel, reader: MessageReader, within: TimeRange | None = None
 ) -> Iterator[Columns]:
-    """Yield the values of one channel with their log times, in order of these.
+    """Yield the values of one channel with their log times, in order of these if they are recorded.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def logged_values(
     every = blocks_of(log, channel) if within is None else log.blocks_within(channel, within)
     blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
     batches = (_readable(log, channel, reader, block) for block in blocks)
-    return merge_by_time([batches])
+    return merge_by_time([batches]) if log.has_log_time else filter(len, batches)
 
 
 def _readable(
