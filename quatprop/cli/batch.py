@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
@@ -16,6 +15,7 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, own_options, with_options
 from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf, content_of
+from quatprop.concurrency.threads import available_cores
 from quatprop.text import listed, plain
 from quatprop.writers.formats import WRITERS
 
@@ -166,7 +166,7 @@ def _results(
 
     if chosen["dask"] is not None:
         return on_a_cluster(tasks, settings, chosen["dask"], manifest, chosen["retries"])
-    processes = chosen["processes"] or os.cpu_count() or 1
+    processes = chosen["processes"] or available_cores()
     return on_this_machine(tasks, settings, processes, manifest, chosen["retries"])
 
 

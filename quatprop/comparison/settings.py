@@ -1,20 +1,15 @@
 """How two attitude series are compared: the settings, and the texts in which users write them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, TypedDict, Unpack, get_type_hints
+from typing import Annotated, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import Choice, Parser, duration, length, number
+from quatprop.settings import parsers_of
+from quatprop.settings.parsers import Choice, duration, length, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 ALIGNMENTS = ("none", "first", "mean", "mount")
 """Which frames of B are rotated before the comparison."""
@@ -41,7 +36,7 @@ class Sigmas:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonSettings:
-    """How to compare two attitude series A and B; with each field, the parser of its value.
+    """How to compare two attitude series A and B.
 
     Parameters
     ----------
@@ -77,21 +72,21 @@ class ComparisonSettings:
         alignment of :data:`BY_ALL`.
     """
 
-    tol: Annotated[float | Sigmas | None, error_limit] = None
-    rms_tol: Annotated[float | Sigmas | None, error_limit] = None
-    final_tol: Annotated[float | Sigmas | None, error_limit] = None
-    p95_tol: Annotated[float | Sigmas | None, error_limit] = None
-    window_tol: Annotated[float | None, angle_rad] = None
-    window_rms_tol: Annotated[float | None, angle_rad] = None
-    drift_tol: Annotated[float | None, drift_deg_h] = None
-    min_coverage: Annotated[float | None, _percentage] = None
-    max_sigma: Annotated[Sigmas | None, _sigmas] = None
-    align: Annotated[str, Choice(*ALIGNMENTS)] = "none"
-    time_offset: Annotated[int | Literal["auto"], time_offset_ns] = 0
-    match: Annotated[str | None, Choice(*MATCHES)] = None
-    max_dt: Annotated[int | None, length] = None
-    min_matched: Annotated[float, _percentage] = 50.0
-    window: Annotated[int | None, length] = None
+    tol: float | Sigmas | None = None
+    rms_tol: float | Sigmas | None = None
+    final_tol: float | Sigmas | None = None
+    p95_tol: float | Sigmas | None = None
+    window_tol: float | None = None
+    window_rms_tol: float | None = None
+    drift_tol: float | None = None
+    min_coverage: float | None = None
+    max_sigma: Sigmas | None = None
+    align: str = "none"
+    time_offset: int | Literal["auto"] = 0
+    match: str | None = None
+    max_dt: int | None = None
+    min_matched: float = 50.0
+    window: int | None = None
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -173,12 +168,6 @@ def _sigmas(value: object) -> Sigmas:
 drift_deg_h = quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h")
 """Return a drift in deg/h: a number in deg/h, or text such as ``"10deg/h"``."""
 
-COMPARE: Mapping[str, Parser] = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(ComparisonSettings, include_extras=True).items()
-}
-"""How two series are compared: setting -> its parser, which takes text or a Python value."""
-
 
 class CompareOptions(TypedDict, total=False):
     """Keywords of :func:`quatprop.compare`, as for :class:`ComparisonSettings`.
@@ -186,21 +175,25 @@ class CompareOptions(TypedDict, total=False):
     Angles may be texts with a unit, such as ``"0.1deg"``, durations such as ``"-12ms"``.
     """
 
-    tol: float | str | None
-    rms_tol: float | str | None
-    final_tol: float | str | None
-    p95_tol: float | str | None
-    window_tol: float | str | None
-    window_rms_tol: float | str | None
-    drift_tol: float | str | None
-    min_coverage: float | None
-    max_sigma: float | None
-    align: str
-    time_offset: int | str
-    match: str | None
-    max_dt: int | str | None
-    min_matched: float | None
-    window: int | str | None
+    tol: Annotated[float | str | None, error_limit]
+    rms_tol: Annotated[float | str | None, error_limit]
+    final_tol: Annotated[float | str | None, error_limit]
+    p95_tol: Annotated[float | str | None, error_limit]
+    window_tol: Annotated[float | str | None, angle_rad]
+    window_rms_tol: Annotated[float | str | None, angle_rad]
+    drift_tol: Annotated[float | str | None, drift_deg_h]
+    min_coverage: Annotated[float | None, _percentage]
+    max_sigma: Annotated[float | None, _sigmas]
+    align: Annotated[str, Choice(*ALIGNMENTS)]
+    time_offset: Annotated[int | str, time_offset_ns]
+    match: Annotated[str | None, Choice(*MATCHES)]
+    max_dt: Annotated[int | str | None, length]
+    min_matched: Annotated[float | None, _percentage]
+    window: Annotated[int | str | None, length]
+
+
+COMPARE = parsers_of(CompareOptions)
+"""How two series are compared: setting -> its parser, which takes text or a Python value."""
 
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:

@@ -100,7 +100,7 @@ def prefetch(
     workers = min(MOST, thread_count() - 1)
     rest = iter(items)
     first = [] if workers + 1 < _STAGES else list(islice(rest, workers + 2))
-    if len(first) < workers + 2 or workers + 1 < _STAGES:
+    if len(first) < workers + 2:
         yield from (_computed(function(item)) for item in chain(first, rest))
         return
     from concurrent.futures import ThreadPoolExecutor
