@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -244,7 +244,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
         return _open_source(source, kind or kind_of(path, head), stack)
     source.close()
     try:
-        copy = stack.enter_context(DecompressedCopy(path))
+        copy = stack.enter_context(closing(DecompressedCopy(path)))
     except UnreadableDataError as error:
         raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
     stack.enter_context(_renamed_errors(path))

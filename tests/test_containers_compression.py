@@ -6,6 +6,7 @@ import io
 import os
 import struct
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 import lz4.frame
@@ -120,7 +121,7 @@ def test_a_packed_file_is_unpacked_beside_and_removed(tmp_path, temporary, suffi
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT))
     assert file_compression(path.read_bytes()[:4]) == {".gz": "gz"}.get(suffix, suffix[1:])
-    with DecompressedCopy(path) as copy:
+    with closing(DecompressedCopy(path)) as copy:
         assert copy.path.suffix == ".mcap"
         assert copy.path.read_bytes() == TEXT
         assert copy.damage == ""
@@ -132,7 +133,7 @@ def test_a_file_of_several_frames_is_one_file(tmp_path, temporary, suffix):
     """Parallel compressors write one frame after another."""
     path = tmp_path / ("log.db3" + suffix)
     path.write_bytes(PACK_FILE[suffix](TEXT) + PACK_FILE[suffix](TEXT[:100]))
-    with DecompressedCopy(path) as copy:
+    with closing(DecompressedCopy(path)) as copy:
         assert copy.path.read_bytes() == TEXT + TEXT[:100]
     assert list(temporary.iterdir()) == []
 
@@ -150,7 +151,7 @@ def test_a_second_frame_that_is_damaged_is_reported(tmp_path, suffix, is_cut):
     else:
         second[5:60] = bytes(55)
     path.write_bytes(PACK_FILE[suffix](first) + second)
-    with DecompressedCopy(path) as copy:
+    with closing(DecompressedCopy(path)) as copy:
         assert copy.damage.endswith("data is damaged or cut off")
         assert copy.path.read_bytes()[:9000] == first
 
@@ -161,7 +162,7 @@ def test_a_packed_file_cut_off_keeps_what_comes_before(tmp_path, temporary, suff
     content = os.urandom(3 << 20)
     path = tmp_path / ("log.mcap" + suffix)
     path.write_bytes(PACK_FILE[suffix](content)[: 2 << 20])
-    with DecompressedCopy(path) as copy:
+    with closing(DecompressedCopy(path)) as copy:
         good = copy.path.read_bytes()
         assert copy.damage.endswith("data is damaged or cut off")
     assert content.startswith(good)

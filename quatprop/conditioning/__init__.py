@@ -141,7 +141,7 @@ def condition(
     read: Callable[[], Iterable[GyroSeries]],
     settings: Conditioning,
     unit: float,
-    inputs: ConditioningInputs | None = None,
+    inputs: ConditioningInputs,
     *,
     part_reader: Callable[[], PartReader | None] = lambda: None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
@@ -156,7 +156,7 @@ def condition(
     unit
         rad/s in the unit of the bias.
     inputs
-        What is known besides the rates; None for nothing.
+        What is known besides the rates.
     part_reader
         Returns what reads only the part of the log that is used, if its index allows that.
 
@@ -173,7 +173,6 @@ def condition(
         The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
         before it starts.
     """
-    inputs = inputs or ConditioningInputs()
     mount = None if inputs.mounting is None else inputs.mounting.matrix
     if mount is None and settings.mount is not None:
         mount = mounting(settings.mount)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
 from quatprop.containers.limits import decompressed_limit, too_large
@@ -98,9 +98,3 @@ class DecompressedCopy:
     def close(self) -> None:
         """Remove the temporary file."""
         self._temp.remove()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()

@@ -172,10 +172,6 @@ class _Contexts(threading.local):
 _contexts = _Contexts()
 
 
-def _stored(data: Buffer, size: int) -> Buffer:  # noqa: ARG001  # the caller compares the sizes
-    return data
-
-
 def _decompress_lz4(data: Buffer, size: int) -> bytes:
     # lz4.frame.decompress creates a context for every call and trusts the size in the frame.
     import lz4.frame
@@ -230,8 +226,7 @@ def _holds_more(size: int) -> UnreadableDataError:
 
 
 _DECOMPRESSORS: dict[str, Callable[[Buffer, int], Buffer]] = {
-    "": _stored,
-    "none": _stored,
+    **dict.fromkeys(("", "none"), lambda data, _size: data),
     "lz4": _decompress_lz4,
     "zstd": _decompress_zstd,
     "bz2": _decompress_bz2,

@@ -189,9 +189,6 @@ class _Stream(io.RawIOBase):
         self._position = origin[whence] + offset
         return self._position
 
-    def tell(self) -> int:
-        return self._position
-
     def read(self, size: int = -1) -> bytes:
         data = self._source.read(self._position, self._source.size if size < 0 else size)
         self._position += len(data)

@@ -192,13 +192,24 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     return way, here
 
 
-def numbers(kind: Type) -> tuple[Primitive, int] | None:
+@lru_cache(maxsize=1024)
+def numbers(kind: Type | None) -> tuple[Primitive, int] | None:
     """Return the type and count of equal numbers that `kind` is made of, or None if it is not.
 
     A struct such as ``geometry_msgs/Vector3`` is three float64; equal numbers lie without gaps in
     every encoding, so they are fetched as one.
     """
-    return _numbers(kind, {})
+    if isinstance(kind, Primitive):
+        return kind, 1
+    if isinstance(kind, Array):
+        inner = numbers(kind.element)
+        return inner and (inner[0], inner[1] * kind.length)
+    if isinstance(kind, Struct):
+        parts = [numbers(part) for _, part in kind.fields]
+        present = [part for part in parts if part is not None]
+        if len(present) == len(parts) and len({part[0] for part in present}) == 1:
+            return present[0][0], sum(count for _, count in present)
+    return None
 
 
 def numbers_at(
@@ -220,24 +231,6 @@ def numbers_at(
             "numbers; name a number, or a struct or fixed array of them",
         )
     return way, kind, *shape
-
-
-def _numbers(
-    kind: Type, memo: dict[Type, tuple[Primitive, int] | None]
-) -> tuple[Primitive, int] | None:
-    if isinstance(kind, Primitive):
-        return kind, 1
-    if kind not in memo:
-        memo[kind] = None
-        if isinstance(kind, Array):
-            inner = _numbers(kind.element, memo)
-            memo[kind] = inner and (inner[0], inner[1] * kind.length)
-        elif isinstance(kind, Struct):
-            parts = [_numbers(part, memo) for _, part in kind.fields]
-            present = [part for part in parts if part is not None]
-            if len(present) == len(parts) and len({part[0] for part in present}) == 1:
-                memo[kind] = present[0][0], sum(count for _, count in present)
-    return memo[kind]
 
 
 def structs(root: Struct) -> Iterator[tuple[str, Struct]]:

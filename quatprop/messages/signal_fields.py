@@ -277,7 +277,7 @@ def _is_rate(rate: RateField, root: Struct) -> bool:
 def _quaternion(root: Struct, name: str) -> tuple[tuple[str, ...], Layout | None]:
     """Return the paths of the numbers of a quaternion and their order; none for another field."""
     kind = find(root, name)
-    shape = None if kind is None else numbers(kind)
+    shape = numbers(kind)
     if shape is None or shape[1] != COMPONENTS or shape[0].code[0] != "f":
         return (), None
     if not isinstance(kind, Struct):
@@ -291,5 +291,5 @@ def _quaternion(root: Struct, name: str) -> tuple[tuple[str, ...], Layout | None
 
 def _count(kind: Type | None) -> int:
     """Return how many equal numbers a field is, 0 where it is not."""
-    shape = None if kind is None else numbers(kind)
+    shape = numbers(kind)
     return 0 if shape is None else shape[1]

@@ -140,12 +140,11 @@ def stamp_of(place: str, kind: Type) -> Stamp | None:
     """
     if kind == TIME:
         return Stamp((place,), "ns")
-    if not isinstance(kind, Struct) or len(kind.fields) != len(("sec", "nanosec")):
-        return None
-    (seconds, first), (nanoseconds, second) = kind.fields
-    integers = all(isinstance(t, Primitive) and t.code[0] in "iu" for t in (first, second))
-    if integers and seconds in SECONDS and nanoseconds in NANOSECONDS:
-        return Stamp((f"{place}.{seconds}", f"{place}.{nanoseconds}"))
+    match kind:
+        case Struct(fields=((seconds, Primitive() as first), (nanoseconds, Primitive() as second))):
+            are_integers = first.code[0] in "iu" and second.code[0] in "iu"
+            if are_integers and seconds in SECONDS and nanoseconds in NANOSECONDS:
+                return Stamp((f"{place}.{seconds}", f"{place}.{nanoseconds}"))
     return None
 
 

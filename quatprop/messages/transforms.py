@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock
 
 
-_TRANSLATION_AND_ROTATION = 3 + 4
+_TRANSLATION_AND_ROTATION = Primitive("f8"), 3 + 4
 
 
 class Frames(NamedTuple):
@@ -140,7 +140,7 @@ class TransformDecoder:
         t_ns = cursor.numbers("u4" if unsigned else "i4").astype(np.int64) * NS_PER_S
         t_ns += cursor.numbers("u4")
         frames = self._frames(cursor.block, cursor.name(), cursor.name())
-        values = cursor.numbers("f8", _TRANSLATION_AND_ROTATION)
+        values = cursor.numbers("f8", _TRANSLATION_AND_ROTATION[1])
         wxyz = values[:, [6, 3, 4, 5]].astype(np.float64)
         position = values[:, :3].astype(np.float64)
         return Transforms(cursor.messages, t_ns, frames, wxyz, position)
@@ -162,19 +162,14 @@ class TransformDecoder:
 
 
 def _is_list_of_transforms(root: Struct) -> bool:
-    kinds = [kind for _, kind in root.fields]
-    if len(kinds) != 1 or not isinstance(kinds[0], Sequence):
-        return False
-    element = kinds[0].element
-    if not isinstance(element, Struct):
-        return False
-    rotation, transform = find(element, "transform.rotation"), find(element, "transform")
-    return (
-        _names(element) == ["header", "child_frame_id", "transform"]
-        and _names(rotation) == list("xyzw")
-        and transform is not None
-        and numbers(transform) == (Primitive("f8"), _TRANSLATION_AND_ROTATION)
-    )
+    match root.fields:
+        case ((_, Sequence(element=Struct() as element)),):
+            return (
+                _names(element) == ["header", "child_frame_id", "transform"]
+                and _names(find(element, "transform.rotation")) == list("xyzw")
+                and numbers(find(element, "transform")) == _TRANSLATION_AND_ROTATION
+            )
+    return False
 
 
 def _names(kind: Type | None) -> list[str]:

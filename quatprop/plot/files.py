@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from quatprop.conditioning import Conditioning, condition
+from quatprop.conditioning import Conditioning, ConditioningInputs, condition
 from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
@@ -162,7 +162,7 @@ def _nothing_to_draw(log: AnyLog, rates: LogError, attitudes: LogError) -> LogEr
 
 
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
-    batches, done = condition(source.batches, view.part, UNITS[source.unit])
+    batches, done = condition(source.batches, view.part, UNITS[source.unit], ConditioningInputs())
     drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
     counts = timeline.counts
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
