@@ -18,6 +18,7 @@ from quatprop.tables.matching.choose import match_rates
 from quatprop.tables.matching.column_names import parse_name
 from quatprop.tables.matching.dialects import DIALECTS
 
+AXES = ("wx", "wy", "wz")
 NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
 
 KNOWN = {
@@ -235,6 +236,12 @@ def test_gx_beside_other_axes_may_be_gravity(header):
         ("timestamp_us", "timestamp", "us"),
         ("Gyr_X [mdps]", "gyr_x", "mdps"),
         ("Gyro-X (d/s)", "gyro_x", "d/s"),
+        ("wx (degree/sec)", "wx", "deg/s"),
+        ("wx [\u00b0 / seconds]", "wx", "deg/s"),
+        ("wx (Rads/s)", "wx", "rad/s"),
+        ("wx (rad\u00b7s\u22121)", "wx", "rad/s"),
+        ("wx (rad/s^2)", "wx", "rad/s^2"),
+        ("q (degrees)", "q", "deg"),
     ],
 )
 def test_a_name_is_taken_apart(text, key, unit):

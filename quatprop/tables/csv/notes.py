@@ -30,8 +30,12 @@ _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 def declared_notes(before: list[str], names: list[str], path: Path) -> TableNotes:
     """Return what comments and ``key,value`` lines declare."""
     title = before[0].strip("\ufeff \r\n") if before else ""
-    rate = next(filter(None, map(_SAMPLE_RATE.search, before)), None)
-    sample_rate = float(rate[1]) * (1000 if rate[2] else 1) if rate else None
+    rates = {
+        float(rate[1]) * (1000 if rate[2] else 1)
+        for rate in filter(None, map(_SAMPLE_RATE.search, before))
+    }
+    # Of several that differ nothing says which is that of the rows.
+    sample_rate = rates.pop() if len(rates) == 1 else None
     if title.upper() != "GYROFLOW IMU LOG":
         return TableNotes(sample_rate=sample_rate, title=title)
     keys = dict(text.strip().split(",", 1) for text in before if "," in text)

@@ -22,12 +22,10 @@ if TYPE_CHECKING:
 RATE_UNITS = {
     "rad/s": (
         *("rad/s", "rads^-1", "rads-1", "rad/sec", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
-        *("radian/s", "radians/s", "radians/sec", "radian/second", "radians/second"),
     ),
     "deg/s": (
         *("deg/s", "degs^-1", "degs-1", "deg/sec", "deg_s", "deg_per_s", "deg_per_sec", "degps"),
-        *("dps", "\u00b0/s", "\u00ba/s", "\u00b0/sec", "\u00b0s^-1", "degree/s", "degrees/s"),
-        *("degrees/sec", "degree/second", "degrees/second"),
+        *("dps", "\u00b0/s", "\u00ba/s", "\u00b0/sec"),
     ),
 }
 """How headers spell the units of a rate, in lower case, without spaces and points."""
@@ -53,6 +51,13 @@ UNITS = {
     for spelling in spellings
 } | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}
 """The unit that each spelling means."""
+
+_WORDS = {
+    r"^(?:degrees?|[\u00b0\u00ba])(?=.)": "deg",
+    r"^radians?(?=/)|^rads(?=/)": "rad",
+    r"/sec(?:ond)?s?$": "/s",
+}
+"""Spellings of degrees, radians and seconds within a unit in brackets, and the short one."""
 
 _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 """Where a new word begins in camel case."""
@@ -135,7 +140,11 @@ def rate_unit_of(fields: Sequence[str]) -> str | None:
 
 def _spelling(unit: str) -> str:
     """Return a unit in brackets as :data:`UNITS` spells it."""
-    return re.sub(r"[.*\u00b7\u22c5]", "", unit.replace("\u207b\u00b9", "^-1")).replace("per", "/")
+    unit = re.sub("\u207b\u00b9|\u2212" + "1", "^-1", unit)
+    unit = re.sub(r"[.*\u00b7\u22c5]", "", unit).replace("per", "/")
+    for pattern, spelling in _WORDS.items():
+        unit = re.sub(pattern, spelling, unit)
+    return unit
 
 
 def _key(name: str) -> str:

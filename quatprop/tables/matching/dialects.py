@@ -67,13 +67,14 @@ _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 SENSOR = (
-    r"(?:.*[._])?(?:sensor|device|imu|frame|instance)(?:_?(?:id|name|type|no|number|index))?"
-    r"|id|kind|topic|type|(?:.*\.)?i"
+    r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
+    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|number|index))?"
+    r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
 """Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
 _NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = (
-    r"(?:gyroscopes?|gyro|gyr|omega|angular_?velocity|angular_?rate|ang_?vel|rotation_?rate)"
+    r"(?:gyro(?:scopes?|_?rate)?|gyr|omega|ang(?:ular)?_?(?:velocity|vel|rate)|rotation_?rate)"
 )
 GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
 AXIS_FIRST = rf"{_NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"

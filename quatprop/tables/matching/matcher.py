@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Positions = tuple[int, ...]
 
 
-_INSTANT = r"(?!.*(?:period|delta|interval|duration|exposure|latency|delay|dt)).*"
+_INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns that may be the time where a unit says that they are one."""
 
 _PARTS_OF_A_SECOND = "|".join(name for unit in ("ms", "us", "ns") for name in TIME_UNITS[unit])
