@@ -106,6 +106,29 @@ def test_a_file_of_matlab_is_read_column_by_column(tmp_path):
     assert np.abs(rates.t_ns * 1e-9 - SECONDS).max() < 1e-9
 
 
+def test_a_unit_that_a_dataset_declares_is_its_unit(tmp_path):
+    """As recorders of motion have it; one for columns of several quantities is that of none."""
+    path = tmp_path / "a.h5"
+    micros = np.round(SECONDS * 1e6).astype("u8")
+    with h5py.File(path, "w") as file:
+        for name, values, unit in (
+            ("Sensors/XI-1/Gyroscope", RATES, b"rad/s"),
+            ("Sensors/XI-1/Accelerometer", RATES, b"m/s^2"),
+            ("Sensors/XI-1/Time", micros, "\u03bcs".encode()),
+        ):
+            file[name] = values
+            file[name].attrs["Units"] = np.bytes_(unit)
+    rates = read_rates(path)
+    assert rates.rate.tobytes() == RATES.tobytes()
+    assert rates.t_ns.tolist() == (micros * 1000).tolist()
+    records = np.zeros(COUNT, [("t_us", "u8"), *((f"g{axis}_dps", "f8") for axis in "xyz")])
+    records["t_us"] = micros
+    with h5py.File(path, "w") as file:
+        file["log"] = records
+        file["log"].attrs["units"] = np.bytes_(b"rad/s")
+    assert read_rates(path).t_ns.tolist() == (micros * 1000).tolist()
+
+
 def test_the_time_beside_the_rates_is_theirs(tmp_path):
     """Another group's time is not."""
     path = tmp_path / "a.h5"

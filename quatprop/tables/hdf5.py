@@ -23,6 +23,7 @@ _MAGIC = b"\x89HDF\r\n\x1a\n"
 _CHUNK_CACHE_BYTES = 1 << 26
 _SAMPLE_RATES = ("sampling_rate", "sample_rate")
 _COLUMN_NAMES = ("columns", "column_names", "names")
+_UNITS = ("Units", "units", "Unit", "unit")
 _MOST_UNPACKED = 2000
 """Bytes that a byte of the file may become: deflate stops at 1032."""
 
@@ -105,10 +106,12 @@ class Hdf5Log(NumpyTable):
             return
         name = path.replace("/", ".")
         given = _given_names(item, len(columns))
+        # One unit is not that of columns of several quantities.
+        unit = "" if given or item.dtype.names else _unit(item)
         for column, own in zip(columns, given or [""] * len(columns), strict=True):
             inner = own or column.name
             dot = "." if inner and not inner.startswith("[") else ""
-            self._add_column(name + dot + inner, path, column)
+            self._add_column(name + dot + inner + unit, path, column)
 
     def _open_rows(self, member: str) -> BinaryIO:
         return cast("BinaryIO", nullcontext(_DatasetBytes(self._file[member])))
@@ -205,6 +208,15 @@ def _sample_rate(file: Any) -> float | None:
         if value.size == 1 and value.dtype.kind in "iuf" and 0 < value.flat[0] < np.inf:
             return float(value.flat[0])
     return None
+
+
+def _unit(dataset: Any) -> str:
+    """Return the unit that an attribute of the dataset declares, as headers of columns have it."""
+    for name in _UNITS:
+        value = _attribute(dataset, name)
+        if value.dtype.kind == "S" and value.size == 1 and value.flat[0].strip():
+            return f" [{value.flat[0].decode(errors='replace').strip()}]"
+    return ""
 
 
 def _given_names(dataset: Any, count: int) -> list[str]:
