@@ -42,6 +42,13 @@ def test_help_fits_the_terminal(name, width):
     assert width == 80 or max(map(len, whole)) > 80
 
 
+def test_long_examples_go_on_in_a_second_line():
+    """They can be copied as they are."""
+    shown = run("check", "--help", width=60, NO_COLOR="1").output
+    first = "  quatprop check suite.toml --init sample_logs/spin.csv"
+    assert f"\n{first} \\\n    sample_logs/tumbling.bag\n" in shown
+
+
 @pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot"])
 def test_help_all_shows_every_option(name):
     """The common ones are among them, in the same groups."""

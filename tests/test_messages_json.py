@@ -365,12 +365,13 @@ def test_a_topic_in_an_encoding_that_is_not_read_is_listed_with_it(tmp_path):
         schema = writer.register_schema("foxglove.Imu", "flatbuffer", b"")
         writer.add_message(writer.register_channel("/imu", "flatbuffer", schema), 1, b"imu", 1)
         writer.finish()
-    with open_log(path) as log, pytest.raises(NoRatesError) as raised:
-        choose_rates(log, RateSelection())
-    assert str(raised.value) == (
-        f"{path}: no body rates found; its topics are '/imu (foxglove.Imu, encoded as flatbuffer, "
-        "which is not read)'; name the field with topic and rate_field"
-    )
+    for topic in (None, "/imu", "/nothing"):
+        with open_log(path) as log, pytest.raises(NoRatesError) as raised:
+            choose_rates(log, RateSelection(topic=topic))
+        assert str(raised.value) == (
+            f"{path}: no body rates found; its topics are '/imu (foxglove.Imu, encoded as "
+            "flatbuffer, which is not read)'; name the field with topic and rate_field"
+        )
 
 
 def test_definitions_with_and_without_a_stamp_are_not_mixed(tmp_path):

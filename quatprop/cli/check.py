@@ -82,7 +82,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
       reference = "refs/flight.parquet"
       [case.capture]
       log = "logs/flight.bag"
-      reference-topic = "/vicon/body"
+      reference-log = "refs/vicon.csv"
       align = "mount"
       tol = "3deg"
 

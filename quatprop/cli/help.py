@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -124,7 +125,11 @@ class Command(click.Command):
         """Write the examples, and the options by group."""
         if self.examples:
             with formatter.section(styled("Examples", bold=True)):
-                formatter.write("".join(f"  {line}\n" for line in self.examples))
+                for line in self.examples:
+                    # A line that is too long goes on below, with the mark of the shell.
+                    room = formatter.width - (4 if len(line) > formatter.width else 0)
+                    parts = wrap(line, room, break_long_words=False, break_on_hyphens=False)
+                    formatter.write("  {}\n".format(" \\\n    ".join(parts)))
         every = ctx.meta.get(ALL) or not self._grouped
         groups: dict[str, list[tuple[str, str]]] = {OWN: [], **{title: [] for title in GROUPS}}
         for option in self.get_params(ctx):

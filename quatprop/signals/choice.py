@@ -224,11 +224,11 @@ def message_candidates(
         if not known:
             there = f"the topics are {listed(map(_described, channels))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
-    if selection.topic is None:
-        raise kind.none(log.path, map(_described, channels))
     anywhere = replace(selection, topic=None, **{kind.field: None})
     topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
-    choices = f"choose one of {listed(topics)}" if topics else "no topic of this log does"
+    if selection.topic is None or not topics:
+        raise kind.none(log.path, map(_described, channels_of(log)))
+    choices = f"choose one of {listed(topics)}"
     choices += did_you_mean(selection.topic, topics) if len(topics) > 1 else ""
     raise NoSuchTopicError(
         log.path, f"no topic {quoted(selection.topic)} that carries {kind.name}; {choices}"
