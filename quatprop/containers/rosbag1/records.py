@@ -12,6 +12,7 @@ ROS wiki, "Bags/Format/2.0".
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -192,18 +193,16 @@ def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
     """
     entries: dict[int, NDArray[np.void]] = {}
     at = 0
-    while at < len(data):
-        try:
+    with suppress(UnreadableDataError):
+        while at < len(data):
             record = record_at(data, at)
-            if record.op != OP_INDEX_DATA or record.number(b"ver") != 1:
-                break
             conn, count = record.number(b"conn"), record.number(b"count")
-        except UnreadableDataError:
-            break
-        if record.end - record.data != count * INDEX_ENTRY.itemsize or record.end > len(data):
-            break
-        entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
-        at = record.end
+            is_index = record.op == OP_INDEX_DATA and record.number(b"ver") == 1
+            size = count * INDEX_ENTRY.itemsize
+            if not is_index or record.end - record.data != size or record.end > len(data):
+                break
+            entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
+            at = record.end
     return entries
 
 
@@ -224,12 +223,8 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
 
 def begin_of_messages(data: NDArray[np.uint8]) -> int | None:
     """Return where the first message of a decompressed chunk begins; None where none is found."""
-    try:
-        for record in walked_records(data):
-            if record.op == OP_MESSAGE:
-                return record.start
-    except UnreadableDataError:
-        pass
+    with suppress(UnreadableDataError):
+        return next((each.start for each in walked_records(data) if each.op == OP_MESSAGE), None)
     return None
 
 

@@ -10,7 +10,7 @@ SQLite, "Database File Format", sections 1.5 to 2.1.
 from __future__ import annotations
 
 import struct
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.file_source import FileSource
@@ -73,13 +73,10 @@ def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages
         As for :class:`TablePages`.
     """
     wal_name = f"{path.name}-wal"
-    with ExitStack() as stack:
-        source = stack.enter_context(FileSource(path))
-        if wal_name not in files_beside(path):
-            yield TablePages(source, columns)
-            return
-        wal = stack.enter_context(FileSource(path.with_name(wal_name)))
-        yield TablePages(source, columns, read_wal(wal).offsets, wal)
+    has_wal = wal_name in files_beside(path)
+    beside = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
+    with FileSource(path) as source, beside as wal:
+        yield TablePages(source, columns, read_wal(wal).offsets if wal else {}, wal)
 
 
 class TablePages:
@@ -94,18 +91,18 @@ class TablePages:
     overlay
         Pages by number that a write-ahead log has newer: where they are in `wal`.
     wal
-        The write-ahead log.
+        The write-ahead log; None where there is none.
     """
 
     def __init__(
         self,
         source: FileSource,
         columns: tuple[int, int, int],
-        overlay: Mapping[int, int] | None = None,
-        wal: FileSource | None = None,
+        overlay: Mapping[int, int],
+        wal: FileSource | None,
     ) -> None:
         self._source, self._columns = source, columns
-        self._overlay, self._wal = overlay or {}, wal
+        self._overlay, self._wal = overlay, wal
         head = source.read(0, _FILE_HEAD)
         size = int.from_bytes(head[16:18], "big")
         self.page_size = 1 << 16 if size == 1 else size
