@@ -20,10 +20,10 @@ T0 = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
 
 
-def bag(path, stamps, frames=("imu",)):
-    """Write Imu messages with these header stamps, ns, recorded every 10 ms from T0 on.
+def bag(path, stamps, frames=("imu",), recorded=None):
+    """Write Imu messages with these header stamps, ns; their frames take turns.
 
-    Their frames take turns.
+    They are recorded every 10 ms from T0 on, or at other times.
     """
     types = STORE.types
     vector, zeros = types["geometry_msgs/msg/Vector3"], np.zeros(9)
@@ -38,7 +38,8 @@ def bag(path, stamps, frames=("imu",)):
                 *(attitude, zeros, rate, zeros, vector(0.0, 0.0, 9.8), zeros),
             )
             packed = STORE.serialize_ros1(message, IMU)
-            writer.write(connection, T0 + number * STEP_NS, bytes(packed))
+            log_ns = T0 + number * STEP_NS if recorded is None else recorded[number]
+            writer.write(connection, log_ns, bytes(packed))
     return path
 
 
@@ -66,6 +67,20 @@ def test_stamps_since_start_up_are_remarked_on(tmp_path):
     assert remarks(path, tmp_path, clock="log") == []
     (source,) = survey(str(path), None, RateSelection()).sources
     assert list(map(str, source.remarks)) == [said]
+
+
+@pytest.mark.parametrize(("back_ms", "is_said"), [(105, False), (115, True), (3_600_000, True)])
+def test_a_clock_of_the_recorder_that_is_set_back_is_remarked_on(tmp_path, back_ms, is_said):
+    """Samples of both settings are mixed by their times, and that cannot be seen in the result."""
+    stamps = [T0 + k * STEP_NS - (back_ms * 1_000_000 if k > 25 else 0) for k in range(50)]
+    path = bag(tmp_path / "log.bag", stamps, recorded=stamps)
+    remark = (
+        "the log times of topic '/imu' step back on the way by more than 100 ms, as where the "
+        "recorder's clock was set back; samples are taken in the order of their log times"
+    )
+    assert (remark in remarks(path, tmp_path)) == is_said
+    (source,) = survey(str(path), None, RateSelection()).sources
+    assert (remark in source.remarks) == is_said
 
 
 def test_stamps_of_zero_are_counted(tmp_path):

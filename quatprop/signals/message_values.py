@@ -20,6 +20,8 @@ from quatprop.messages.decoders import decoder_of
 from quatprop.messages.values import raw_messages
 from quatprop.progress import metered
 from quatprop.series import GyroSeries
+from quatprop.text import quoted
+from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -36,6 +38,10 @@ if TYPE_CHECKING:
 
 ABSENT = -1.0
 """What the first number of a covariance is where the value beside it is not measured."""
+
+
+CLOCK_STEP_NS = 100_000_000
+"""Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
 
 
 def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
@@ -194,10 +200,23 @@ def logged_values(
     return merge_by_time([batches]) if log.has_log_time else filter(len, batches)
 
 
+def _remark_on_step(log: MessageLog, channel: Channel, log_ns: Int64) -> None:
+    """Remark on log times, in the order of the log, that step back as after setting a clock."""
+    remark = (
+        f"the log times of topic {quoted(channel.topic)} step back on the way by more than "
+        f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; samples are "
+        "taken in the order of their log times"
+    )
+    if log.has_log_time and np.diff(log_ns).min() < -CLOCK_STEP_NS and remark not in log.remarks:
+        log.remarks = [*log.remarks, remark]
+
+
 def _readable(
     log: MessageLog, channel: Channel, reader: MessageReader, block: MessageBlock
 ) -> Columns:
     """Return the rows of a block without the messages that do not fit."""
+    if (block.log_ns[1:] < block.log_ns[:-1]).any():
+        _remark_on_step(log, channel, block.log_ns)
     try:
         return reader(block)
     except MessageError as error:
