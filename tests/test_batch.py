@@ -275,6 +275,22 @@ def test_logs_can_be_listed(tmp_path):
     assert "empty'; name files" in empty
 
 
+def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
+    """As in a job of which the scheduler says on how many cores it runs."""
+    counts = []
+
+    def noted(_tasks, _settings, processes, *_options):
+        counts.append(processes)
+        yield from ()
+
+    monkeypatch.setattr("quatprop.batch.run.on_this_machine", noted)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {1, 4, 6}, raising=False)
+    source = log(tmp_path / "a.csv")
+    run(source, "-o", tmp_path / "out", "-q")
+    run(source, "-o", tmp_path / "out", "-q", "-j", 5)
+    assert counts == [3, 5]
+
+
 def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
     """They are counted; one that is named is an error."""
     log(tmp_path / "in" / "imu.csv")
