@@ -331,6 +331,11 @@ def test_two_logs_never_share_an_output(tmp_path):
     done = run(one, other, "-o", out)
     assert done.exit_code == 2
     assert done.stderr == (
+        f"Error: '{one}' and '{other}' would both be written to '{out / 'a.parquet'}'; rename one "
+        "of them\n"
+    )
+    other = log(tmp_path / "b" / "a.csv")
+    assert run(one, other, "-o", out).stderr == (
         f"Error: '{one}' and '{other}' would both be written to '{out / 'a.parquet'}'; keep their "
         "folders in the names with --root DIR, a folder above both, or write to another folder\n"
     )

@@ -202,7 +202,7 @@ def test_the_page_of_propagate_has_its_summary(tmp_path):
     for line in summary.splitlines():
         assert " ".join(line.split()) in words
     assert "first 2023-11-14 22:13:21 UTC" in words
-    assert "max gap 10 median intervals start 1700000001000000000 ns" in words
+    assert "max gap 10 median intervals start 1700000001000000000 ns Made from" in words
 
 
 @pytest.mark.parametrize("command", ["plot", "compare", "propagate"])

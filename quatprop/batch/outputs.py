@@ -49,7 +49,9 @@ def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str
             one, other, both = (
                 quoted(without_secret(path)) for path in (owner.path, log.path, paths[-1])
             )
-            raise UsageError(f"{one} and {other} would both be written to {both}; ", OTHER_OUTPUT)
+            folders = {os.path.dirname(path) for path in (owner.path, log.path)}  # noqa: PTH120
+            way_out = OTHER_OUTPUT if len(folders) > 1 else "rename one of them"
+            raise UsageError(f"{one} and {other} would both be written to {both}; ", way_out)
     return paths
 
 

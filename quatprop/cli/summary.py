@@ -59,6 +59,8 @@ def summary(report: RunReport, *, verbose: bool) -> list[str]:
         Also state conventions, policies and timings.
     """
     rows = [*facts(report), *(conventions(report) if verbose else ())]
+    if verbose and report.seconds is not None:
+        rows.append(("seconds", f"{report.seconds:.3f}"))
     lines = lines_of(rows, width=INDENT - 1)
     lines += [f"warning: {spelled(remark)}" for remark in report.remarks]
     return lines + loss_lines(report.losses)

@@ -132,5 +132,3 @@ def conventions(report: RunReport) -> Iterator[Row]:
     for name, t_ns in (("start", conditioning.start_ns), ("end", conditioning.end_ns)):
         if t_ns is not None:
             yield name, f"{t_ns} ns"
-    if report.seconds is not None:
-        yield "seconds", f"{report.seconds:.3f}"
