@@ -268,14 +268,9 @@ class MessageLog(Log):
         return None
 
     def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the parts of the log that the index has in a time range.
+        """Yield the messages of the parts of the log that the index has in a range of log times.
 
-        Parameters
-        ----------
-        channel
-            One of :meth:`channels` that has a :meth:`recorded_span`.
-        within
-            The range of log times.
+        The channel is one of :meth:`channels` that has a :meth:`recorded_span`.
         """
         raise NotImplementedError
 

@@ -10,7 +10,6 @@ PX4 user guide, "ULog File Format".
 
 from __future__ import annotations
 
-import re
 import struct
 from array import array
 from dataclasses import dataclass, field, replace
@@ -22,7 +21,7 @@ from quatprop.containers.base import Channel, Losses, MessageBlock, MessageLog, 
 from quatprop.containers.file_source import FileSource, source_of
 from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
 from quatprop.messages.decoders import decoder_of
-from quatprop.messages.ulog import px4_name
+from quatprop.messages.ulog import definition_text, px4_name
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ _FLAGS = struct.Struct("<8s8s3Q")
 _FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
 _KINDS = frozenset(b"BFIMPQARDLCSO")
 _IDS = 1 << 16
-_WORD = re.compile(r"\w+")
 
 
 @dataclass(slots=True)
@@ -202,7 +200,7 @@ def _ids_by_channel(records: _Records) -> dict[Channel, list[int]]:
             type_name=px4_name(name),
             encoding="ulog",
             schema_encoding="ulog",
-            schema=_definition(name, records.formats),
+            schema=definition_text(name, records.formats),
         )
         ids.setdefault(channel, []).append(id_)
     return ids
@@ -299,12 +297,3 @@ def _first_message(data: bytes, sizes: Int64) -> int:
     kinds = 1 + np.flatnonzero(numbers[3:-2] == _DATA)
     found = kinds[sizes[pairs[kinds + 3]] == pairs[kinds]]
     return int(found[0]) if len(found) else -1
-
-
-def _definition(name: str, formats: dict[str, str]) -> bytes:
-    """Return the definitions of a message and of all types inside it, one a line."""
-    needed = [name] if name in formats else []
-    for type_name in needed:
-        words = dict.fromkeys(_WORD.findall(formats[type_name]))
-        needed += [word for word in words if word in formats and word not in needed]
-    return "\n".join(f"{type_name}:{formats[type_name]}" for type_name in needed).encode()

@@ -66,6 +66,15 @@ def is_secondary(channel: Channel) -> bool:
     return channel.encoding == "ulog" and channel.topic.partition("/")[0] in MESSAGE_OF_TOPIC
 
 
+def definition_text(name: str, formats: Mapping[str, str]) -> bytes:
+    """Return the definitions of a message and of all types inside it, one a line."""
+    needed = [name] if name in formats else []
+    for type_name in needed:
+        words = dict.fromkeys(re.findall(r"\w+", formats[type_name]))
+        needed += [word for word in words if word in formats and word not in needed]
+    return "\n".join(f"{type_name}:{formats[type_name]}" for type_name in needed).encode()
+
+
 def message_type(channel: Channel) -> Struct:
     """Return the type of a channel's messages.
 
