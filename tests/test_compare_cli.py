@@ -166,7 +166,7 @@ def test_what_is_no_rotation_is_refused_or_left_out(files, tmp_path):
     )
     dropped = run("compare", a, holed, "--on-invalid", "drop", "--tol", "1e-9rad")
     assert dropped.exit_code == 3
-    assert "lost      1 rows of B are invalid quaternions" in dropped.stdout
+    assert "lost      1 invalid quaternion of B\n" in dropped.stdout
 
 
 @pytest.mark.parametrize(

@@ -5,15 +5,12 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.settings import CHECKS, PROPAGATE, READ_ATTITUDES
+from quatprop.settings import CHECKS, OPTION_NAMES, PROPAGATE, READ_ATTITUDES
 from quatprop.settings.parsers import flag
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
-
-KEY_NAMES = {"kind": "from"}
-"""Settings whose key has another name."""
 
 FLAGS = {name for name, parser in {**PROPAGATE, **READ_ATTITUDES}.items() if parser is flag}
 """Settings that are on or off."""
@@ -21,7 +18,7 @@ FLAGS = {name for name, parser in {**PROPAGATE, **READ_ATTITUDES}.items() if par
 
 def suite_key(setting: Setting, side: str = "") -> str:
     """Return a setting as a key of a case, such as ``clock = "log"``; B is the reference."""
-    name = KEY_NAMES.get(setting.name, setting.name).replace("_", "-")
+    name = OPTION_NAMES.get(setting.name, setting.name).replace("_", "-")
     if name == "update":  # an option of the command, not a key of a case
         return f"--{name}"
     if side == "b" and setting.name not in CHECKS:

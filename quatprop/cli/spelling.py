@@ -7,14 +7,11 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from quatprop.settings import CHECKS, READ_RATES
+from quatprop.settings import CHECKS, OPTION_NAMES, READ_RATES
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
-
-OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
-"""Settings whose option has another name."""
 
 LOOKUPS = {"at", "q0", "info"}
 """Sides whose attitudes are only looked up; quatprop convert can say everything about them."""

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     ParamType = click.ParamType[Any]
-    Choice = click.Choice[str]
 else:
-    # Older versions of click cannot be subscripted.
+    # That of older versions of click cannot be subscripted.
     ParamType = click.ParamType
-    Choice = click.Choice
 
 
 class _Path(click.Path):
@@ -80,7 +78,7 @@ class Parsed(ParamType):
         return values(str(param.name), ctx, incomplete)
 
 
-class OneOf(Choice):
+class OneOf(click.Choice[str]):
     """An option that takes one of a few names, and names the one that was probably meant."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:

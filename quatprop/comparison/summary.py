@@ -6,7 +6,7 @@ import math
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.rendering import angle_text, degrees_text, loss_lines, source_text
+from quatprop.rendering import angle_text, count_text, degrees_text, loss_lines, source_text
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -222,6 +222,6 @@ def _remarks(name: str, operand: ReadAttitudes, spell: Spell) -> Iterator[Row]:
     for remark in operand.signal.remarks:
         yield "remark", f"{name}: {spell(remark)}"
     if operand.counts.invalid:
-        yield "lost", f"{operand.counts.invalid} rows of {name} are invalid quaternions"
+        yield "lost", f"{count_text(operand.counts.invalid, 'invalid quaternion')} of {name}"
     for line in loss_lines(operand.losses):
         yield "", line

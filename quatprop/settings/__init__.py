@@ -50,6 +50,8 @@ EULER_SEQUENCES = (
 SIGMA_AXES = ("body", "reference")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
+OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
+"""Settings whose name as an option or a key of a suite is a word of Python -> that name."""
 
 
 class SelectOptions(TypedDict, total=False):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import UsageError
-from quatprop.settings import PROPAGATE
+from quatprop.settings import OPTION_NAMES, PROPAGATE
 from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
@@ -43,10 +43,6 @@ def parse_all(
     return values
 
 
-OTHER_NAMES = {"as": "representation", "from": "kind", "with": "beside"}
-"""Options whose names are words of Python -> the keyword."""
-
-
 def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
     """Refuse keywords that a function has not, and name the one that was probably meant.
 
@@ -62,10 +58,11 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
     UsageError
         One of them is unknown.
     """
+    keywords = {option: keyword for keyword, option in OPTION_NAMES.items()}
     for name in options:
         if name in names:
             continue
-        keyword = OTHER_NAMES.get(name.rstrip("_"))
+        keyword = keywords.get(name.rstrip("_"))
         if name == "euler_unit" and "beside" in names:
             way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
         elif keyword in names:
