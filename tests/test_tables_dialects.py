@@ -59,6 +59,7 @@ KNOWN = {
         *("x-io", (1, 2, 3), "deg/s", (0,), "us"),
     ),
     "time_ms,gyro_x_dps,gyro_y_dps,gyro_z_dps": ("", (1, 2, 3), "deg/s", (0,), "ms"),
+    "T [\u00b0C],timestamp_ms,gx_dps,gy_dps,gz_dps": ("", (2, 3, 4), "deg/s", (1,), "ms"),
     "t [s];omega_z [rad/s];omega_y [rad/s];omega_x [rad/s]": ("", (3, 2, 1), "rad/s", (0,), "s"),
     "timestamp,TimeUS,I,GyrX,GyrY,GyrZ,AccX,T": ("ArduPilot", (3, 4, 5), "rad/s", (1,), "us"),
     "loopIteration,time (us),axisP[0],gyroADC[0],gyroADC[1],gyroADC[2]": (

@@ -63,8 +63,6 @@ class CsvLayout:
         The header line without its end; empty where there is none.
     dates
         Positions of columns of dates and times of day, with ``"UTC"`` where they name a zone.
-    first_rows
-        The cells of rows near the beginning.
     """
 
     names: list[str]
@@ -75,7 +73,6 @@ class CsvLayout:
     notes: TableNotes
     header: bytes = b""
     dates: Mapping[int, str | None] = field(default_factory=dict)
-    first_rows: list[list[str]] = field(default_factory=list)
 
     def without_headers(self, data: bytes) -> bytes:
         """Return rows with blank lines where the header is repeated, as in joined files."""
@@ -110,8 +107,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     delimiter = _delimiter(texts)
     # The provenance of our own files is JSON in a comment, full of numbers and commas.
     rows = [[] if text.startswith(_OURS) else split_cells(text, delimiter) for text in texts]
-    first = next((k for k, row in enumerate(rows) if _is_data(row)), len(rows))
-    data = [row for row in rows[first:] if _is_data(row)]
+    first = next((k for k, row in enumerate(rows) if is_data(row)), len(rows))
+    data = [row for row in rows[first:] if is_data(row)]
     width = len(data[0]) if data else max(map(len, rows), default=0)
     header = header_row(rows[:first], data)
     if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
@@ -136,7 +133,6 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
         notes=notes._replace(units=units),
         dates=dates,
-        first_rows=[row for row in data if len(row) == width],
     )
 
 
@@ -177,7 +173,8 @@ def _text(line: bytes) -> str:
         return line.decode("latin-1")
 
 
-def _is_data(row: list[str]) -> bool:
+def is_data(row: list[str]) -> bool:
+    """Return whether a row has numbers enough for one of rates."""
     return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= RATES
 
 
@@ -188,7 +185,7 @@ def _delimiter(texts: list[str]) -> str:
         rows = [split_cells(text, mark) for text in texts]
         widths = set(map(len, rows))
         # The last is for a table that is too narrow for rates: the error lists its columns.
-        return sum(map(_is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
+        return sum(map(is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
     # Tabs and blanks are also between cells where no mark is.
     text = "".join(texts)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
-from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout
+from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout, is_data, split_cells
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
@@ -96,7 +96,15 @@ class CsvLog(TableLog):
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
-        return [tuple(row[k] for k in columns) for row in self._layout.first_rows]
+        whole = self._head
+        if len(whole) == HEAD_BYTES:
+            whole = whole[: whole.rfind(b"\n") + 1]
+        lines = whole[self._layout.body :].decode(errors="replace").splitlines()
+        rows = (split_cells(line, self._layout.delimiter) for line in lines)
+        width = len(self._layout.names)
+        return [
+            tuple(row[k] for k in columns) for row in rows if len(row) == width and is_data(row)
+        ]
 
     def row_count(self) -> int | None:
         """Return the size of the file divided by that of its first rows; None if compressed."""

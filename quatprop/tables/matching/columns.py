@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.matching.column_names import parse_name
+from quatprop.tables.matching.column_names import TIME_UNITS, parse_name
 from quatprop.tables.matching.dialects import SENSOR
+from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -157,6 +160,26 @@ class TableColumns:
         """Return the unit that the header declares of columns; ``""`` where it does not."""
         units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
         return units.pop() if len(units) == 1 else ""
+
+    def are_two_clocks(self, seconds: int, part: int) -> bool:
+        """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 2 s.
+
+        In odd messages of ROS the nanoseconds go on a little beyond a second.
+        """
+        unit = self.fraction_unit(part)
+        for cells in self._head((seconds, part)):
+            with suppress(ValueError):
+                whole, fraction = from_text(f"{cells[0]}", "s"), from_text(f"{cells[1]}", unit)
+                if whole % NS_PER_S or fraction >= 2 * NS_PER_S:
+                    return True
+        return False
+
+    def fraction_unit(self, k: int) -> str:
+        """Return the unit of the second column of a stamp; ns, as in ROS, if nothing says it."""
+        word = re.split(r"[._]", self.columns[k].key)[-1]
+        declared = self.declared((k,))
+        units = (u for u, names in TIME_UNITS.items() if u == declared or word in names)
+        return next(units, "ns")
 
     def refuse_unknown(self, positions: Positions, unit: str, units: Collection[str]) -> None:
         """Refuse a declared unit that is not one of those that are read."""

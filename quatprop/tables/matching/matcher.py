@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -18,9 +17,7 @@ from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
 from quatprop.tables.matching.column_names import TIME_UNITS
 from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import DIALECTS, GENERIC, TIME_NAMES, Dialect
-from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, listed, plain
-from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -176,7 +173,7 @@ class ColumnMatcher(TableColumns):
             convention = dialect.time_unit if by_convention else ""
             unit = self.unit("time", time, TIME_UNITS, convention)
         elif time:
-            unit, fraction_unit = "s", self._fraction_unit(time[1])
+            unit, fraction_unit = "s", self.fraction_unit(time[1])
         if self.unknown:
             unknown, ways = (" and ".join(f"{part}" for part in parts)
                              for parts in zip(*self.unknown, strict=True))  # fmt: skip
@@ -221,6 +218,10 @@ class ColumnMatcher(TableColumns):
         beside = (rf"{re.escape(group)}\.(?:{TIME_NAMES})" for group in groups)
         for pattern in (*self._clock(dialect), *beside):
             positions = self.matching(pattern)
+            if len(positions) > 1:
+                # T (K) beside t (s) is a temperature.
+                units = {"", OTHER_DATES, *TIME_UNITS}
+                positions = [k for k in positions if self.declared((k,)) in units] or positions
             if len(positions) == 1:
                 return self._with_fraction(positions[0]), None
             if positions:
@@ -272,28 +273,8 @@ class ColumnMatcher(TableColumns):
         if not match:
             return (first,)
         others = self.matching(re.escape(match[1] or "") + f"(?:{_PARTS_OF_A_SECOND})")
-        if not (others and self._are_two_clocks(first, others[0])):
+        if not (others and self.are_two_clocks(first, others[0])):
             return (first, *others[:1])
         if is_named:
             return (first,)
         raise self._ambiguous_time((first, others[0]))
-
-    def _are_two_clocks(self, seconds: int, part: int) -> bool:
-        """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 2 s.
-
-        In odd messages of ROS the nanoseconds go on a little beyond a second.
-        """
-        unit = self._fraction_unit(part)
-        for cells in self._head((seconds, part)):
-            with suppress(ValueError):
-                whole, fraction = from_text(f"{cells[0]}", "s"), from_text(f"{cells[1]}", unit)
-                if whole % NS_PER_S or fraction >= 2 * NS_PER_S:
-                    return True
-        return False
-
-    def _fraction_unit(self, k: int) -> str:
-        """Return the unit of the second column of a stamp; ns, as in ROS, if nothing says it."""
-        word = re.split(r"[._]", self.columns[k].key)[-1]
-        declared = self.declared((k,))
-        units = (u for u, names in TIME_UNITS.items() if u == declared or word in names)
-        return next(units, "ns")
