@@ -786,7 +786,9 @@ def test_github_gets_a_summary_and_annotations(folder, monkeypatch):
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     monkeypatch.chdir(folder)
     result = check("suite.toml", "--json")
-    assert json.loads(result.stdout)["failed"] == 1
+    counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0}
+    report = json.loads(result.stdout)
+    assert (report["passed"], report["counts"]) == (False, counts)
     first, second = result.stderr.splitlines()
     assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
     assert second == (

@@ -122,13 +122,15 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         results = _run(cases, pins, lock, options)
     if options["init"] and not options["as_json"]:
         _report_new(loaded, results)
+    missing = options["strict"] and deleted and lock is None
+    code = exit_code(results, strict=options["strict"]) or int(bool(missing))
     if options["as_json"]:
-        click.echo(json.dumps(_report(loaded, results, deleted), indent=2))
+        report = _report(loaded, results, deleted, passed=not code)
+        click.echo(json.dumps(report, indent=2))
     _report_to_ci(loaded, results, options["junit"])
     if deleted:
         _report_deleted(all_cases, deleted, updating=lock is not None)
-    missing = options["strict"] and deleted and lock is None
-    return exit_code(results, strict=options["strict"]) or int(bool(missing))
+    return code
 
 
 @contextmanager
@@ -214,8 +216,11 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
         checked_place(junit)
 
 
-def _report(suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin]) -> Any:
+def _report(
+    suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin], *, passed: bool
+) -> Any:
     from quatprop import __version__
+    from quatprop.check.reports import VERDICTS
     from quatprop.provenance import as_json
 
     verdicts = [result.verdict for result in results]
@@ -223,9 +228,8 @@ def _report(suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin])
         {
             "quatprop": __version__,
             "suite": suite.path,
-            "passed": verdicts.count("pass"),
-            "failed": verdicts.count("fail"),
-            "errors": verdicts.count("error"),
+            "passed": passed,
+            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
             "deleted": list(deleted),
             "cases": [result.report() for result in results],
         }
