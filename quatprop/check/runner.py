@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
@@ -127,14 +128,12 @@ def run_cases(
     work = partial(run_case, updating=lock is not None, artifacts=artifacts)
     results = map_processes(work, pinned, processes, _killed, record=record)
     try:
-        yield from in_order(results)
+        with closing(results):
+            yield from in_order(results)
     finally:
-        try:
-            results.close()
-        finally:
-            if lock is not None:
-                # After an interruption, too: the lock must have the references that were written.
-                write_lock(lock, new_pins)
+        if lock is not None:
+            # After an interruption, too: the lock must have the references that were written.
+            write_lock(lock, new_pins)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.blocks import blocks
+from quatprop.comparison.settings import BY_ALL
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
 from quatprop.text import Setting
@@ -29,9 +30,6 @@ RELATIVE_FLOOR = 1e-7
 
 ROUNDING_RAD = 1e-9
 """Errors up to this are rounding errors where the standard deviation is 0."""
-
-EXACT_ALIGNMENTS = ("none", "first")
-"""Alignments that leave an exact first attitude exact; the others are estimates themselves."""
 
 
 class ErrorStatistics(NamedTuple):
@@ -197,7 +195,8 @@ def sigma_statistics(
         covariance[~is_known] = 0.0
         axes[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_exact[rows] = np.trace(covariance, axis1=1, axis2=2) == 0
-        if alignment.name not in EXACT_ALIGNMENTS:
+        if alignment.name in BY_ALL:
+            # It is an estimate itself, and leaves no attitude exact.
             is_known &= ~is_exact[rows]
         step = multiply(conjugate(pairs.a[rows]), alignment.apply(pairs.b[rows]))
         error = log(shorter(step))
