@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import propagate
 from quatprop.errors import LogError, UsageError
@@ -123,6 +123,35 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
         f"{path}: no message has a field 'angular_velocty'; the body rates that are recognised "
         "are 'angular_velocity (/imu)'"
     )
+
+
+@pytest.mark.parametrize(
+    ("field", "reason"),
+    [
+        (
+            "samples[0].angular",
+            (
+                "has no field 'samples[0].angular' in every message: a sequence may be empty; "
+                "name a field outside it"
+            ),
+        ),
+        (
+            "vec.x,vec.y,vec.w",
+            "has no field 'vec.w'; 'geometry_msgs/msg/Vector3' has 'x', 'y', 'z'",
+        ),
+    ],
+)
+def test_a_field_of_the_only_topic_is_looked_for_in_its_definition(tmp_path, field, reason):
+    """What is there is said, and why samples in a sequence are not read."""
+    definition = "geometry_msgs/Vector3 vec\ngeometry_msgs/Twist[] samples\n"
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(definition, "pkg/msg/Batch"))
+    with Writer(tmp_path / "log.bag") as writer:
+        connection = writer.add_connection("/batch", "pkg/msg/Batch", typestore=store)
+        writer.write(connection, T0, bytes(28))
+    with open_log(tmp_path / "log.bag") as log, pytest.raises(LogError) as raised:
+        choose_rates(log, RateSelection(rate_field=field))
+    assert str(raised.value) == f"{tmp_path / 'log.bag'}: 'pkg/msg/Batch' {reason}"
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from quatprop.errors import (
 )
 from quatprop.messages.decoders import DECODERS
 from quatprop.messages.definitions import message_type
+from quatprop.messages.schema import at
 from quatprop.signals.message_values import channels_of, series_of, stamps_of
 from quatprop.signals.signal import RateSignal, Signal, no_parts
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
@@ -169,8 +170,9 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
 
 def _described(channel: Channel) -> str:
     """Return topic, type, and the encoding where it is not read."""
-    unread = channel.encoding not in DECODERS
-    encoding = f", encoded as {channel.encoding}, which is not read" if unread else ""
+    encoding = ""
+    if channel.encoding not in DECODERS:
+        encoding = f", encoded as {channel.encoding or 'nothing known'}, which is not read"
     return f"{channel.topic} ({channel.type_name}{encoding})"
 
 
@@ -213,8 +215,6 @@ def message_candidates(
     if found := [one for channel in channels for one in find(log, channel, selection)]:
         return found
     if channels and (name := getattr(selection, kind.field)) is not None:
-        if len(channels) == 1:
-            message_type(channels[0], log.path)  # its definition may be what is missing
         known = [
             f"{candidate.field} ({channel.topic})"
             for channel in channels
@@ -222,6 +222,11 @@ def message_candidates(
         ]
         there = f"the {kind.name} that are recognised are {listed(known)}"
         if not known:
+            if len(channels) == 1:
+                # Its definition says what is there, unless that is what is missing.
+                root = message_type(channels[0], log.path)
+                for part in name.split(","):
+                    at(root, part.strip(), log.path)
             there = f"the topics are {listed(map(_described, channels))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
     anywhere = replace(selection, topic=None, **{kind.field: None})
