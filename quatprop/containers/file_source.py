@@ -68,14 +68,10 @@ class FileSource:
         OSError
             The medium is damaged there.
         """
-        length = min(length, self.size - start)
-        if length <= 0:
-            return b""  # a damaged place may be one that the system does not take
-        data = self._read(length, start)
-        while len(data) < length:
-            more = self._read(length - len(data), start + len(data))
-            if not more:
-                break
+        end = min(start + length, self.size)
+        data = b""
+        # A damaged place may be beyond what the system takes.
+        while (place := start + len(data)) < end and (more := self._read(end - place, place)):
             data += more
         return data
 

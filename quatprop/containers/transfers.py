@@ -127,9 +127,7 @@ def upload(source: Path, address: str) -> None:
         target = address
         if source.is_dir():
             target = below(address, file.relative_to(source).as_posix())
-        with file.open("rb") as stream:
-            is_empty = not stream.read(1)
-        put(target, b"" if is_empty else pa.memory_map(str(file)).read_buffer())
+        put(target, pa.memory_map(str(file)).read_buffer() if file.stat().st_size else b"")
 
 
 def put(address: str, data: Buffer) -> None:

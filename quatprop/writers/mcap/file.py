@@ -106,12 +106,9 @@ class McapFile:
 
     def _schema_id(self, topic: Topic) -> int:
         """Return the id of a topic's definition, which is declared unless it is there already."""
+        wanted = topic.type_name, topic.schema_encoding, topic.schema
         for schema in self.contents.schemas.values():
-            if (schema.name, schema.encoding, schema.data) == (
-                topic.type_name,
-                topic.schema_encoding,
-                topic.schema,
-            ):
+            if (schema.name, schema.encoding, schema.data) == wanted:
                 return int(schema.id)
         schema = Schema(
             id=_free_id(self.contents.schemas),
