@@ -557,6 +557,60 @@ def test_rows_of_several_sensors_in_turn_are_refused(tmp_path, name, suffix):
         assert len(read_rates(path, rate_cols=["wx", "wy", "wz"]).t_ns) == 9
 
 
+def save_h5(frame, path):
+    """Write a dataset of records."""
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        file["log"] = frame.to_records(index=False, column_dtypes={"sensor": "S5"})
+
+
+def save_npy(frame, path):
+    """Write an array of records."""
+    np.save(path, frame.to_records(index=False, column_dtypes={"sensor": "U5"}))
+
+
+def save_npz(frame, path):
+    """Write an array for each column."""
+    np.savez(path, **{name: np.array(frame[name].tolist()) for name in frame})
+
+
+LATE = {**WRITERS, "parquet": pd.DataFrame.to_parquet, "npy": save_npy, "npz": save_npz,
+        "h5": save_h5}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", LATE)
+def test_a_sensor_that_joins_later_is_found(tmp_path, suffix):
+    """It may be connected only seconds after the first."""
+    sensors = [("left", "right")[k % 2 if k > 900 else 0] for k in range(1000)]
+    frame = pd.DataFrame({"t_ns": range(1000), "sensor": sensors})
+    frame[["gyro_x", "gyro_y", "gyro_z"]] = 1.0
+    path = tmp_path / f"log.{suffix}"
+    LATE[suffix](frame, path)
+    with pytest.raises(UnsupportedLogError, match=r"of several sensors, 'left', 'right' in column"):
+        read_rates(path, rate_unit="rad/s", time_unit="ns")
+    LATE[suffix](frame[:900], path)
+    assert len(read_rates(path, rate_unit="rad/s", time_unit="ns").t_ns) == 900
+
+
+@pytest.mark.parametrize("name", ["Source", "node_id", "name", "MAC Address", "unit", "hand"])
+def test_what_tells_two_instruments_apart_goes_by_many_names(name):
+    """Where it comes and goes from row to row, the rows are of several."""
+    table = pd.DataFrame({"t_ns": range(9), name: ["l", "r", "l"] * 3, **dict.fromkeys(AXES, 1.0)})
+    log = SimpleNamespace(
+        path=Path("log.csv"),
+        notes=TableNotes(),
+        columns=lambda: list(table.columns),
+        head=lambda columns: list(table.iloc[:, list(columns)].itertuples(index=False, name=None)),
+    )
+    with pytest.raises(UnsupportedLogError, match="its rows are of several sensors, 'l', 'r' in"):
+        match_rates(log, RateSelection(rate_unit="rad/s"))
+
+
+def test_differences_of_time_are_not_the_time():
+    """Each is the length of an interval."""
+    with pytest.raises(UndeclaredError, match=r"the time column \(one of 'timediff \(ms\)'\)"):
+        chosen("timediff (ms),gx_dps,gy_dps,gz_dps")
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [

@@ -22,16 +22,14 @@ from quatprop.tables.typed_table import (
     RowGroup,
     TypedTable,
     element_leaves,
-    values_of,
 )
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
 
-_HEAD_ROWS = 200
 _PARQUET_TAIL = 8
 _STREAM = b"\xff\xff\xff\xff"
 _FEATHER_TAIL, _FEATHER_MAGIC, _END_OF_STREAM = 10, b"ARROW1", 8
@@ -65,11 +63,6 @@ class _ArrowLog(TypedTable):
         """Return how the content came about, as the metadata of the file say it."""
         return provenance_in((self._arrow_schema.metadata or {}).get(METADATA_KEY), self.path)
 
-    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
-        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
-        first = [values[:_HEAD_ROWS].to_pylist() for values in self._first_values(columns)]
-        return list(zip(*first, strict=True))
-
     def close(self) -> None:
         """Close the file."""
         self._file.close()
@@ -82,14 +75,6 @@ class _ArrowLog(TypedTable):
         """Return a column of lists in the first rows; empty where they cannot be read."""
         self._leaves = [Leaf(path, pa.null())]
         return next(iter(self._first_values((0,))), pa.array([]))
-
-    def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
-        """Return columns of the first rows; none where they cannot be read."""
-        with suppress(*DAMAGE, StopIteration):
-            group = next(self._row_groups(TimedColumns(tuple(columns), ())))
-            batch = next(iter(group.batches))
-            return [values_of(batch, self._leaves[k]) for k in columns]
-        return []
 
     def _unreadable(self, size: int, reason: str) -> str:
         """Return why nothing of a file of some bytes can be read."""

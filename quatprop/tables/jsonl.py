@@ -62,8 +62,8 @@ class JsonLinesLog(TypedTable):
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
-        self._lines = lines[:_HEAD_LINES]
-        self._leaves = _leaves(self._lines)
+        self._lines = lines
+        self._leaves = _leaves(lines[:_HEAD_LINES])
         if not self._leaves:
             raise UnsupportedLogError(
                 path, "its first lines are no JSON objects; write each row as one, on one line"

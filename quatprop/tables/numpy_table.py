@@ -150,8 +150,10 @@ def _values(data: bytearray, column: ArrayColumn, rows: int) -> pa.Array:
         (rows,), column.dtype, data, column.offset, (column.step,)
     )
     native = stored.astype(column.dtype.newbyteorder("="))
+    if native.dtype.kind == "S":
+        native = np.char.decode(native, "latin-1")
     # Of dates only Arrow knows which are none.
-    return pa.array(native) if native.dtype.kind in "mM" else to_arrow(native)
+    return pa.array(native) if native.dtype.kind in "mMU" else to_arrow(native)
 
 
 class NpyLog(NumpyTable):

@@ -6,6 +6,7 @@ unit, what is no number and what is damaged are dealt with once.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,18 +16,19 @@ import pyarrow.compute as pc
 from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
-from quatprop.tables.base import TableLog, TableNotes
+from quatprop.tables.base import TableLog, TableNotes, TimedColumns
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64
-    from quatprop.tables.base import Batches, TimedColumns
+    from quatprop.tables.base import Batches
 
 
 _LONGEST_LIST = 16
+_HEAD_ROWS = 5000
 BATCH_ROWS = 1 << 16
 """Rows that are read together."""
 
@@ -122,6 +124,11 @@ class TypedTable(TableLog):
             }
         )
 
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        first = [values[:_HEAD_ROWS].to_pylist() for values in self._first_values(columns)]
+        return list(zip(*first, strict=True))
+
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
@@ -157,6 +164,14 @@ class TypedTable(TableLog):
                 return
             count += batch if isinstance(batch, int) else batch.num_rows
             yield batch
+
+    def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
+        """Return columns of the first rows; none where they cannot be read."""
+        with suppress(*DAMAGE, StopIteration, UnsupportedLogError):
+            group = next(self._row_groups(TimedColumns(tuple(columns), ())))
+            batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
+            return [values_of(batch, self._leaves[k]) for k in columns]
+        return []
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         raise NotImplementedError
