@@ -183,9 +183,10 @@ class _NothingFoundError(LogError):
     columns: str
 
     def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
+        self.seen, self.what = tuple(seen), what
         held = f"it has no {what} with messages"
-        if names := listed(seen):
-            topic = f"the field with {Setting('topic')} and {Setting(self.field)}"
+        if names := listed(self.seen):
+            topic = f"the field with {Setting('topic')} and {self.field}"
             way_out = topic if what == "topics" else f"the columns with {self.columns}"
             held = f"its {what} are {names}; name {way_out}"
         super().__init__(path, f"no {self.wanted} found; {held}")
@@ -194,15 +195,22 @@ class _NothingFoundError(LogError):
 class NoRatesError(_NothingFoundError):
     """Nothing in the log carries body rates."""
 
-    wanted, field = "body rates", "rate_field"
+    wanted, field = "body rates", f"{Setting('rate_field')}"
     columns = f"{Setting('rate_cols')} and {Setting('time_col')}"
 
 
 class NoAttitudesError(_NothingFoundError):
     """Nothing in the log carries attitudes."""
 
-    wanted, field = "attitudes", "quat_field"
+    wanted, field = "attitudes", f"{Setting('quat_field')}"
     columns = f"{Setting('quat_cols')}, {Setting('from_layout')} and {Setting('time_col')}"
+
+
+class NothingToDrawError(_NothingFoundError):
+    """Nothing in the log carries body rates or attitudes."""
+
+    wanted, field = "body rates or attitudes", f"{NoRatesError.field} or {NoAttitudesError.field}"
+    columns = f"{Setting('rate_cols')} or {Setting('quat_cols')} and {Setting('time_col')}"
 
 
 class NotRotationsError(LogError):

@@ -456,7 +456,7 @@ def test_a_file_with_neither_rates_nor_attitudes_is_told_so(tmp_path):
     code, _, said = run("plot", path, "-o", tmp_path / "a.png")
     assert code == 2
     assert said == (
-        f"Error: {path}: neither body rates nor attitudes found; its columns are 't_ns', "
+        f"Error: {path}: no body rates or attitudes found; its columns are 't_ns', "
         "'height'; name the columns with --rate-cols or --quat-cols and --time-col\n"
     )
 

@@ -10,11 +10,11 @@ from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
-    LogError,
     NoAttitudesError,
     NoRatesError,
     NoSamplesError,
     NoSuchTopicError,
+    NothingToDrawError,
     UndeclaredError,
 )
 from quatprop.formats import open_log
@@ -29,7 +29,7 @@ from quatprop.series import AttitudeSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import UNITS, choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
-from quatprop.text import Setting, Text, plain
+from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
@@ -140,25 +140,11 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
         try:
             return choose_attitudes(log, view.attitudes)
         except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
-            raise _nothing_to_draw(log, error, other) from error
-
-
-_COUNTERPARTS = {"rate_field": "quat_field", "rate_cols": "quat_cols"}
-"""Settings about rates -> those about attitudes."""
-
-
-def _nothing_to_draw(log: AnyLog, rates: LogError, attitudes: LogError) -> LogError:
-    """Return the most useful error for a file with neither rates nor attitudes."""
-    if isinstance(rates, NoRatesError) and isinstance(attitudes, NoAttitudesError):
-        content, *way_out = rates.reason.parts
-        neither = str(content).replace("no body rates", "neither body rates nor attitudes", 1)
-        parts: list[str | Setting] = [neither]
-        for part in way_out:
-            parts.append(part)
-            if isinstance(part, Setting) and part.name in _COUNTERPARTS:
-                parts += [" or ", Setting(_COUNTERPARTS[part.name])]
-        return LogError(log.path, *parts)
-    return rates if isinstance(attitudes, NoAttitudesError | NoSuchTopicError) else attitudes
+            if isinstance(error, NoRatesError) and isinstance(other, NoAttitudesError):
+                raise NothingToDrawError(log.path, error.seen, error.what) from error
+            if isinstance(other, UndeclaredError):
+                raise
+            raise error from other
 
 
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
