@@ -109,7 +109,9 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
 
 def _are_units(cells: list[str]) -> bool:
     """Return whether cells are units; columns of other sensors may have some that are not known."""
-    known = [parse_name(f"({cell.strip('[()]')})").unit in _UNITS for cell in cells]
+    bare = [cell.strip("[()]") for cell in cells]
+    # A name with its unit in brackets, such as "time [s]", keeps one of them.
+    known = [not {*"[("} & {*cell} and parse_name(f"({cell})").unit in _UNITS for cell in bare]
     return sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, cells)))
 
 
