@@ -618,10 +618,11 @@ def test_differences_of_time_are_not_the_time():
         ("i", range(9)),
         ("frame", [0, 0, 0, 1, 1, 1, 2, 2, 2]),
         ("mode", "abababab?"),
+        ("imu", "aaaabaaaa"),
     ],
 )
 def test_counters_and_states_are_no_sensors(tmp_path, name, values):
-    """A number that counts rows never comes back, and other columns may."""
+    """What counts rows or is damaged never comes back, and other columns may."""
     frame = pd.DataFrame({"t_ns": range(9), "wx": 1.0, "wy": 2.0, "wz": 3.0, name: list(values)})
     frame.to_csv(tmp_path / "log.csv", index=False)
     assert len(read_rates(tmp_path / "log.csv").t_ns) == 9

@@ -121,9 +121,9 @@ class TableLog(Log):
     def columns(self) -> list[str]:
         """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
 
-    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002  # of some
-        """Return cells of the first rows, as they are stored; empty where this is not known."""
-        return []
+    @abstractmethod
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows, as they are stored; empty where they cannot be read."""
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as written beside it; empty where it is not.

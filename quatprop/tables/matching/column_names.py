@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 RATE_UNITS = {
-    "rad/s": (
-        *("rad/s", "rads^-1", "rads-1", "rad/sec", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
-    ),
+    "rad/s": ("rad/s", "rads^-1", "rads-1", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
     "deg/s": (
-        *("deg/s", "degs^-1", "degs-1", "deg/sec", "deg_s", "deg_per_s", "deg_per_sec", "degps"),
-        *("dps", "\u00b0/s", "\u00ba/s", "\u00b0/sec"),
+        *("deg/s", "degs^-1", "degs-1", "deg_s", "deg_per_s", "deg_per_sec", "degps"),
+        *("dps", "\u00b0/s", "\u00ba/s"),
     ),
 }
 """How headers spell the units of a rate, in lower case, without spaces and points."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from contextlib import suppress
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -55,9 +56,10 @@ class TableColumns:
         for k in self.matching(SENSOR):
             rows = self._head((k, *numbers))
             of_rows = [row[0] for row in rows if not _ABSENT & {str(cell).lower() for cell in row}]
-            turns = [str(sensor).strip() for sensor, _ in groupby(of_rows)]
-            # A counter has more values, and those of blocks of rows do not come back.
-            if 1 < len(sensors := sorted({*turns})) <= min(_MOST_SENSORS, len(turns) - 1):
+            turns = Counter(str(sensor).strip() for sensor, _ in groupby(of_rows))
+            # Counters and blocks of rows do not come back, nor does a damaged cell.
+            sensors = sorted(sensor for sensor, times in turns.items() if times > 1)
+            if 1 < len(sensors) <= _MOST_SENSORS:
                 several = f"its rows are of several sensors, {listed(sensors)} in column "
                 several += self.names((k,))
                 if getattr(self.selection, setting, None):
