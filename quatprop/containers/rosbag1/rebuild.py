@@ -131,15 +131,12 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
     times: list[int] = []
     counts: Counter[int] = Counter()
     records, damage = surviving_records(loaded.data, loaded.indexed_offsets)
-    try:
-        for record in records:
-            if record.op == OP_CONNECTION:
-                index.add_connection(record, loaded.data[record.data : record.end].tobytes())
-            elif record.op == OP_MESSAGE:
-                counts[record.number(b"conn")] += 1
-                times.append(record.time(b"time"))
-    except UnreadableDataError as error:
-        damage = damage or str(error)
+    for record in records:
+        if record.op == OP_CONNECTION:
+            index.add_connection(record, loaded.data[record.data : record.end].tobytes())
+        elif record.op == OP_MESSAGE:
+            counts[record.number(b"conn")] += 1
+            times.append(record.time(b"time"))
     if loaded.damage or damage:
         index.losses.note(chunk.place, loaded.damage or damage)
     if times:

@@ -268,7 +268,9 @@ def _whole_record(data: memoryview, at: int, limit: int) -> Record:
     record = record_at(data, at)
     if record.end > limit:
         raise UnreadableDataError("a record in it is damaged or cut off")
-    if record.op == OP_MESSAGE:
+    kind = record.op
+    if kind in {OP_CONNECTION, OP_MESSAGE}:
         record.number(b"conn")
+    if kind == OP_MESSAGE:
         record.time(b"time")
     return record
