@@ -486,6 +486,7 @@ def test_other_formats_are_refused_with_the_way_out(tmp_path, name, content, rea
         "time\tgyro_x\tgyro_y\tgyro_z\tacc_x\n[ms]\t[deg/s]\t[deg/s]\t[deg/s]\t[m/s^2]\n",
         "time\tgyroX\tgyroY\tgyroZ\taccelX\n(ms)\t(deg.s^-1)\t(deg.s^-1)\t(deg.s^-1)\t(g)\n",
         "ms\tdeg/s\tdeg/s\tdeg/s\tg\ntime\tgyro_x\tgyro_y\tgyro_z\tacc_x\n",
+        "# a\tb\tc\td\te\ntime [ms]\twx [deg/s]\twy [deg/s]\twz [deg/s]\tacc_x [g]\n",
     ],
 )
 def test_a_row_of_units_beside_the_names_may_have_units_of_other_sensors(head):

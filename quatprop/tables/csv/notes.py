@@ -109,15 +109,17 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
 
 def _are_units(cells: list[str]) -> bool:
     """Return whether cells are units; columns of other sensors may have some that are not known."""
-    bare = [cell.strip("[()]") for cell in cells]
-    # A name with its unit in brackets, such as "time [s]", keeps one of them.
-    known = [not {*"[("} & {*cell} and parse_name(f"({cell})").unit in _UNITS for cell in bare]
+    known = [parse_name(f"({_bare(cell)})").unit in _UNITS for cell in cells]
     return sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, cells)))
 
 
 def _with_units(names: list[str], units: list[str]) -> list[str]:
-    pairs = zip(names, (unit.strip("[()]") for unit in units), strict=True)
+    pairs = zip(names, map(_bare, units), strict=True)
     return [f"{name} ({unit})" if unit else name for name, unit in pairs]
+
+
+def _bare(unit: str) -> str:
+    return unit[1:-1] if unit.startswith(("[", "(")) else unit
 
 
 _UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
