@@ -64,7 +64,7 @@ class _Records:
     subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
     offsets: array[int] = field(default_factory=lambda: array("q"))
     sizes: array[int] = field(default_factory=lambda: array("H"))
-    ids: array[int] = field(default_factory=lambda: array("l"))
+    ids: array[int] = field(default_factory=lambda: array("i"))
     dropouts: list[tuple[int, int]] = field(default_factory=list)
 
 
