@@ -1,5 +1,6 @@
 """`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
 
+import gc
 import json
 import subprocess
 import sys
@@ -382,3 +383,27 @@ def test_beginnings_are_kept_only_in_the_block():
     assert [int(block.log_ns[0]) for block in blocks] == list(range(50))
     assert len(read) == 50
     assert sum(data() is not None for data in read) <= 2
+
+
+def test_a_reading_that_nobody_goes_on_with_ends_at_once():
+    """Its threads are not left to the garbage collector, which may run in one of them."""
+    closed = []
+
+    class Long:
+        kept = None
+
+        def blocks(self, _channel):
+            try:
+                for _ in range(50):
+                    yield MessageBlock(*(np.zeros(0, np.int64) for _ in range(5)))
+            finally:
+                closed.append(None)
+
+    log = Long()
+    gc.disable()
+    try:
+        with beginnings_kept(log):
+            next(blocks_of(log, "topic"))
+        assert closed
+    finally:
+        gc.enable()

@@ -72,7 +72,9 @@ class KeptBlocks:
     def keep_at_most(self, size: int) -> None:
         """Drop channels until no more bytes are kept than these; -1: all."""
         while self._kept and sum(each.size for each in self._kept.values()) > size:
-            self._kept.pop(next(iter(self._kept))).place = _Place()
+            dropped = self._kept.pop(next(iter(self._kept)))
+            # What reads the rest refers to it: a cycle would be left to the garbage collector.
+            dropped.place, dropped.rest = _Place(), iter(())
 
 
 def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
