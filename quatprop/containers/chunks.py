@@ -213,8 +213,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
         Chunks are read and decompressed ahead, in threads.
         """
-        ranges = [each for chunk in chunks for each in self.expected(chunk)]
-        self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
+        self._announce(chunks)
         bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
         sized = ((chunk, self._size(chunk)) for chunk in chunks)
         done = 0
@@ -224,6 +223,10 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
                     done += read
                     if block:
                         yield replace(block, not_before_ns=bounds[done])
+
+    def _announce(self, chunks: Sequence[Chunk]) -> None:
+        ranges = [each for chunk in chunks for each in self.expected(chunk)]
+        self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
 
     def _size(self, chunk: Chunk) -> int | None:
         """Return the bytes of the records of a chunk; None where only some of them are kept."""
