@@ -15,6 +15,7 @@
     │   ├── MessageError               a message that does not fit its definition
     │   ├── NoRatesError               nothing in the log carries body rates
     │   ├── NoAttitudesError           nothing in the log carries attitudes
+    │   ├── NothingToDrawError         nothing in the log carries either
     │   ├── NotRotationsError          rows that should be attitudes are no rotations
     │   ├── NoSamplesError             the chosen source, or the chosen part of it, is empty
     │   ├── NoSuchTopicError           the topic asked for is not there, or has no rates
