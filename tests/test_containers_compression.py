@@ -16,7 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compression import MAX_SIZE, UnreadableDataError, decompress
+from quatprop.containers.compression import (
+    MAX_SIZE,
+    UnreadableDataError,
+    decompress,
+    decompressed_pieces,
+)
 
 PACK = {
     "": bytes,
@@ -217,3 +222,14 @@ def test_a_forgotten_copy_is_removed(tmp_path, temporary):
     assert len(list(temporary.iterdir())) == 1
     del copy
     assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("zeros", [1, 100_000])
+def test_only_gzip_is_padded_with_zeros(zeros):
+    """Behind other frames zeros are what a file system left of a lost end."""
+    padding = b"\0" * zeros
+    whole = io.BytesIO(gzip.compress(b"0.1 rad/s") + padding)
+    assert b"".join(decompressed_pieces(whole, "gzip")) == b"0.1 rad/s"
+    for name, packed in (("zstd", zstandard.compress(b"0.1")), ("bz2", bz2.compress(b"0.1"))):
+        with pytest.raises(UnreadableDataError, match="is damaged or cut off"):
+            list(decompressed_pieces(io.BytesIO(packed + padding), name))

@@ -263,22 +263,27 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
 
             yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
         else:
-            yield from _frames(file, partial(zlib.decompressobj, _GZIP))
+            yield from _frames(file, partial(zlib.decompressobj, _GZIP), padding=b"\0")
     except _decompression_errors(compression) as error:
         raise UnreadableDataError(f"its {compression} data is damaged or cut off") from error
 
 
-def _frames(file: BinaryIO, new_frame: Callable[[], Any], *limit: int) -> Iterator[bytes]:
+def _frames(
+    file: BinaryIO, new_frame: Callable[[], Any], *limit: int, padding: bytes = b""
+) -> Iterator[bytes]:
     # The libraries' own file readers take a truncated zstd file for a complete one, and a damaged
     # second frame of the others for the end of the file.
     frame: Any = None
     data = b""
     while data or not getattr(frame, "needs_input", True) or (data := file.read(_FEED)):
-        frame = frame or new_frame()
+        if frame is None:
+            if not (data := data.lstrip(padding)):
+                continue
+            frame = new_frame()
         if piece := frame.decompress(data, *limit):
             yield piece
         data = b""
         if frame.eof:
-            frame, data = None, (frame.unused_data or b"").lstrip(b"\0")  # padding of gzip
+            frame, data = None, frame.unused_data or b""
     if frame is not None:
         raise EOFError
