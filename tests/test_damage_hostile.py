@@ -123,7 +123,7 @@ def laughing(path):
             f"t{LEVELS}:float x;",
             "sensor_gyro:uint64_t timestamp;t0 before;float x;float y;float z;",
         ]
-        messages = record(b"D", b"\1\0" + bytes(100)) * 5
+        messages = record(b"D", b"\1\0" + b"\1" * 100) * 5
         formats = b"".join(record(b"F", text.encode()) for text in fields)
         begin = b"ULog\x01\x12\x35\x01" + bytes(8) + record(b"B", bytes(40))
         path.write_bytes(begin + formats + added("sensor_gyro", 0, 1) + messages)

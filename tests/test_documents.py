@@ -8,12 +8,11 @@ import tomllib
 import pytest
 from click.testing import CliRunner
 from documents import GUIDES, ROOT, Document
+from topics import found_in, mark, stamps
 
 from quatprop.cli.commands import cli
 from quatprop.containers.base import Channel
-from quatprop.messages.message_types import MESSAGE_TYPES
-from quatprop.messages.signal_fields import rate_fields
-from quatprop.messages.stamps import Stamp
+from quatprop.logs.vocabulary import TYPES
 
 README = ROOT / "README.md"
 DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]
@@ -70,12 +69,13 @@ def test_the_library_guide_is_true(ran):
 
 def test_the_development_guide_adds_a_message_type(ran, monkeypatch):
     """With its row, the rate of such a message is found with unit and time."""
-    ((name, row),) = ran(GUIDES / "development.md").names["row"].items()
-    monkeypatch.setitem(MESSAGE_TYPES, name, row)
+    row = ran(GUIDES / "development.md").names["row"]
+    ((name,),) = [row.types]
+    monkeypatch.setitem(TYPES, name, row)
     channel = Channel("/t", name, "cdr", "ros2msg", b"uint64 stamp_us\nfloat64[3] rate\n")
-    (field,) = rate_fields(channel, "log")
-    assert (field.name, field.unit, field.absent) == ("rate", "deg/s", None)
-    assert field.stamps == (Stamp(("stamp_us",), "us"),)
+    (found,) = found_in(channel)
+    assert (found.field, found.row.unit, mark(found)) == ("rate", "deg/s", None)
+    assert stamps(found) == [(["stamp_us"], ("us",))]
 
 
 def test_a_batch_of_one_machine_is_done(ran, tmp_path):

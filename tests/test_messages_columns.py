@@ -19,10 +19,10 @@ from messages_reference import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quatprop.containers.topics import as_rows
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps
-from quatprop.signals.message_values import as_rows
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from messages_reference import block_of
 from rosbags.typesys import Stores, get_typestore
+from topics import found_in, mark
 
 from quatprop.containers.base import Channel
 from quatprop.errors import (
@@ -21,9 +22,9 @@ from quatprop.errors import (
     UnsupportedLogError,
 )
 from quatprop.formats import open_log
+from quatprop.logs.clocks import stamps_of
 from quatprop.messages.json import JsonDecoder
-from quatprop.messages.signal_fields import orientation_fields, rate_fields, signal_fields
-from quatprop.messages.stamps import time_field_at
+from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
@@ -127,11 +128,10 @@ def test_the_demo_gives_what_an_independent_oracle_gives(shared_logs):
 )  # fmt: skip
 def test_stamps_are_told_by_their_form(stamp):
     """Seconds and nanoseconds under any of their names, and RFC 3339."""
-    (field,) = rate_fields(channel_of(imu(stamp=stamp)), "log")
-    decoder = JsonDecoder(channel_of(imu(stamp=stamp)), field.stamps[0].fields, "log")
-    assert field.stamps[0].ns(decoder.columns(encoded([imu(stamp=stamp)])), "log").tolist() == [
-        1_700_000_000_000_000_005
-    ]
+    (found,) = found_in(channel_of(imu(stamp=stamp)))
+    decode = found.table.decoder(stamps_of(found)[0], ())
+    (t_ns,) = decode(encoded([imu(stamp=stamp)])).values
+    assert t_ns.tolist() == [1_700_000_000_000_000_005]
 
 
 def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
@@ -267,10 +267,10 @@ def test_numbers_by_themselves_are_exact_either_way():
     for columns in (decoder.columns, lambda block: ValueDecoder.columns(decoder, block)):
         (found,) = columns(encoded(raw))
         assert found.tolist() == [Decimal("1700000000.123456789123"), 3]
-    stamp = time_field_at(channel_of({"t": 1.5}), "t", "s", "log")
-    assert stamp.ns([found], "log").tolist() == [1_700_000_000_123_456_789, 3_000_000_000]
+    t_ns = to_ns([found], ["s"], "t", "log")
+    assert t_ns.tolist() == [1_700_000_000_123_456_789, 3_000_000_000]
     with pytest.raises(MessageError, match="does not fit in 64 bits of nanoseconds") as caught:
-        stamp.ns([np.array([1, 10**12, float("nan")], object)], "log")
+        to_ns([np.array([1, 10**12, float("nan")], object)], ["s"], "t", "log")
     assert caught.value.positions == (1, 2)
 
 
@@ -294,10 +294,10 @@ def test_channels_without_a_type_carry_rates_where_the_options_say_so(tmp_path):
 @pytest.mark.parametrize("name", ["sensor_msgs/Imu", "sensor_msgs/msg/Imu", "ros.sensor_msgs.Imu"])
 def test_an_Imu_goes_by_many_names(name):
     """Package and name count."""
-    (fields,) = signal_fields(channel_of(imu(), name), "log", "rate")
-    assert fields.rate.unit == "rad/s"
-    assert fields.rate.absent == "angular_velocity_covariance[0]"
-    assert fields.orientation.name == "orientation"
+    (rate,), (quat,) = (found_in(channel_of(imu(), name), one) for one in ("rate", "quat"))
+    assert rate.row.unit == "rad/s"
+    assert mark(rate) == "angular_velocity_covariance[0]"
+    assert quat.field == "orientation"
 
 
 @pytest.mark.parametrize(
@@ -411,8 +411,7 @@ def test_numbers_beyond_the_decimals_of_columns_are_read_one_by_one(number):
 
 def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():
     """The same tree serves both tables."""
-    (found,) = orientation_fields(channel_of(imu()), "log")
-    decoder = JsonDecoder(channel_of(imu()), found.fields, "log")
+    (found,) = found_in(channel_of(imu()), "quat")
     message = imu() | {"orientation": {"x": 0.1, "w": 0.9, "z": 0.3, "y": 0.2}}
-    columns = decoder.columns(encoded([message]))
-    assert [float(column[0]) for column in columns] == [0.9, 0.1, 0.2, 0.3]
+    decode = found.table.decoder(stamps_of(found)[0], found.sets)
+    assert decode(encoded([message])).values[1].tolist() == [[0.9, 0.1, 0.2, 0.3]]

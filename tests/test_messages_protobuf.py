@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from mcap.writer import Writer
+from topics import found_in
 
 from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.formats import open_log
-from quatprop.messages.signal_fields import rate_fields
+from quatprop.logs.clocks import place_of, stamps_of
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose_rates
@@ -159,15 +160,16 @@ def test_descriptors_that_lack_an_import_are_refused():
         match=r"^log: topic '/t': the file descriptors that the log carries cannot be read, or do "
         r"not define 'foxglove.Odometry'; record it with all files that it imports$",
     ):
-        rate_fields(channel, "log")
+        found_in(channel)
 
 
 def test_the_time_stamp_of_protobuf_itself_may_be_left_out():
     """As protoc does without --include_imports; every program that reads protobuf knows it."""
     names = "/t", "foxglove.Odometry", "protobuf", "protobuf"
-    whole = rate_fields(Channel(*names, described(FOXGLOVE, stamp_file())), "log")
-    assert [str(stamp.place) for stamp in whole[0].stamps] == ["timestamp"]
-    assert rate_fields(Channel(*names, described(FOXGLOVE)), "log") == whole
+    (whole,) = found_in(Channel(*names, described(FOXGLOVE, stamp_file())))
+    assert [place_of(whole.table, stamp) for stamp in stamps_of(whole)] == ["timestamp"]
+    (found,) = found_in(Channel(*names, described(FOXGLOVE)))
+    assert found[1:] == whole[1:]
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch):
@@ -179,6 +181,6 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
         match=r"^log: topic '/t': 'foxglove.Odometry' is encoded as protobuf, which needs the "
         r"package protobuf; pip install protobuf, or choose another topic$",
     ):
-        rate_fields(channel, "log")
+        found_in(channel)
     other = Channel("/t", "foxglove.Grid", "protobuf", "protobuf", b"Odometry")
-    assert rate_fields(other, "log") == []
+    assert found_in(other) == []

@@ -1,18 +1,22 @@
 """Which field of a message is a rate, and what its stamp is in ns."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from topics import found_in, mark, names, stamps
 
 from quatprop.containers.base import Channel, MessageBlock
-from quatprop.errors import MessageError, SchemaError
-from quatprop.messages.binary import BinaryDecoder
-from quatprop.messages.message_types import MESSAGE_TYPES, RateField, SignalFields
-from quatprop.messages.signal_fields import rate_field_at, rate_fields, signal_fields
-from quatprop.messages.stamps import Stamp, time_field_at
+from quatprop.containers.topics import TopicTable
+from quatprop.errors import MessageError, SchemaError, UndeclaredError
+from quatprop.logs.clocks import choose_stamp, place_of, stamps_of
+from quatprop.logs.vocabulary import ROWS, TYPES, Row
+from quatprop.messages.times import to_ns
+from quatprop.selection import RateSelection
 
-HEADER = Stamp(("header.stamp.sec", "header.stamp.nanosec"), "s")
+HEADER = (["header.stamp.sec", "header.stamp.nanosec"], ("s", "ns"))
 
 
 def channel_of(text, name="pkg/msg/T", encoding="cdr"):
@@ -24,57 +28,54 @@ def channel_of(text, name="pkg/msg/T", encoding="cdr"):
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_an_Imu_is_a_rate_with_its_stamp_and_its_mark_of_absence(encoding):
     """The standard type is known without a definition."""
-    (fields,) = signal_fields(Channel("/imu", "sensor_msgs/msg/Imu", encoding), "log", "rate")
-    field = fields.rate
-    assert field.fields == ("angular_velocity",)
-    assert field.unit == "rad/s"
-    assert field.stamps[0] == HEADER
-    assert field.absent == "angular_velocity_covariance[0]"
-    assert field.measured
-    assert fields.orientation.name == "orientation"
-    assert fields.orientation.absent == "orientation_covariance[0]"
-    assert fields.acceleration == ("linear_acceleration", "linear_acceleration_covariance[0]")
+    channel = Channel("/imu", "sensor_msgs/msg/Imu", encoding)
+    (rate,), (quat,), (force,) = (found_in(channel, one) for one in ("rate", "quat", "force"))
+    assert rate.field == "angular_velocity"
+    assert names(rate, rate.sets[0]) == [f"angular_velocity.{axis}" for axis in "xyz"]
+    assert (rate.row.unit, rate.row.measured) == ("rad/s", True)
+    assert stamps(rate)[0] == HEADER
+    assert mark(rate) == "angular_velocity_covariance[0]"
+    assert quat.field == "orientation"
+    assert mark(quat) == "orientation_covariance[0]"
+    assert (force.field, mark(force)) == (
+        "linear_acceleration",
+        "linear_acceleration_covariance[0]",
+    )
 
 
 def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
-    """The paths are those of the definitions, as far as these are at hand."""
-    known = [name for name in MESSAGE_TYPES if name in get_typestore(Stores.LATEST).fielddefs]
-    assert len(known) == 8
+    """The names are those of the definitions, as far as these are at hand."""
+    known = [name for name in TYPES if name in get_typestore(Stores.LATEST).fielddefs]
+    assert len(known) == 9
     for name in known:
-        channel, row = Channel("/t", name, "cdr"), MESSAGE_TYPES[name]
-        kind = "rate" if row.rate else "orientation"
-        (fields,) = signal_fields(channel, "log", kind)
-        paths = []
-        if row.rate:
-            assert fields.rate._replace(stamps=()) == row.rate
-            paths += [*fields.rate.fields, fields.rate.absent, *fields.rate.stamps[0].fields]
-        if row.orientation:
-            assert fields.orientation._replace(stamps=(), fields=()) == row.orientation
-            paths += [*fields.orientation.fields, fields.orientation.absent]
-            paths += fields.orientation.stamps[0].fields
-        assert fields.acceleration == row.acceleration
-        paths = [path for path in (*paths, *(row.acceleration or ())) if path]
-        columns = BinaryDecoder(channel, paths, "log").columns(
-            MessageBlock(np.zeros(0, np.uint8), *[np.zeros(0, np.int64)] * 4)
-        )
-        assert columns[0].shape == ((0, 3) if row.rate else (0,))
+        channel, row = Channel("/t", name, "cdr"), TYPES[name]
+        for quantity in ("rate", "quat", "bias", "force"):
+            found = found_in(channel, quantity)
+            assert len(found) == bool(getattr(row, quantity))
+            for one in found:
+                assert stamps(one)[0] == HEADER
+
+
+def test_no_type_has_two_rows():
+    """Which of them counts would depend on their order."""
+    assert len(TYPES) == sum(len(row.types) for row in ROWS)
 
 
 def test_a_gyroscope_of_PX4_has_its_rate_in_three_numbers_and_its_stamp_in_us():
     """Three neighbouring numbers are as good as a vector."""
     text = "uint64 timestamp\nuint64 timestamp_sample\nuint32 id\nfloat32 x\nfloat32 y\nfloat32 z\n"
-    (field,) = rate_fields(channel_of(text, "px4_msgs/msg/SensorGyro"), "log")
-    assert field.fields == ("x", "y", "z")
-    assert field.stamps[0] == Stamp(("timestamp_sample",), "us")
-    assert field.name == "x,y,z"
+    (found,) = found_in(channel_of(text, "px4_msgs/msg/SensorGyro"))
+    assert names(found, found.sets[0]) == ["x", "y", "z"]
+    assert stamps(found)[0] == (["timestamp_sample"], ("us",))
+    assert found.field == "x,y,z"
 
 
 def test_an_Imu_inside_another_message_is_found_with_its_own_header():
     """The prefix goes before every path."""
-    (field,) = rate_fields(channel_of("std_msgs/Header header\nsensor_msgs/Imu imu\n"), "log")
-    assert field.fields == ("imu.angular_velocity",)
-    assert field.absent == "imu.angular_velocity_covariance[0]"
-    assert field.stamps[0] == Stamp(("imu.header.stamp.sec", "imu.header.stamp.nanosec"), "s")
+    (found,) = found_in(channel_of("std_msgs/Header header\nsensor_msgs/Imu imu\n"))
+    assert found.field == "imu.angular_velocity"
+    assert mark(found) == "imu.angular_velocity_covariance[0]"
+    assert stamps(found)[0][0] == ["imu.header.stamp.sec", "imu.header.stamp.nanosec"]
 
 
 def test_an_Imu_without_a_header_takes_the_one_around_it():
@@ -83,17 +84,16 @@ def test_an_Imu_without_a_header_takes_the_one_around_it():
         "std_msgs/Header header\nsensor_msgs/Imu imu\n" + "=" * 80 + "\nMSG: sensor_msgs/Imu\n"
         "geometry_msgs/Vector3 angular_velocity\n"
     )
-    (fields,) = signal_fields(channel_of(text), "log", "rate")
-    assert fields.rate.stamps[0] == HEADER
-    assert fields.rate.absent is None
-    assert fields.orientation is None
+    (found,) = found_in(channel_of(text))
+    assert stamps(found)[0] == HEADER
+    assert mark(found) is None
+    assert found_in(channel_of(text), "quat") == []
 
 
 def test_several_Imus_in_a_message_are_several_rates():
     """Fields and elements of fixed arrays count, elements of sequences do not."""
     text = "sensor_msgs/Imu[2] pair\nsensor_msgs/Imu third\nsensor_msgs/Imu[] more\n"
-    found = rate_fields(channel_of(text), "log")
-    assert [field.name for field in found] == [
+    assert [found.field for found in found_in(channel_of(text))] == [
         "third.angular_velocity",
         "pair[0].angular_velocity",
         "pair[1].angular_velocity",
@@ -103,10 +103,10 @@ def test_several_Imus_in_a_message_are_several_rates():
 def test_velocities_of_an_odometry_are_not_called_measured():
     """An estimate or a command is no gyroscope."""
     channel = Channel("/odom", "nav_msgs/msg/Odometry", "cdr")
-    (fields,) = signal_fields(channel, "log", "rate")
-    assert fields.rate.fields == ("twist.twist.angular",)
-    assert fields.orientation.name == "pose.pose.orientation"
-    assert not fields.rate.measured
+    (rate,), (quat,) = found_in(channel), found_in(channel, "quat")
+    assert rate.field == "twist.twist.angular"
+    assert quat.field == "pose.pose.orientation"
+    assert not rate.row.measured
 
 
 @pytest.mark.parametrize(
@@ -121,20 +121,21 @@ def test_velocities_of_an_odometry_are_not_called_measured():
 )
 def test_other_messages_carry_no_rates(channel):
     """A search passes over what it cannot use."""
-    assert rate_fields(channel, "log") == []
+    assert found_in(channel) == []
 
 
 def test_an_unreadable_definition_of_a_known_type_is_an_error():
     """Passing over it would hide the rates the log has."""
     channel = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"}{")
     with pytest.raises(SchemaError, match=r"cannot be parsed as ros2msg$"):
-        rate_fields(channel, "log")
+        found_in(channel)
 
 
 def test_a_named_field_that_is_a_known_rate_keeps_all_that_is_known_of_it():
     """Naming the field does not lose its unit, stamp and mark of absence."""
     channel = channel_of("sensor_msgs/Imu imu\n")
-    assert rate_field_at(channel, "imu.angular_velocity", "log") == rate_fields(channel, "log")[0]
+    (named,), (found,) = found_in(channel, field="imu.angular_velocity"), found_in(channel)
+    assert named[1:] == found[1:]
 
 
 def test_any_three_numbers_can_be_named_and_take_the_nearest_stamp():
@@ -142,36 +143,35 @@ def test_any_three_numbers_can_be_named_and_take_the_nearest_stamp():
     channel = channel_of(
         "std_msgs/Header header\nfloat32[3] gyro\nfloat64 a\nfloat64 b\nfloat64 c\n"
     )
-    for name, rate in (("gyro", ("gyro",)), ("c, a,b", ("c", "a", "b"))):
-        field = rate_field_at(channel, name, "log")
-        assert field.fields == rate
-        assert field.unit is None
-        assert field.stamps[0] == HEADER
+    for name, rate in (("gyro", [f"gyro[{k}]" for k in range(3)]), ("c, a,b", ["c", "a", "b"])):
+        (found,) = found_in(channel, field=name)
+        assert names(found, found.sets[0]) == rate
+        assert found.row.unit == ""
+        assert stamps(found)[0] == HEADER
 
 
 def test_a_stamped_vector_is_a_rate_only_if_the_options_say_so():
     """It may be anything; so its unit is for the user to say, too."""
     channel = Channel("/gyro", "geometry_msgs/msg/Vector3Stamped", "cdr")
-    assert rate_fields(channel, "log") == []
-    field = rate_field_at(channel, "vector", "log")
-    assert field.fields == ("vector",)
-    assert field.unit is None
-    assert field.stamps[0] == HEADER
+    assert found_in(channel) == []
+    (found,) = found_in(channel, field="vector")
+    assert found.field == "vector"
+    assert found.row.unit == ""
+    assert stamps(found)[0] == HEADER
 
 
 def test_an_odometry_of_foxglove_in_ROS_2_is_known():
     """Its stamp is no header."""
     text = "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n"
-    (fields,) = signal_fields(channel_of(text, "foxglove_msgs/msg/Odometry"), "log", "rate")
-    assert fields.rate.fields == ("angular_velocity",)
-    assert fields.rate.stamps[0] == Stamp(("timestamp.sec", "timestamp.nanosec"), "s")
-    assert fields.orientation is None
-    assert not fields.rate.measured
+    (found,) = found_in(channel_of(text, "foxglove_msgs/msg/Odometry"))
+    assert found.field == "angular_velocity"
+    assert stamps(found)[0] == (["timestamp.sec", "timestamp.nanosec"], ("s", "ns"))
+    assert not found.row.measured
 
 
 def test_a_named_field_that_is_elsewhere_is_no_error():
     """Another topic may have it."""
-    assert rate_field_at(channel_of("float64 x\n"), "gyro", "log") is None
+    assert found_in(channel_of("float64 x\n"), field="gyro") == []
 
 
 def test_a_named_field_that_is_not_three_numbers_is_an_error():
@@ -181,37 +181,47 @@ def test_a_named_field_that_is_not_three_numbers_is_an_error():
         match=r"^log: field 'q' of 'pkg/msg/T' is not three numbers; "
         r"name a field of x, y, z or three numbers as a,b,c$",
     ):
-        rate_field_at(channel_of("float64[4] q\n"), "q", "log")
+        found_in(channel_of("float64[4] q\n"), field="q")
 
 
 def test_time_fields_are_times_or_numbers_with_a_unit():
     """A time says its unit itself; a number needs one."""
-    channel = channel_of("builtin_interfaces/Time t\nuint64 us\nstring s\n")
-    assert time_field_at(channel, "t", None, "log") == Stamp(("t.sec", "t.nanosec"), "s")
-    assert time_field_at(channel, "us", "us", "log") == Stamp(("us",), "us")
-    assert time_field_at(channel, "us", None, "log") is None
+    channel = channel_of("builtin_interfaces/Time t\nuint64 us\nstring s\nfloat64[3] w\n")
+    (found,) = found_in(channel, field="w")
+    log = SimpleNamespace(path="log", has_publish_time=False, kept=None, blocks=lambda _: [])
+    found = found._replace(table=TopicTable(log, channel))
+
+    def chosen(**named):
+        stamp, remarks = choose_stamp(found, RateSelection(**named))
+        assert remarks == ()
+        return names(found, stamp.columns), stamp.units
+
+    assert chosen(time_field="t") == (["t.sec", "t.nanosec"], ("s", "ns"))
+    assert chosen(time_field="us", time_unit="us") == (["us"], ("us",))
+    with pytest.raises(UndeclaredError, match=r"^log: the unit of the time in field 'us' is not "):
+        chosen(time_field="us")
     with pytest.raises(SchemaError, match=r"^log: field 's' of 'pkg/msg/T' is not a time; "):
-        time_field_at(channel, "s", "s", "log")
+        chosen(time_field="s", time_unit="s")
 
 
 @pytest.mark.parametrize(
-    ("stamp", "columns", "t_ns"),
+    ("units", "columns", "t_ns"),
     [
-        (HEADER, [np.array([1], np.int32), np.array([5], np.uint32)], 1_000_000_005),
-        (HEADER, [np.array([-1], np.int32), np.array([5], np.uint32)], -999_999_995),
-        (HEADER, [np.array([2**32 - 1], np.uint32), np.array([7], np.uint32)],
+        ("s ns", [np.array([1], np.int32), np.array([5], np.uint32)], 1_000_000_005),
+        ("s ns", [np.array([-1], np.int32), np.array([5], np.uint32)], -999_999_995),
+        ("s ns", [np.array([2**32 - 1], np.uint32), np.array([7], np.uint32)],
          4_294_967_295_000_000_007),
-        (HEADER, [np.array([1]), np.array([1_500_000_000], np.uint64)], 2_500_000_000),
-        (Stamp(("t",), "us"), [np.array([1_700_000_000_123_457], np.uint64)],
+        ("s ns", [np.array([1]), np.array([1_500_000_000], np.uint64)], 2_500_000_000),
+        ("us", [np.array([1_700_000_000_123_457], np.uint64)],
          1_700_000_000_123_457_000),
-        (Stamp(("t",), "ns"), [np.array([2**63 - 2], np.uint64)], 2**63 - 2),
-        (Stamp(("t",), "s"), [np.array([1_700_000_000.25])], 1_700_000_000_250_000_000),
-        (Stamp(("t",), "s"), [np.array([-0.5])], -500_000_000),
+        ("ns", [np.array([2**63 - 2], np.uint64)], 2**63 - 2),
+        ("s", [np.array([1_700_000_000.25])], 1_700_000_000_250_000_000),
+        ("s", [np.array([-0.5])], -500_000_000),
     ],
 )  # fmt: skip
-def test_stamps_are_exact_nanoseconds(stamp, columns, t_ns):
+def test_stamps_are_exact_nanoseconds(units, columns, t_ns):
     """No stamp goes through a float, unless it was one."""
-    result = stamp.ns(columns, "log")
+    result = to_ns(columns, units.split(), "t", "log")
     assert result.dtype == np.int64
     assert result.tolist() == [t_ns]
 
@@ -229,7 +239,7 @@ def test_stamps_are_exact_nanoseconds(stamp, columns, t_ns):
 def test_stamps_that_do_not_fit_are_reported_with_their_place(unit, column):
     """A stamp never wraps round."""
     with pytest.raises(MessageError, match="does not fit in 64 bits of nanoseconds") as caught:
-        Stamp(("t",), unit).ns([column], "log")
+        to_ns([column], [unit], "t", "log")
     assert caught.value.positions == (1,)
 
 
@@ -254,14 +264,13 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
         for connection in reader.connections:
             channel = _channel(reader, connection)
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
-            for field in rate_fields(channel, name) if raw else ():
-                decoder = BinaryDecoder(channel, [*field.fields, *field.stamps[0].fields], name)
-                rate, *stamp = decoder.columns(_block(raw))
-                t_ns = field.stamps[0].ns(stamp, name)
+            for found in found_in(channel) if raw else ():
+                stamp = stamps_of(found)[0]
+                t_ns, rate = found.table.decoder(stamp, found.sets)(_block(raw)).values
                 for position, message in enumerate(raw):
                     decoded = reader.deserialize(message, connection.msgtype)
-                    vector = _attribute(decoded, field.fields[0])
-                    time = _attribute(decoded, field.stamps[0].fields[0].removesuffix(".sec"))
+                    vector = _attribute(decoded, found.field)
+                    time = _attribute(decoded, place_of(found.table, stamp))
                     assert rate[position].tolist() == [vector.x, vector.y, vector.z]
                     assert t_ns[position] == time.sec * 10**9 + time.nanosec
                 seen += len(raw)
@@ -295,9 +304,7 @@ def test_what_is_inside_a_known_type_is_its_own_affair(monkeypatch):
         f"pkg/msg/Outer first\npkg/msg/Inner second\n{line}\nMSG: pkg/msg/Outer\n"
         f"float64[3] w\npkg/msg/Inner within\n{line}\nMSG: pkg/msg/Inner\nfloat64[3] w\n"
     )
-    row = SignalFields(rate=RateField(("w",)))
-    rows = {"pkg/msg/Outer": row, "pkg/msg/Inner": row}
-    monkeypatch.setattr("quatprop.messages.message_types.MESSAGE_TYPES", rows)
-    monkeypatch.setattr("quatprop.messages.signal_fields.MESSAGE_TYPES", rows)
-    found = rate_fields(channel_of(text, "pkg/msg/Both"), "log")
-    assert [field.name for field in found] == ["first.w", "second.w"]
+    for name in ("pkg/msg/Outer", "pkg/msg/Inner"):
+        monkeypatch.setitem(TYPES, name, Row((name,), rate=r"w\[(?P<part>[012])\]"))
+    found = found_in(channel_of(text, "pkg/msg/Both"))
+    assert [one.field for one in found] == ["first.w", "second.w"]

@@ -74,7 +74,7 @@ LAYERS = (
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"containers", "tables", "messages", "log_kinds", "formats"},
-    {"signals", "rendering"},
+    {"logs", "signals", "rendering"},
     {"writers"},
     {"into", "simulate"},
     {"comparison", "pipeline"},

@@ -30,7 +30,7 @@ from quatprop.messages.schema import (
     Unknown,
     at,
 )
-from quatprop.messages.stamps import NANOSECONDS, SECONDS
+from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
 from quatprop.text import quoted
 from quatprop.times import instant

@@ -67,15 +67,15 @@ def log_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
     with beginnings_kept(log):
         return [
             *stamp_remarks(source),
-            *frame_remarks(log, source),
+            *frame_remarks(source),
             *orientation_remarks(log, source),
         ]
 
 
-def frame_remarks(log: AnyLog, source: RateSignal) -> list[str]:
+def frame_remarks(source: RateSignal) -> list[str]:
     """Return a remark if the frames of the first messages are those of several sensors."""
     try:
-        frames = [] if isinstance(log, TableLog) else [*dict.fromkeys(sensor_frames(log, source))]
+        frames = [*dict.fromkeys(sensor_frames(source))]
     except QuatpropError:
         return []  # of messages that are encapsulated in a way of which no names are read
     if len(frames) < 2:  # noqa: PLR2004  # several

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import Meaning
-from quatprop.conventions.layout import LAYOUTS, layout_named
+from quatprop.conventions.layout import LAYOUTS, SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import UndeclaredError, UsageError
 from quatprop.provenance import entry_of
 from quatprop.text import Setting, plain, quoted
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.containers.base import Channel
-    from quatprop.messages.message_types import OrientationField
+    from quatprop.logs.matching import Found
     from quatprop.selection import AttitudeSelection
+    from quatprop.tables.model import Group
 
 BY_NAME = "by name"
 """The layout of components that have names and stand in neither order."""
@@ -68,20 +68,12 @@ def _agreed(
     return given or stored
 
 
-def message_layout(
-    path: Path | str,
-    channel: Channel,
-    field: OrientationField,
-    given: str | None,
-    recorded: str | None,
-) -> str:
+def message_layout(found: Found, given: str | None, recorded: str | None) -> str:
     """Return how a message stores a quaternion: by its definition, else as the user says.
 
     Parameters
     ----------
-    path
-        The log, for errors.
-    channel, field
+    found
         Where the quaternion is.
     given, recorded
         The layout that the user gives, and that in the metadata of the topic.
@@ -94,25 +86,47 @@ def message_layout(
         None of them says it.
     """
     given = given and layout_named(given).name
-    of_type = f"{quoted(field.name)} of {quoted(channel.type_name)}"
-    if field.layout is not None:
-        by_definition = field.layout.name
+    table, by_definition = found.table, _defined_layout(found)
+    of_type = f"{quoted(found.field)} of {quoted(table.type)}"
+    if by_definition:
         if given is None and recorded not in (None, by_definition):
             raise UsageError(
-                f"{plain(path)}: the metadata of topic {quoted(channel.topic)} say {recorded}, "
+                f"{plain(table.path)}: the metadata of topic {quoted(table.name)} say {recorded}, "
                 f"but {of_type} is {by_definition} by definition; settle it with "
                 f"{Setting('from_layout', by_definition)}"
             )
         if given not in (None, by_definition):
             raise UsageError(
-                f"{plain(path)}: {Setting('from_layout')} says {given}, but {of_type} is "
+                f"{plain(table.path)}: {Setting('from_layout')} says {given}, but {of_type} is "
                 f"{by_definition} by definition; leave it out"
             )
         return by_definition
-    if not (given or recorded) and len(field.fields) == 1:
+    if not (given or recorded) and not _has_names(found):
         raise UndeclaredError(
-            path,
-            f"which of the four numbers in {quoted(field.name)} is the scalar",
+            table.path,
+            f"which of the four numbers in {quoted(found.field)} is the scalar",
             Setting("from_layout", "scalar-first|scalar-last"),
         )
     return given or recorded or BY_NAME
+
+
+def in_order(found: Found, layout: str) -> Group:
+    """Return the columns of w, x, y, z; where they are only numbered, by the layout."""
+    (stored,) = found.sets
+    if _has_names(found):
+        return stored
+    order = layout_named(layout).order
+    return tuple(stored[order.index(component)] for component in range(4))
+
+
+def _defined_layout(found: Found) -> str:
+    """Return the layout by names or by the type; ``""`` where neither says it."""
+    if _has_names(found):
+        # The columns of a message are in the order of its definition.
+        stored = "".join("wxyz"[found.sets[0].index(k)] for k in sorted(found.sets[0]))
+        return {"wxyz": SCALAR_FIRST.name, "xyzw": SCALAR_LAST.name}.get(stored, "")
+    return found.row.layout or (SCALAR_LAST.name if found.row.types else "")
+
+
+def _has_names(found: Found) -> bool:
+    return found.table.columns[found.sets[0][0]].text.endswith("w")

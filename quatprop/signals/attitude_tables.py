@@ -13,10 +13,10 @@ from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.logs.reading import without_absent
 from quatprop.provenance import JsonObject, entry_of
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
-from quatprop.signals.message_values import without_absent
 from quatprop.signals.signal import AttitudeSignal
 from quatprop.tables.matching.choose import ColumnMatch, match_quaternion
 from quatprop.tables.matching.column_names import parse_name
@@ -120,7 +120,10 @@ def _remarks(columns: ColumnMatch) -> Iterator[str | Text]:
 def _attitudes(numbers: Float64, columns: ColumnMatch) -> Float64:
     """Return the quaternions that columns hold, in whatever representation."""
     if columns.representation == "quaternion":
-        return without_absent(numbers[:, :4], numbers[:, 4:].T)
+        wxyz = numbers[:, :4]
+        for mark in numbers[:, 4:].T:
+            without_absent(wxyz, mark)
+        return wxyz
     values = np.radians(numbers) if columns.unit == "deg" else numbers
     # What is not finite is reported later, row by row.
     with np.errstate(invalid="ignore", over="ignore"):

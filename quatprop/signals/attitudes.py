@@ -14,29 +14,34 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.conventions import HAMILTON, Meaning
-from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.messages.message_types import TRANSFORM_LISTS, OrientationField
-from quatprop.messages.signal_fields import orientation_field_at, orientation_fields, signal_fields
-from quatprop.messages.ulog import is_secondary
-from quatprop.signals.attitude_convention import meaning_of, message_layout, recorded_convention
+from quatprop.logs.clocks import are_all, choose_stamp
+from quatprop.logs.matching import Match, field_name, find, marks_of, matching, sets_of
+from quatprop.logs.reading import read_attitudes
+from quatprop.logs.vocabulary import RATE_PARTS
+from quatprop.signals.attitude_convention import (
+    in_order,
+    meaning_of,
+    message_layout,
+    recorded_convention,
+)
 from quatprop.signals.choice import ATTITUDES, Candidate, choose, message_candidates
-from quatprop.signals.clock import are_all, choose_clock, zero_stamps
-from quatprop.signals.message_values import field_reader, logged_values, stamps_of, timed_values
-from quatprop.signals.signal import AttitudeSignal
+from quatprop.signals.signal import AttitudeSignal, stamps_of
 from quatprop.tables.base import AnyLog, TableLog
-from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
-    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.topics import TopicTable
+    from quatprop.logs.matching import Found
     from quatprop.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
 
+
+COVARIANCE_SIZES = (9, 36)
+"""Numbers in the covariance of an orientation, and of a position and an orientation."""
 
 CONSTANT_MESSAGES = 20_000
 """An orientation that is the identity in so many messages was never set, and a covariance that is
@@ -93,140 +98,71 @@ def attitude_candidates(
         from quatprop.signals.attitude_tables import of_table
 
         return [Candidate("", "", partial(of_table, log, selection))]
-    return message_candidates(log, selection, ATTITUDES, _candidates)
-
-
-def _candidates(
-    log: MessageLog, channel: Channel, selection: AttitudeSelection
-) -> list[Candidate[AttitudeSignal]]:
-    if selection.quat_field is not None:
-        named = orientation_field_at(channel, selection.quat_field, log.path)
-        fields = [] if named is None else [named]
-    elif channel.type_name in TRANSFORM_LISTS:
-        signal = partial(_of_transforms, log, channel, selection)
-        return [Candidate(channel.topic, "transforms", signal)]
-    else:
-        fields = orientation_fields(channel, log.path)
     return [
         Candidate(
-            channel.topic,
-            field.name,
-            partial(_of_field, log, channel, field, selection),
-            preferred=not is_secondary(channel),
+            found.table.name,
+            found.field,
+            partial(_signal, found, selection),
+            preferred=not found.table.is_secondary,
         )
-        for field in fields
+        for found in message_candidates(log, selection, ATTITUDES)
     ]
 
 
-def _of_field(
-    log: MessageLog, channel: Channel, field: OrientationField, selection: AttitudeSelection
-) -> AttitudeSignal:
-    if selection.frame is not None:
-        raise UsageError(
-            f"{plain(log.path)}: {Setting('frame')} chooses from a list of transforms, and "
-            f"messages of topic {quoted(channel.topic)} have one attitude each; leave it out"
-        )
-    provenance = log.provenance(channel.topic)
+def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
+    """Return attitudes of a topic with their meaning and their time."""
+    provenance = found.table.provenance()
     recorded = recorded_convention(provenance)
-    layout = message_layout(log.path, channel, field, selection.from_layout, recorded.get("layout"))
-    # Fields with names are fetched in the order w, x, y, z.
-    order = layout_named(layout).order if len(field.fields) == 1 else SCALAR_FIRST.order
-    meaning = meaning_of(log.path, selection, recorded)
-    clock = choose_clock(log, channel, field.stamps, selection)
-    reader = partial(field_reader, log, channel, clock, field.fields, [field.absent])
+    layout = message_layout(found, selection.from_layout, recorded.get("layout"))
+    found = found._replace(table=found.table.of_frames(selection.frame))
+    found = found._replace(sets=(in_order(found, layout),))
+    table, row, part = found.table, found.row, found.part
+    meaning = meaning_of(table.path, selection, recorded)
+    stamp, remarks = choose_stamp(found, selection)
+    match = Match(found, stamp, marks=marks_of(found))
+    position = sets_of(table, part, RATE_PARTS, row.position)[:1]
+    covariance = tuple(k for k, _ in matching(table, part, row.covariance))
+    may_have_covariances = len(covariance) in COVARIANCE_SIZES and meaning == HAMILTON
 
     def read(*, positions: bool = False, covariances: bool = False) -> Rows:
-        position = [field.position] if positions else []
-        covariance = [field.covariance] if covariances else []
-        rows = timed_values(log, channel, reader(position, covariance))
+        beside = (*(position if positions else ()), *([covariance] if covariances else ()))
+        rows: Iterator[tuple[Any, ...]] = (one.values for one in read_attitudes(match, beside))
         if covariances:
             # What this package wrote is of no driver.
-            rows = _known(log, rows, may_be_constant=bool(provenance))
-        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
+            rows = _known(table, rows, may_be_constant=bool(provenance))
+        return _in_terms(rows, meaning, positions=positions, covariances=covariances)
 
-    remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
-    placeholder = _is_beside_rate(channel, field, log.path) and are_all(
+    is_beside_rate = row.rate != "" and any(one.part == part for one in find(table, "rate"))
+    placeholder = is_beside_rate and are_all(
         (np.abs(wxyz) for _, wxyz, *_ in read()), IDENTITY, CONSTANT_MESSAGES
     )
     if placeholder:
-        remarks += ("it is the identity in every message: a placeholder, not an attitude",)
+        remarks = ("it is the identity in every message: a placeholder, not an attitude", *remarks)
+    if row.frames:
+        remarks = (f"by its type {row.frames}", *remarks)
     return AttitudeSignal(
-        name=channel.topic,
-        type_name=channel.type_name,
-        field=field.name,
+        name=table.name,
+        type_name=table.type,
+        field=field_name(table, found.sets),
         layout=layout,
         meaning=meaning,
-        clock=clock.name,
-        remarks=remarks + clock.remarks,
+        clock=stamp.clock,
+        remarks=remarks,
         provenance=provenance,
         read=read,
-        stamps=lambda: stamps_of(logged_values(log, channel, reader())),
-        has_positions=field.position is not None,
-        may_have_covariances=field.covariance is not None and meaning == HAMILTON,
+        stamps=lambda: stamps_of(read_attitudes(match)),
+        has_positions=bool(position),
+        may_have_covariances=may_have_covariances,
         placeholder=placeholder,
     )
 
 
-def _is_beside_rate(channel: Channel, field: OrientationField, path: Path | str) -> bool:
-    """Tell whether a message has a rate beside its orientation, as that of an IMU has."""
-    return any(
-        fields.rate is not None and fields.orientation == field
-        for fields in signal_fields(channel, path, "orientation")
-    )
-
-
-def _of_transforms(
-    log: MessageLog, channel: Channel, selection: AttitudeSelection
-) -> AttitudeSignal:
-    from quatprop.signals.transforms import chosen_frames, transform_reader
-
-    layout = selection.from_layout
-    if layout is not None and layout_named(layout) is not SCALAR_LAST:
-        raise UsageError(
-            f"{plain(log.path)}: {Setting('from_layout')} says {layout}, but transforms are "
-            "scalar-last by definition; leave it out"
-        )
-    provenance = log.provenance(channel.topic)
-    clock = choose_clock(log, channel, (), selection, has_stamp=True)
-    frames = chosen_frames(log, channel, selection.frame)
-    meaning = meaning_of(log.path, selection, recorded_convention(provenance))
-    reader = transform_reader(log, channel, frames, clock)
-
-    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
-        rows = timed_values(log, channel, reader)
-        order = SCALAR_FIRST.order
-        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
-
-    if clock.name == "header" and are_all(
-        (t_ns for t_ns, *_ in timed_values(log, channel, reader)), 0
-    ):
-        raise zero_stamps(log, channel)
-    return AttitudeSignal(
-        name=channel.topic,
-        type_name=channel.type_name,
-        field=f"{frames.parent} <- {frames.child}",
-        layout=SCALAR_LAST.name,
-        meaning=meaning,
-        clock=clock.name,
-        provenance=provenance,
-        read=read,
-        stamps=lambda: stamps_of(logged_values(log, channel, reader)),
-        has_positions=True,
-    )
-
-
 def _in_terms(
-    values: Iterator[tuple[Any, ...]],
-    order: tuple[int, ...],
-    meaning: Meaning,
-    *,
-    positions: bool,
-    covariances: bool,
+    values: Iterator[tuple[Any, ...]], meaning: Meaning, *, positions: bool, covariances: bool
 ) -> Rows:
-    """Yield attitudes that are stored in the order `order`, and what is beside them."""
-    places = [order.index(part) for part in range(4)]
+    """Yield attitudes body -> reference, and what is beside them."""
     for t_ns, stored, *beside in values:
-        wxyz = meaning.converted(stored[:, places])
+        wxyz = meaning.converted(stored)
         covariance = beside[-1] if covariances else None
         if covariance is not None:
             # Quaternions are not checked yet.
@@ -236,7 +172,7 @@ def _in_terms(
 
 
 def _known(
-    log: MessageLog, rows: Iterator[tuple[Any, ...]], *, may_be_constant: bool
+    table: TopicTable, rows: Iterator[tuple[Any, ...]], *, may_be_constant: bool
 ) -> Iterator[tuple[Any, ...]]:
     """Yield rows with their covariances, NaN where these are marked as unknown.
 
@@ -251,8 +187,7 @@ def _known(
         constant = 0.0 if may_be_constant else first[0][-1][:1]
         varies = bool((batch[-1] != constant).any())
     if not varies and first and first[0][-1][:1].any():
-        _add_remark(
-            log,
+        table.remark(
             f"the covariance of the orientation does not change in {count} messages, so it "
             "is taken as a constant of the driver, not as what is known of each attitude",
         )
@@ -269,13 +204,7 @@ def _known(
         of_rotation[~is_known] = np.nan
         yield (*row, of_rotation)
     if in_part:
-        _add_remark(
-            log,
+        table.remark(
             f"the covariances of {in_part} messages are known in part, which is not kept: they "
             "are taken as unknown",
         )
-
-
-def _add_remark(log: MessageLog, remark: str) -> None:
-    """Add a remark on what is read, once however often that is."""
-    log.remarks = [*(one for one in log.remarks if one != remark), remark]

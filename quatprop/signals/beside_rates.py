@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInputs
 from quatprop.errors import LogError, UsageError
-from quatprop.messages.signal_fields import fields_beside
+from quatprop.logs.matching import Found, Match, find, marks_of
+from quatprop.logs.reading import read_vectors
 from quatprop.selection import AttitudeSelection, RateSelection
-from quatprop.signals.clock import choose_clock
-from quatprop.signals.message_values import channels_of, field_reader, timed_values
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.tables.base import AnyLog, TableLog
 
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.conditioning.cells import Rows
-    from quatprop.containers.base import Channel, MessageLog
-    from quatprop.messages.message_types import SignalFields
     from quatprop.signals.signal import AttitudeSignal, RateSignal
 
 _ACCELERATION = (
@@ -103,20 +100,15 @@ def specific_forces(log: AnyLog, source: RateSignal, selection: RateSelection) -
     """
     if isinstance(log, TableLog):
         return _table_forces(log, selection)
-    for channel, beside in _fields_beside(log, source):
-        if beside.rate is not None and beside.acceleration is not None:
-            name, absent = beside.acceleration
-            clock = choose_clock(log, channel, beside.rate.stamps, selection)
-            reader = field_reader(log, channel, clock, [name], [absent])
-            return cast("Rows", timed_values(log, channel, reader))
+    for match in source.matches:
+        for force in _beside(match, "force"):
+            return read_vectors(Match(force, match.stamp, marks=marks_of(force)))
     return None
 
 
-def _fields_beside(log: MessageLog, source: RateSignal) -> Iterator[tuple[Channel, SignalFields]]:
-    """Yield the channels of the rates, and the fields in the same part of their messages."""
-    for channel in channels_of(log, source.name):
-        if channel.type_name == source.type_name:
-            yield channel, fields_beside(channel, source.field, log.path)
+def _beside(rates: Match, quantity: str) -> Iterator[Found]:
+    """Yield what is in the same part of the messages as some rates."""
+    return (one for one in find(rates.table, quantity) if one.part == rates.found.part)
 
 
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
@@ -150,8 +142,8 @@ def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -
 
     wanted = AttitudeSelection.like(selection)
     if not isinstance(log, TableLog):
-        beside = (fields.orientation for _, fields in _fields_beside(log, source))
-        field = next((field.name for field in beside if field is not None), None)
+        beside = (one.field for match in source.matches for one in _beside(match, "quat"))
+        field = next(beside, None)
         wanted = replace(wanted, topic=source.name, quat_field=field)
         if source.clock in {"header", "log", "publish"}:
             wanted = replace(wanted, clock=source.clock)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.containers.topics import topics
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -19,17 +20,16 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.messages.decoders import DECODERS
-from quatprop.messages.definitions import message_type
+from quatprop.logs.matching import find
 from quatprop.messages.schema import at
-from quatprop.signals.message_values import channels_of, series_of, stamps_of
-from quatprop.signals.signal import RateSignal, Signal, no_parts
+from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of, stamps_of
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.containers.base import MessageLog
+    from quatprop.logs.matching import Found
     from quatprop.selection import SignalSelection
     from quatprop.tables.base import AnyLog
 
@@ -72,6 +72,8 @@ class SignalKind(NamedTuple):
 
     Parameters
     ----------
+    quantity
+        As in a row of the vocabulary.
     name
         Such as ``"body rates"``.
     secondary
@@ -82,14 +84,15 @@ class SignalKind(NamedTuple):
         The error for a log without any.
     """
 
+    quantity: str
     name: str
     secondary: str
     field: str
     none: type[NoRatesError | NoAttitudesError]
 
 
-RATES = SignalKind("body rates", "estimated body rates", "rate_field", NoRatesError)
-ATTITUDES = SignalKind("attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
+RATES = SignalKind("rate", "body rates", "estimated body rates", "rate_field", NoRatesError)
+ATTITUDES = SignalKind("quat", "attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
 
 
 def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
@@ -164,36 +167,15 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
         batches=lambda: series_of(merged(), averages=first.method == "end"),
         rows=merged,
         part_reader=no_parts,
+        matches=tuple(m for s in signals if isinstance(s, RateSignal) for m in s.matches),
         remarks=(*first.remarks, remark),
     )
 
 
-def _described(channel: Channel) -> str:
-    """Return topic, type, and the encoding where it is not read."""
-    encoding = ""
-    if channel.encoding not in DECODERS:
-        encoding = f", encoded as {channel.encoding or 'nothing known'}, which is not read"
-    return f"{channel.topic} ({channel.type_name}{encoding})"
-
-
 def message_candidates(
-    log: MessageLog,
-    selection: SelectionT,
-    kind: SignalKind,
-    find: Callable[[MessageLog, Channel, SelectionT], list[Candidate[SignalT]]],
-) -> list[Candidate[SignalT]]:
-    """Return the candidates in a log of messages, at least one.
-
-    Parameters
-    ----------
-    log
-        The log.
-    selection
-        What the user has chosen.
-    kind
-        What is wanted.
-    find
-        Returns the candidates of one channel.
+    log: MessageLog, selection: SignalSelection, kind: SignalKind
+) -> list[Found]:
+    """Return what a selection leaves of a kind in a log of messages, at least one.
 
     Raises
     ------
@@ -202,7 +184,7 @@ def message_candidates(
     UsageError
         No message has the field, or a setting is for tables.
     SchemaError
-        The only channel has no definition, or one that cannot be used.
+        The only topic has no definition, or one that cannot be used.
     NoRatesError, NoAttitudesError
         The log holds nothing of this kind.
     """
@@ -211,30 +193,27 @@ def message_candidates(
             raise UsageError(
                 f"{Setting(name)} is for tables, and {quoted(log.path)} holds messages"
             )
-    channels = channels_of(log, selection.topic)
-    if found := [one for channel in channels for one in find(log, channel, selection)]:
+    tables, field = topics(log, selection.topic), getattr(selection, kind.field)
+    if found := [one for table in tables for one in find(table, kind.quantity, field)]:
         return found
-    if channels and (name := getattr(selection, kind.field)) is not None:
+    if tables and field is not None:
         known = [
-            f"{candidate.field} ({channel.topic})"
-            for channel in channels
-            for candidate in find(log, channel, replace(selection, **{kind.field: None}))
+            f"{one.field} ({table.name})" for table in tables for one in find(table, kind.quantity)
         ]
         there = f"the {kind.name} that are recognised are {listed(known)}"
         if not known:
-            if len(channels) == 1:
+            if len(tables) == 1:
                 # Its definition says what is there, unless that is what is missing.
-                root = message_type(channels[0], log.path)
-                for part in name.split(","):
-                    at(root, part.strip(), log.path)
-            there = f"the topics are {listed(map(_described, channels))}"
-        raise UsageError(f"{plain(log.path)}: no message has a field {quoted(name)}; {there}")
-    anywhere = replace(selection, topic=None, **{kind.field: None})
-    topics = [channel.topic for channel in channels_of(log) if find(log, channel, anywhere)]
-    if selection.topic is None or not topics:
-        raise kind.none(log.path, map(_described, channels_of(log)))
-    choices = f"choose one of {listed(topics)}"
-    choices += did_you_mean(selection.topic, topics) if len(topics) > 1 else ""
+                for part in field.split(","):
+                    at(tables[0].root, part.strip(), log.path)
+            there = f"the topics are {listed(map(str, tables))}"
+        raise UsageError(f"{plain(log.path)}: no message has a field {quoted(field)}; {there}")
+    every = topics(log)
+    carrying = [table.name for table in every if find(table, kind.quantity)]
+    if selection.topic is None or not carrying:
+        raise kind.none(log.path, map(str, every))
+    choices = f"choose one of {listed(carrying)}"
+    choices += did_you_mean(selection.topic, carrying) if len(carrying) > 1 else ""
     raise NoSuchTopicError(
         log.path, f"no topic {quoted(selection.topic)} that carries {kind.name}; {choices}"
     )

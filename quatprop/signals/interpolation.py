@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from quatprop.containers.topics import topics
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -25,7 +26,6 @@ from quatprop.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.signals.attitude_input import errors_of
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
-from quatprop.signals.message_values import channels_of
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.base import AnyLog, TableLog
@@ -82,7 +82,7 @@ def attitude_at(
     is_file = Path(source).exists()
     if not is_file:
         topic = str(source)
-        if log is None or isinstance(log, TableLog) or not channels_of(log, topic):
+        if log is None or isinstance(log, TableLog) or not topics(log, topic):
             raise UsageError(
                 f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
                 "no such file is there, and the log has no such topic"

@@ -6,18 +6,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from quatprop.errors import LogError
+from quatprop.series import GyroSeries
 from quatprop.text import Text, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
     from quatprop.containers.merge import Columns
     from quatprop.conventions import Meaning
+    from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
-    from quatprop.series import GyroSeries
 
     Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
 
@@ -26,6 +27,19 @@ if TYPE_CHECKING:
 
         def __call__(self, *, positions: bool = False, covariances: bool = False) -> Rows:
             """Yield stamps, quaternions and, if they are wanted, what is beside them."""
+
+
+def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
+    """Yield the stamps of rows and their log times, shapes ``(N,)``, int64 ns."""
+    for columns in rows:
+        yield columns.values[0], columns.log_ns
+
+
+def series_of(rows: Iterable[Columns], *, averages: bool) -> Iterator[GyroSeries]:
+    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans."""
+    for columns in rows:
+        t_ns, rate, *spans = columns.values
+        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
 
 
 def no_parts() -> None:
@@ -82,6 +96,9 @@ class RateSignal(Signal):
     rows
         Reads the samples of messages with their log times: their values are the arguments of
         :class:`quatprop.series.GyroSeries`; nothing for a table.
+    matches
+        Where they are in messages: one, or one for each definition that the topic was recorded
+        with.
     """
 
     batches: Callable[[], Iterator[GyroSeries]]
@@ -90,6 +107,7 @@ class RateSignal(Signal):
     increments: bool = False
     part_reader: Callable[[], PartReader | None] = no_parts
     rows: Callable[[], Iterator[Columns]] = lambda: iter(())
+    matches: tuple[Match, ...] = ()
 
     @property
     def samples(self) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.mounting import FrameMounting
+from quatprop.containers.topics import TEXT_ENCODINGS, TRANSFORM_LISTS
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import (
     IDENTITY,
@@ -16,10 +17,8 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.messages.message_types import TRANSFORM_LISTS
 from quatprop.messages.transforms import TransformDecoder
-from quatprop.signals.message_values import channels_of
-from quatprop.signals.sensor_frames import ENCODINGS, bare_frame, sensor_frames
+from quatprop.signals.sensor_frames import bare_frame, sensor_frames
 from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -59,7 +58,7 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     if log is None or isinstance(log, TableLog):
         mount = Setting("mount", f"tf:{frame}")
         raise UsageError(f"{mount} needs a log of messages with /tf_static")
-    sensor, wanted = next(iter(sensor_frames(log, source)), ""), bare_frame(frame)
+    sensor, wanted = next(iter(sensor_frames(source)), ""), bare_frame(frame)
     if not sensor:
         raise UsageError(
             f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
@@ -91,11 +90,11 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
 def _static_steps(log: MessageLog) -> Steps:
     """Return the rotations between neighbouring frames; of several for a frame the last counts."""
     parents: dict[str, tuple[str, Float64]] = {}
-    for channel in channels_of(log):
-        is_static = channel.topic.rpartition("/")[2] == STATIC_TOPIC
+    for channel in log.channels():
+        is_static = channel.count != 0 and channel.topic.rpartition("/")[2] == STATIC_TOPIC
         if not (is_static and channel.type_name in TRANSFORM_LISTS):
             continue
-        if channel.encoding not in ENCODINGS:
+        if channel.encoding not in TEXT_ENCODINGS:
             raise UsageError(
                 f"{plain(log.path)}: transforms in {quoted(channel.encoding)} on "
                 f"{quoted(channel.topic)} are not read; give {GIVEN}"

@@ -1,0 +1,382 @@
+"""Topics of messages as tables: the definition, flattened, says what the columns are."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.base import LATEST
+from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.kept_blocks import blocks_of
+from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.errors import MessageError, UsageError
+from quatprop.messages.cursor import first_names
+from quatprop.messages.decoders import DECODERS, decoder_of
+from quatprop.messages.definitions import message_type
+from quatprop.messages.schema import (
+    MAX_SEARCHED_ITEMS,
+    Array,
+    Primitive,
+    String,
+    Struct,
+    find,
+    numbers,
+)
+from quatprop.messages.times import to_ns
+from quatprop.messages.ulog import is_secondary
+from quatprop.messages.values import raw_messages
+from quatprop.progress import metered
+from quatprop.tables.model import Column, Part, Table
+from quatprop.text import Setting, listed, plain, quoted
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.time_range import TimeRange
+    from quatprop.messages.schema import Type
+    from quatprop.provenance import JsonObject
+    from quatprop.tables.model import Convert, Group, Stamp
+
+    Decode = Callable[[MessageBlock], Columns]
+
+MAX_VISITS = 20_000
+"""A definition is flattened down to so many types: shared types multiply the paths."""
+
+MAX_ELEMENTS = 64
+"""Arrays of more numbers are no columns unless one of their elements is named."""
+
+CLOCK_STEP_NS = 100_000_000
+"""Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
+
+TEXT_ENCODINGS = ("cdr", "ros1")
+"""Encodings of which text and lists of transforms are read."""
+
+TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types that consist of one list of ``geometry_msgs/TransformStamped``."""
+
+
+def topics(log: MessageLog, topic: str | None = None) -> list[TopicTable]:
+    """Return the topics of a log that have messages.
+
+    Parameters
+    ----------
+    log
+        The container.
+    topic
+        Only those of this name; None for all. A ULog topic with one instance may be named without
+        it: ``sensor_combined`` for ``sensor_combined/0``.
+    """
+    channels = [channel for channel in log.channels() if channel.count != 0]
+    if topic is not None:
+        named = [channel for channel in channels if channel.topic == topic]
+        instances = [
+            channel
+            for channel in channels
+            if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+        ]
+        channels = named or (instances if len(instances) == 1 else [])
+    return [_table_of(log, channel) for channel in channels]
+
+
+def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
+    if channel.type_name in TRANSFORM_LISTS:
+        from quatprop.containers.transform_lists import TransformTable
+
+        return TransformTable(log, channel)
+    if channel.encoding == "json":
+        from quatprop.messages.json import sample_of
+
+        # The first messages are all the definition there is.
+        block = next((block for block in blocks_of(log, channel) if len(block)), None)
+        if block is not None:
+            channel = replace(channel, sample=sample_of(raw_messages(block)))
+    return TopicTable(log, channel)
+
+
+class TopicTable(Table):
+    """A topic as a table.
+
+    Parameters
+    ----------
+    log
+        The container.
+    channel
+        One of its channels.
+    """
+
+    def __init__(self, log: MessageLog, channel: Channel) -> None:
+        self.log = log
+        self.channel = channel
+        self.path = log.path
+        self.name = channel.topic
+        self.type = channel.type_name
+
+    def __str__(self) -> str:
+        """Return topic, type, and the encoding where it is not read."""
+        encoding = f", encoded as {self.channel.encoding or 'nothing known'}, which is not read"
+        return f"{self.name} ({self.type}{'' if self.is_decodable else encoding})"
+
+    @property
+    def is_decodable(self) -> bool:
+        """Whether the encoding of its messages is read."""
+        return self.channel.encoding in DECODERS
+
+    @property
+    def is_secondary(self) -> bool:
+        """Whether it has the message of another, main topic."""
+        return is_secondary(self.channel)
+
+    def may_contain(self, types: Iterable[str]) -> bool:
+        """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
+        return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
+
+    # Columns.
+
+    @cached_property
+    def root(self) -> Struct:
+        """The type of the messages; SchemaError where the definition cannot be read."""
+        return message_type(self.channel, self.path)
+
+    @cached_property
+    def columns(self) -> list[Column]:
+        """The numbers of fixed place; grows by those that are named."""
+        return [*_flattened(self.root)[0]]
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The structs of fixed place."""
+        return _flattened(self.root)[1]
+
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        return {column.text: k for k, column in enumerate(self.columns)}
+
+    def columns_of(self, field: str) -> Group | None:
+        """Return the columns that a field consists of.
+
+        None where there is no such field, nothing where it is not made of a few numbers.
+        """
+        kind = find(self.root, field)
+        if kind is None:
+            return None
+        leaves = [*islice(_leaves(field, kind), MAX_ELEMENTS + 1)]
+        if len(leaves) > MAX_ELEMENTS or not all(isinstance(one, Primitive) for _, one in leaves):
+            return ()
+        return tuple(self._column(name, one) for name, one in leaves if isinstance(one, Primitive))
+
+    def _column(self, name: str, kind: Primitive) -> int:
+        if name not in self._numbers:
+            self._numbers[name] = len(self.columns)
+            self.columns.append(Column(name, name, code=kind.code))
+        return self._numbers[name]
+
+    def field_of(self, group: Group) -> tuple[list[str], list[int]]:
+        """Return the fields to decode for a group, and where its numbers are among theirs.
+
+        A vector is one field; where the numbers are in its order, no places are given.
+        """
+        names = [self.columns[k].text for k in group]
+        parent = names[0][: max(names[0].rfind("."), names[0].rfind("["), 0)]
+        shape = numbers(find(self.root, parent)) if parent and len(group) > 1 else None
+        if shape is None or shape[1] != len(group):
+            return names, []
+        below = self.columns_of(parent) or ()
+        if {*below} != {*group}:
+            return names, []
+        return [parent], [] if below == group else [below.index(k) for k in group]
+
+    def of_frames(self, wanted: str | None) -> TopicTable:
+        """Return the rows between two frames; refused where messages are no transforms."""
+        if wanted is not None:
+            raise UsageError(
+                f"{plain(self.path)}: {Setting('frame')} chooses from a list of transforms, and "
+                f"messages of topic {quoted(self.name)} have one attitude each; leave it out"
+            )
+        return self
+
+    def texts(self, field: str) -> list[str]:
+        """Return what a text is in the first messages; nothing where it is none."""
+        if self.channel.encoding not in TEXT_ENCODINGS:
+            return []
+        block = next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
+        if block is None or not isinstance(find(self.root, field), String):
+            return []
+        return first_names(self.channel, block, self.root, field, self.path)
+
+    # Rows.
+
+    def read(
+        self,
+        stamp: Stamp,
+        groups: Sequence[Group],
+        convert: Convert,
+        within: TimeRange | None = None,
+    ) -> Iterator[Columns]:
+        """Yield batches in the order of the log times, if these are recorded."""
+        decode = self.decoder(stamp, groups)
+        if within is None:
+            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
+        else:
+            blocks = metered(coalesce_blocks(self.log.blocks_within(self.channel, within)), None)
+        batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
+        return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
+
+    def times(self, stamp: Stamp) -> Iterator[Int64]:
+        """Yield the times of all messages, ns."""
+        decode = self.decoder(stamp, ())
+        for block in blocks_of(self.log, self.channel):
+            try:
+                yield decode(block).values[0]
+            except MessageError as error:
+                if not error.positions:
+                    raise
+                # Messages that do not fit are noted when they are read for good.
+                yield np.ones(1, np.int64)
+
+    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
+        """Return what decodes the time and some groups of columns of a block."""
+        times = [self.columns[k].text for k in stamp.columns]
+        wanted = [self.field_of(group) for group in groups]
+        fields = [*times, *(name for names, _ in wanted for name in names)]
+        decoder = decoder_of(self.channel, fields, self.path)
+
+        def decode(block: MessageBlock) -> Columns:
+            arrays = iter(decoder.columns(block))
+            t_ns = self.ns(stamp, [*islice(arrays, len(times))], block)
+            values = []
+            for group, (names, places) in zip(groups, wanted, strict=True):
+                own = [*islice(arrays, len(names))]
+                values.append(own[0] if len(group) == 1 else as_rows(own, places))
+            return Columns(block.log_ns, (t_ns, *values), block.not_before_ns)
+
+        return decode
+
+    def ns(self, stamp: Stamp, fields: Sequence[AnyArray], block: MessageBlock) -> Int64:
+        """Return the time of every message of a block, shape ``(N,)``, int64 ns."""
+        if stamp.clock == "log":
+            return block.log_ns
+        if stamp.clock == "publish":
+            return np.where(block.publish_ns < 0, LATEST, block.publish_ns)
+        names = listed(self.columns[k].text for k in stamp.columns)
+        return to_ns(fields, stamp.units, names, self.path)
+
+    def _readable(self, decode: Decode, block: MessageBlock) -> Columns:
+        """Return the rows of a block without the messages that do not fit."""
+        log_ns = block.log_ns
+        if self.log.has_log_time and (log_ns[1:] < log_ns[:-1]).any():
+            self._remark_on_step(log_ns)
+        try:
+            return decode(block)
+        except MessageError as error:
+            if not error.positions:
+                raise
+            # Of the same reason in several blocks each counts, however often they are read.
+            first_ns = int(log_ns[error.positions[0]])
+            reason, count = str(error.reason), len(error.positions)
+            self.log.losses.note(f"topic {self.name}", reason, count, part=first_ns)
+            keep = np.ones(len(block), np.bool_)
+            keep[list(error.positions)] = False
+            return self._readable(decode, block.at(keep))
+
+    def _remark_on_step(self, log_ns: Int64) -> None:
+        """Remark on log times, in the order of the log, that step back as after setting a clock."""
+        if np.diff(log_ns).min() < -CLOCK_STEP_NS:
+            self.remark(
+                f"the log times of topic {quoted(self.name)} step back on the way by more than "
+                f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
+                "samples are taken in the order of their log times"
+            )
+
+    # The log.
+
+    def provenance(self) -> JsonObject:
+        """Return how the messages were made, if this package made them."""
+        return self.log.provenance(self.name)
+
+    def remark(self, text: str) -> None:
+        """Add a remark on the log, as the last one."""
+        self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
+
+
+def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:
+    """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64.
+
+    Its columns are contiguous: that is how rows are computed with, and quicker to make. With
+    `places`, the numbers of the row that are there, in that order.
+    """
+    stacked = fields[0] if len(fields) == 1 else np.stack(fields).T
+    with np.errstate(invalid="ignore"):  # a damaged log may have float32 NaNs that signal
+        if not places:
+            return np.array(stacked, dtype=np.float64, order="F")
+        rows = np.empty((len(stacked), len(places)), np.float64, order="F")
+        for number, place in enumerate(places):
+            rows[:, number] = stacked[:, place]
+        return rows
+
+
+@lru_cache(maxsize=64)
+def _flattened(root: Struct) -> tuple[tuple[Column, ...], tuple[Part, ...]]:
+    """Return the numbers and the structs that every message has at a fixed place.
+
+    Breadth first and bounded: types that double at every level have 2^50 leaves, and what is wanted
+    lies near the top. The columns are in the order of the definition, those of a struct together.
+    """
+    leaves: list[tuple[tuple[int, ...], Column]] = []
+    structs: list[tuple[tuple[int, ...], str, str]] = []
+    waiting: deque[tuple[tuple[int, ...], str, Type]] = deque([((), "", root)])
+    for _ in range(MAX_VISITS):
+        if not waiting:
+            break
+        place, name, kind = waiting.popleft()
+        if isinstance(kind, Primitive):
+            leaves.append((place, Column(name, name, code=kind.code)))
+        elif isinstance(kind, Struct):
+            structs.append((place, name and name + ".", kind.name))
+            waiting.extend(_below(place, name, kind))
+        elif isinstance(kind, Array):
+            is_flat = isinstance(kind.element, Primitive)
+            if kind.length <= (MAX_ELEMENTS if is_flat else MAX_SEARCHED_ITEMS):
+                waiting.extend(_below(place, name, kind))
+    leaves.sort(key=lambda leaf: leaf[0])
+    places = [place for place, _ in leaves]
+    parts = (
+        Part(
+            prefix,
+            type_name,
+            bisect_left(places, place),
+            bisect_left(places, (*place[:-1], place[-1] + 1)) if place else len(places),
+        )
+        for place, prefix, type_name in structs
+    )
+    return tuple(column for _, column in leaves), tuple(parts)
+
+
+def _below(
+    place: tuple[int, ...], name: str, kind: Struct | Array
+) -> Iterator[tuple[tuple[int, ...], str, Type]]:
+    """Yield what a struct or an array consists of: place, name and type of each."""
+    if isinstance(kind, Struct):
+        prefix = name and name + "."
+        for number, (own, below) in enumerate(kind.fields):
+            yield (*place, number), prefix + own, below
+    else:
+        for number in range(kind.length):
+            yield (*place, number), f"{name}[{number}]", kind.element
+
+
+def _leaves(name: str, kind: Type) -> Iterator[tuple[str, Type]]:
+    """Yield the names and types of what a field consists of, in order."""
+    if isinstance(kind, Struct | Array):
+        for _, own, below in _below((), name, kind):
+            yield from _leaves(own, below)
+    else:
+        yield name, kind

@@ -1,0 +1,114 @@
+"""Lists of transforms as tables: a row for each element, and the frames say whose row it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.merge import Columns
+from quatprop.containers.topics import TopicTable
+from quatprop.errors import MessageError, NoSamplesError, UsageError
+from quatprop.messages.schema import TIME
+from quatprop.messages.transforms import Frames, TransformDecoder
+from quatprop.tables.model import Column, Part
+from quatprop.text import Setting, listed, plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.topics import Decode
+    from quatprop.tables.model import Group, Stamp
+
+_NAMES = (
+    *(f"transform.rotation.{part}" for part in "xyzw"),
+    *(f"transform.translation.{part}" for part in "xyz"),
+)
+_COLUMNS = (
+    Column("header.stamp", "header.stamp", code=TIME.code),
+    *(Column(name, name, code="f8") for name in _NAMES),
+)
+
+
+class TransformTable(TopicTable):
+    """The transforms between two frames, of a topic that carries lists of transforms."""
+
+    frames: Frames | None = None
+    parts = (Part("", "geometry_msgs/msg/TransformStamped", 0, len(_COLUMNS)),)
+
+    def __init__(self, log: MessageLog, channel: Channel) -> None:
+        super().__init__(log, channel)
+        self.columns = [*_COLUMNS]
+
+    def columns_of(self, field: str) -> Group | None:
+        """Return the columns that a field of an element consists of."""
+        below = (field, field + ".")
+        found = (k for k, one in enumerate(_COLUMNS) if (one.text + ".").startswith(below[1]))
+        return tuple(found) or None
+
+    def field_of(self, group: Group) -> tuple[list[str], list[int]]:  # noqa: ARG002  # all of it
+        """Return the frames, where they are chosen."""
+        frames = self.frames
+        return ["transforms" if frames is None else f"{frames.parent} <- {frames.child}"], []
+
+    def of_frames(self, wanted: str | None) -> TransformTable:
+        """Return the transforms of the only pair of frames, after looking through the topic.
+
+        Parameters
+        ----------
+        wanted
+            ``"child"`` or ``"parent:child"``; None for the only pair there is.
+
+        Raises
+        ------
+        UsageError
+            There is no such pair, or several.
+        NoSamplesError
+            The topic has no transforms at all.
+        """
+        decoder = TransformDecoder(self.channel, self.path)
+        for block in coalesce_blocks(self.log.blocks(self.channel)):
+            try:
+                decoder.transforms(block)
+            except MessageError as error:
+                if not error.positions:
+                    raise
+        if not decoder.frames:
+            raise NoSamplesError(self.path, self.name)
+        parent, _, child = (wanted or "").rpartition(":")
+        fits = [f for f in decoder.frames if child in ("", f.child) and parent in ("", f.parent)]
+        if len(fits) != 1:
+            there = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
+            what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
+            if not fits:
+                what = f"has no transform {quoted(wanted)}, but"
+            raise UsageError(
+                f"{plain(self.path)}: topic {quoted(self.name)} {what} {there}; choose one with "
+                f"{Setting('frame', 'PARENT:CHILD')}"
+            )
+        chosen = TransformTable(self.log, self.channel)
+        chosen.frames = fits[0]
+        return chosen
+
+    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
+        """Return what decodes the elements between the two frames."""
+        transforms = TransformDecoder(self.channel, self.path)
+        if self.frames is not None:
+            transforms.frames.append(self.frames)
+
+        def decode(block: MessageBlock) -> Columns:
+            found = transforms.transforms(block)
+            ours = found.frames == 0
+            message = found.message[ours]
+            if stamp.clock == "header":
+                t_ns = found.t_ns[ours]
+            else:
+                t_ns = self.ns(stamp, (), block)[message]
+            # In the order of the columns: x, y, z, w, and the position.
+            numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
+            values = (numbers[:, [k - 1 for k in group]] for group in groups)
+            return Columns(block.log_ns[message], (t_ns, *values), block.not_before_ns)
+
+        return decode

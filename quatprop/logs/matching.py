@@ -1,0 +1,232 @@
+"""Find the columns of a quantity in a table, by the rows of the vocabulary or by name."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.errors import SchemaError
+from quatprop.logs.vocabulary import PARTS, TYPES, Row, row_of_type
+from quatprop.tables.model import Part
+from quatprop.text import quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.containers.topics import TopicTable
+    from quatprop.tables.model import Group, Stamp
+    from quatprop.text import Text
+
+
+class Found(NamedTuple):
+    """A quantity that a table seems to have; nothing was read of it yet.
+
+    Parameters
+    ----------
+    table, row
+        Where it is, and what its columns are by the vocabulary.
+    part
+        The part of the table.
+    sets
+        Its components in order; several where a message has many samples, the oldest first.
+    field
+        Its name, as the settings ``rate_field`` and ``quat_field`` take it.
+    """
+
+    table: TopicTable
+    row: Row
+    part: Part
+    sets: tuple[Group, ...]
+    field: str
+
+
+class Match(NamedTuple):
+    """A quantity of a table with all that is needed to read it.
+
+    Parameters
+    ----------
+    found
+        Where it is.
+    stamp
+        Its time.
+    factor
+        What stored numbers are multiplied by.
+    marks
+        The column that is -1, or of a bias false, where the quantity is absent; empty if there is
+        none.
+    remarks
+        What the user should know of the choice.
+    """
+
+    found: Found
+    stamp: Stamp
+    factor: float = 1.0
+    marks: Group = ()
+    remarks: tuple[str | Text, ...] = ()
+
+    @property
+    def table(self) -> TopicTable:
+        """The table."""
+        return self.found.table
+
+    @property
+    def row(self) -> Row:
+        """What the columns are by the vocabulary."""
+        return self.found.row
+
+
+def marks_of(found: Found) -> Group:
+    """Return the column that is -1 where a quantity is absent, if there is one."""
+    if not found.row.absent:
+        return ()
+    table = found.table
+    name = re.sub(r"[.\[][^.\[]*$", "", table.columns[found.sets[0][0]].key)
+    fits = re.compile(re.escape(name) + found.row.absent).fullmatch
+    return tuple(k for k, column in enumerate(table.columns) if fits(column.key))[:1]
+
+
+def matching(table: TopicTable, part: Part, pattern: str) -> Iterator[tuple[int, re.Match[str]]]:
+    """Yield the columns of a part whose names fit a pattern, and how."""
+    fits = re.compile(pattern).fullmatch
+    for k in range(part.begin, part.end) if pattern else ():
+        if match := fits(table.columns[k].key[len(part.prefix) :]):
+            yield k, match
+
+
+def sets_of(
+    table: TopicTable, part: Part, components: Sequence[str], pattern: str
+) -> tuple[Group, ...]:
+    """Return each complete set of columns of a part whose names differ in the component alone.
+
+    Parameters
+    ----------
+    table, part
+        Where the columns are.
+    components
+        How the group ``part`` of the pattern spells each, with ``|`` between spellings.
+    pattern
+        As in a row of the vocabulary.
+    """
+    number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
+    found: dict[str, dict[int, int]] = {}
+    for k, match in matching(table, part, pattern):
+        if match["part"] in number:
+            name = match.string
+            rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
+            found.setdefault(rest, {}).setdefault(number[match["part"]], k)
+    count = len(components)
+    return tuple(
+        tuple(places[component] for component in range(count))
+        for places in found.values()
+        if len(places) == count
+    )
+
+
+def find(table: TopicTable, quantity: str, field: str | None = None) -> list[Found]:
+    """Return what a table has of a quantity: by its types, or at a field that is named.
+
+    Parameters
+    ----------
+    table
+        A topic.
+    quantity
+        ``"rate"``, ``"quat"``, ``"bias"`` or ``"force"``.
+    field
+        Dotted path of a rate, or several with commas between them, or of a quaternion.
+
+    Raises
+    ------
+    SchemaError
+        The definition of a recognised type cannot be read, or the field is not of this quantity.
+    """
+    if field is not None:
+        return _named(table, quantity, field)
+    own = row_of_type(table.type)
+    is_wanted = own is not None and getattr(own, quantity) != ""
+    if not table.is_decodable or not (is_wanted or table.may_contain(TYPES)):
+        return []
+    try:
+        return [*_recognised(table, quantity)]
+    except SchemaError:
+        if is_wanted:
+            raise
+        return []
+
+
+def _recognised(table: TopicTable, quantity: str) -> Iterator[Found]:
+    """Yield what the types of a message say, but for types inside such types."""
+    outer: list[str] = []
+    for part in table.parts:
+        row = row_of_type(part.type)
+        pattern = "" if row is None else getattr(row, quantity)
+        if row is None or not pattern or part.prefix.startswith(tuple(outer)):
+            continue
+        sets = sets_of(table, part, PARTS[quantity], pattern)
+        if quantity != "rate" or row.burst is None:
+            sets = sets[:1]
+        beside = (row.span, *(row.burst or ())) if quantity == "rate" else ()
+        is_whole = all(column_beside(table, part, name) for name in beside if name)
+        if sets and is_whole and (quantity != "quat" or _are_floats(table, sets[0])):
+            outer.append(part.prefix)
+            yield Found(table, row, part, sets, field_name(table, sets))
+
+
+def column_beside(table: TopicTable, part: Part, name: str) -> Group:
+    """Return the column of a number in a part of a table, if it is there."""
+    columns = table.columns_of(part.prefix + name) if name else ()
+    return columns if columns and len(columns) == 1 else ()
+
+
+def field_name(table: TopicTable, sets: Sequence[Group]) -> str:
+    """Return columns as settings name them: a vector by its own name."""
+    groups = sets if len(sets) == 1 else [*zip(*sets, strict=True)]
+    return ",".join(name for group in groups for name in table.field_of(tuple(group))[0])
+
+
+def _named(table: TopicTable, quantity: str, field: str) -> list[Found]:
+    """Return the quantity at a field; nothing where the table has no such field."""
+    names = [name.strip() for name in field.split(",")] if quantity == "rate" else [field]
+    if not table.is_decodable:
+        return []
+    try:
+        known = [one for one in _recognised(table, quantity) if one.field == ",".join(names)]
+        columns = [table.columns_of(name) for name in names]
+    except SchemaError:
+        return []
+    if known or any(group is None for group in columns):
+        return known
+    group = tuple(k for own in columns for k in own or ())
+    if len(group) != len(PARTS[quantity]) or not all(columns):
+        group = ()
+    if quantity == "quat":
+        group = _quaternion(table, field, group)
+    if not group:
+        what = "is not three numbers; name a field of x, y, z or three numbers as a,b,c"
+        if quantity == "quat":
+            what = (
+                "is not a quaternion; name a field with parts w, x, y, z or an array of four "
+                "numbers"
+            )
+        raise SchemaError(table.path, f"field {quoted(field)} of {quoted(table.type)} {what}")
+    from quatprop.tables.matching.column_names import rate_unit_of
+
+    row = Row(unit=rate_unit_of(names) or "", stamps=())
+    part = Part("", "", 0, len(table.columns))
+    return [Found(table, row, part, (group,), ",".join(names))]
+
+
+def _quaternion(table: TopicTable, field: str, group: Group) -> Group:
+    """Return the columns of w, x, y, z where they have names, those of an array as they are."""
+    if not group or not _are_floats(table, group):
+        return ()
+    parts = [table.columns[k].text.removeprefix(field) for k in group]
+    if parts[0] == "[0]":
+        return group
+    return tuple(group[parts.index(f".{c}")] for c in "wxyz") if {*parts} == {*_WXYZ} else ()
+
+
+_WXYZ = (".w", ".x", ".y", ".z")
+
+
+def _are_floats(table: TopicTable, group: Group) -> bool:
+    return all(table.columns[k].code[0] == "f" for k in group)

@@ -1,0 +1,134 @@
+"""Read what was matched: rates in rad/s, biases and forces, at stamps in ns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.merge import Columns
+from quatprop.errors import MessageError
+from quatprop.logs.matching import column_beside
+from quatprop.messages.times import to_ns
+from quatprop.text import quoted
+from quatprop.times import NS_PER_S, NS_PER_UNIT
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.containers.time_range import TimeRange
+    from quatprop.logs.matching import Match
+    from quatprop.logs.vocabulary import Burst
+    from quatprop.tables.model import Group
+
+ABSENT = -1.0
+"""What the first number of a covariance is where the value beside it is not measured."""
+
+MAX_SPACING_NS = NS_PER_S
+"""Samples of a burst are not further apart than this, unless the message is damaged."""
+
+
+def read_rates(match: Match, within: TimeRange | None = None) -> Iterator[Columns]:
+    """Yield batches of stamps, ns, rates, rad/s, ``(N, 3)``, and integration times of increments.
+
+    Only the parts of the log that have a range of log times by its index; None is all.
+    """
+    row, sets = match.row, match.found.sets
+    if row.burst is not None:
+        return _read_bursts(match, row.burst, within)
+    groups: tuple[Group, ...] = (sets[0],)
+    if row.span:
+        groups += (column_beside(match.table, match.found.part, row.span),)
+    elif match.marks:
+        groups += (match.marks,)
+
+    def convert(rows: Columns) -> Columns:
+        t_ns, rate, *beside = rows.values
+        values: tuple[AnyArray, ...] = (t_ns, rate)
+        if row.span:
+            span_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
+            # An increment over no time has no rate; it is not finite, and policies deal with that.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rate /= (span_ns / NS_PER_S)[:, None]
+            values = (t_ns, rate, span_ns)
+        elif beside:
+            without_absent(rate, beside[0])
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
+        return Columns(rows.log_ns, values, rows.not_before_ns)
+
+    return match.table.read(match.stamp, groups, convert, within)
+
+
+def _read_bursts(match: Match, burst: Burst, within: TimeRange | None) -> Iterator[Columns]:
+    """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
+    table, part = match.table, match.found.part
+    axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
+    groups = [*axes, *(column_beside(table, part, name) for name in burst)]
+    ns_per_unit = NS_PER_UNIT[match.row.time_unit]
+
+    def convert(rows: Columns) -> Columns:
+        stamp_ns, x, y, z, samples, scale, spacing = rows.values
+        stored = np.stack((x, y, z), axis=-1).reshape(len(x), -1, 3)
+        counts, room = samples.astype(np.int64), stored.shape[1]
+        spacing_ns = spacing.astype(np.float64) * ns_per_unit
+        # Written so that NaN is refused too.
+        good = (counts <= room) & (spacing_ns >= 0) & (spacing_ns <= MAX_SPACING_NS)
+        if not good.all():
+            bad = np.flatnonzero(~good)
+            raise MessageError(
+                table.path,
+                f"a message of topic {quoted(table.name)} counts {counts[bad[0]]} samples, "
+                f"{spacing_ns[bad[0]]:g} ns apart, and has room for {room}; the log is damaged",
+                bad.tolist(),
+            )
+        message = np.repeat(np.arange(len(counts)), counts)
+        position = np.arange(len(message)) - np.repeat(np.cumsum(counts) - counts, counts)
+        rate = stored[message, position] * scale.astype(np.float64)[message, None]
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
+        # Rounded last: the spacing need not be a whole number of nanoseconds.
+        before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
+        values = (stamp_ns[message] - before, rate)
+        return Columns(rows.log_ns[message], values, rows.not_before_ns)
+
+    return table.read(match.stamp, groups, convert, within)
+
+
+def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Columns]:
+    """Yield stamps, ns, quaternions as stored, wxyz, ``(N, 4)``, and other groups beside them."""
+    marks = [match.marks] if match.marks else []
+
+    def convert(rows: Columns) -> Columns:
+        t_ns, wxyz, *others = rows.values
+        if marks:
+            without_absent(wxyz, others.pop(0))
+        return Columns(rows.log_ns, (t_ns, wxyz, *others), rows.not_before_ns)
+
+    return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
+
+
+def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
+    """Yield stamps, ns, and specific forces or biases, ``(N, 3)``, NaN where they are absent."""
+    groups = (*match.found.sets, *([match.marks] if match.marks else ()))
+
+    def convert(rows: Columns) -> Columns:
+        t_ns, vectors, *marks = rows.values
+        for mark in marks:
+            if match.row.valid:
+                vectors = np.where(mark[:, None] != 0, vectors, np.nan)
+            else:
+                without_absent(vectors, mark)
+        return Columns(rows.log_ns, (t_ns, vectors), rows.not_before_ns)
+
+    for rows in match.table.read(match.stamp, groups, convert):
+        t_ns, vectors = rows.values
+        yield t_ns, vectors
+
+
+def without_absent(rows: Float64, mark: AnyArray) -> None:
+    """Set rows of numbers to NaN where the mark beside them says that they are absent."""
+    if count := np.count_nonzero(is_absent := mark == ABSENT):
+        # Setting all of them is much quicker without a mask.
+        rows[is_absent if count < len(mark) else ...] = np.nan

@@ -1,0 +1,221 @@
+"""What columns mean: one row for each message type and program.
+
+A new device is one new row of :data:`ROWS`. Names are regular expressions for whole names of
+columns; in messages they are relative to the message of the row's type, wherever it is. The group
+``part`` of a pattern is the component, the rest of the name must be the same in all of them.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.messages.schema import ros_name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class Burst(NamedTuple):
+    """Columns that say how many samples a message holds; its stamp is that of the last one.
+
+    Parameters
+    ----------
+    samples
+        How many elements of the three arrays are samples, the oldest first.
+    scale
+        What the stored numbers are multiplied by.
+    spacing
+        The time between samples, in the unit of the row's stamps.
+    """
+
+    samples: str
+    scale: str
+    spacing: str
+
+
+class Row(NamedTuple):
+    """How one source names its columns, and what its numbers are.
+
+    Parameters
+    ----------
+    types
+        The message types, as ROS spells them.
+    name
+        What summaries call it; ``""`` for types of ROS.
+    rate, quat, bias, force
+        Patterns of the components of a rate, a quaternion, a gyroscope's bias, a specific force.
+    stamps
+        Its time, the best first: times, or numbers in the `time_unit`.
+    unit
+        Of the rate and the bias; ``""`` where names must declare it.
+    time_unit
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""`` where times say it themselves.
+    absent
+        What follows the name of a quantity in that of a column that is -1 where it is absent.
+    valid
+        The column that is false where a bias is not valid.
+    position
+        Pattern of the components of the position that belongs to the quaternion, m.
+    covariance
+        Pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of the
+        reference frame, rad^2; of 36 the last block counts.
+    layout
+        ``"scalar-first"`` or ``"scalar-last"`` of a quaternion whose components have no names.
+    frames
+        Which frames the quaternion relates, where the type fixes them.
+    measured
+        Whether a gyroscope measured the rate; what is estimated or commanded does not compete.
+    method
+        The integration rule that fits the rate, where its definition says what samples are:
+        ``"end"`` for averages over the interval that ends at the stamp.
+    span
+        The integration time of the sensor, in the `time_unit`, where the rate is an increment, rad,
+        over the interval that ends at the stamp.
+    burst
+        Where a message has many samples; the pattern of the rate is that of all their components.
+    """
+
+    types: tuple[str, ...] = ()
+    name: str = ""
+    rate: str = ""
+    quat: str = ""
+    bias: str = ""
+    force: str = ""
+    stamps: tuple[str, ...] = ("header.stamp",)
+    unit: str = "rad/s"
+    time_unit: str = ""
+    absent: str = ""
+    valid: str = ""
+    position: str = ""
+    covariance: str = ""
+    layout: str = ""
+    frames: str = ""
+    measured: bool = True
+    method: str | None = None
+    span: str = ""
+    burst: Burst | None = None
+
+
+XYZ = r"[.\[](?P<part>[xyz012])\]?"
+"""The components of a vector: parts or elements."""
+WXYZ = r"[.\[](?P<part>[wxyz0123])\]?"
+
+RATE_PARTS = ("x|p|0|[0]|roll", "y|q|1|[1]|pitch", "z|r|2|[2]|yaw")
+"""What the group ``part`` of each axis may be."""
+QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")
+"""What the group ``part`` of each component of a quaternion may be."""
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "rate": RATE_PARTS,
+    "quat": QUATERNION_PARTS,
+    "bias": RATE_PARTS,
+    "force": RATE_PARTS,
+    "position": RATE_PARTS,
+}
+"""The same by the field of a row."""
+
+COVARIANCE = r"_covariance(?:\[0\]|_?0|\.0)"
+"""The first number of a covariance of ROS: -1 where the quantity is absent."""
+
+STAMPS = ("header.stamp", "stamp", "timestamp")
+"""Where a message may have its time, whatever its type."""
+
+_ros = partial(Row, absent=COVARIANCE)
+_foxglove = partial(Row, stamps=("timestamp",))
+_px4 = partial(Row, name="PX4", stamps=("timestamp_sample", "timestamp"), time_unit="us")
+_frd = partial(_px4, quat="q" + WXYZ, layout="scalar-first", frames="FRD body to NED reference")
+
+ROWS = (
+    _ros(
+        ("sensor_msgs/msg/Imu",),
+        rate="angular_velocity" + XYZ,
+        quat="orientation" + WXYZ,
+        force="linear_acceleration" + XYZ,
+        covariance=r"orientation_covariance\[\d\]",
+    ),
+    _ros(("geometry_msgs/msg/QuaternionStamped",), quat="quaternion" + WXYZ),
+    _ros(
+        ("geometry_msgs/msg/PoseStamped",),
+        quat=r"pose\.orientation" + WXYZ,
+        position=r"pose\.position" + XYZ,
+    ),
+    _ros(
+        ("geometry_msgs/msg/PoseWithCovarianceStamped",),
+        quat=r"pose\.pose\.orientation" + WXYZ,
+        position=r"pose\.pose\.position" + XYZ,
+        covariance=r"pose\.covariance\[\d+\]",
+    ),
+    _ros(
+        ("geometry_msgs/msg/TransformStamped",),
+        quat=r"transform\.rotation" + WXYZ,
+        position=r"transform\.translation" + XYZ,
+    ),
+    _ros(("geometry_msgs/msg/TwistStamped",), rate=r"twist\.angular" + XYZ, measured=False),
+    _ros(
+        ("geometry_msgs/msg/TwistWithCovarianceStamped",),
+        rate=r"twist\.twist\.angular" + XYZ,
+        measured=False,
+    ),
+    _ros(("geometry_msgs/msg/Vector3Stamped",), bias="vector" + XYZ),
+    _ros(
+        ("nav_msgs/msg/Odometry",),
+        rate=r"twist\.twist\.angular" + XYZ,
+        quat=r"pose\.pose\.orientation" + WXYZ,
+        position=r"pose\.pose\.position" + XYZ,
+        covariance=r"pose\.covariance\[\d+\]",
+        measured=False,
+    ),
+    _foxglove(
+        ("foxglove_msgs/msg/FrameTransform",),
+        quat="rotation" + WXYZ,
+        position="translation" + XYZ,
+    ),
+    _foxglove(
+        ("foxglove_msgs/msg/Odometry",),
+        rate="angular_velocity" + XYZ,
+        quat=r"pose\.orientation" + WXYZ,
+        position=r"pose\.position" + XYZ,
+        measured=False,
+    ),
+    _foxglove(
+        ("foxglove_msgs/msg/PoseInFrame",),
+        quat=r"pose\.orientation" + WXYZ,
+        position=r"pose\.position" + XYZ,
+    ),
+    _px4(
+        ("px4_msgs/msg/SensorCombined",),
+        rate="gyro_rad" + XYZ,
+        force="accelerometer_m_s2" + XYZ,
+        method="end",
+    ),
+    _px4(("px4_msgs/msg/SensorGyro",), rate="(?P<part>[xyz])"),
+    _px4(
+        ("px4_msgs/msg/SensorGyroFifo",),
+        rate=r"(?P<part>[xyz])\[\d+\]",
+        burst=Burst("samples", "scale", "dt"),
+    ),
+    _px4(("px4_msgs/msg/VehicleAngularVelocity",), rate="xyz" + XYZ),
+    _frd(("px4_msgs/msg/VehicleAttitude",)),
+    _px4(("px4_msgs/msg/VehicleImu",), rate="delta_angle" + XYZ, span="delta_angle_dt"),
+    _frd(
+        ("px4_msgs/msg/VehicleOdometry",),
+        rate="angular_velocity" + XYZ,
+        position="position" + XYZ,
+        measured=False,
+    ),
+    _px4(
+        ("px4_msgs/msg/EstimatorSensorBias", "px4_msgs/msg/SensorBias"),
+        bias="gyro_bias" + XYZ,
+        valid="gyro_bias_valid",
+    ),
+)
+"""The rows. The states of PX4's estimator are not among those with a bias: older versions hold one
+of the angle there, newer ones of the rate, and messages do not say which."""
+
+TYPES = {name: row for row in ROWS for name in row.types}
+"""The row of each message type."""
+
+
+def row_of_type(type_name: str) -> Row | None:
+    """Return the row of a message type, however ROS or Foxglove spell it."""
+    return TYPES.get(ros_name(type_name).replace("foxglove/", "foxglove_msgs/"))
