@@ -270,8 +270,8 @@ def test_options_declare_what_the_header_does_not():
 
 def test_several_possible_times_are_listed():
     """Two columns that may be the time are refused with their names."""
-    with pytest.raises(UndeclaredError, match=r"the time column \(one of 'bag_t', 'ros_t'\)"):
-        chosen("bag_t,ros_t,gyro_x,gyro_y,gyro_z")
+    with pytest.raises(UndeclaredError, match=r"the time column \(one of 'a_t', 'b_t'\)"):
+        chosen("a_t,b_t,gyro_x,gyro_y,gyro_z")
 
 
 def test_several_sets_of_rates_are_refused():

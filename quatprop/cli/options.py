@@ -33,9 +33,11 @@ HELP = {
     "clock": "Timestamp source.  [default: header where the message has one, else log]",
     "time_field": "A.B  Message field of {log} that is the time.  [default: the header stamp]",
     "time_col": "C  Time column of {log}, by name or number from 0; two (SEC,NANOSEC, "
-    "SEC,USEC or SEC,MSEC) of one stamp.  [default: by the header]",
+    "SEC,USEC or SEC,MSEC) of one stamp; none counts rows at --sample-rate.  [default: by the "
+    "header]",
     "time_unit": "Unit of the time in {log}.  [default: as the log says]",
-    "sample_rate": "HZ  Rows a second of {log}, a table without a time.  [default: none]",
+    "sample_rate": "HZ  Rows a second of {log}, a table without a time, or what its counter of "
+    "samples counts a second.  [default: none]",
     "rate_field": "A.B.C  Message field that is the rate.  [default: known from the message type]",
     "rate_cols": "X,Y,Z  Rate columns of a table; by name or number from 0.  [default: by the "
     "header]",

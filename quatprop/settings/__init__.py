@@ -70,11 +70,12 @@ class SelectOptions(TypedDict, total=False):
     time_field : str
         Field of a message that is the time, such as ``"header.stamp"``.
     time_col : str or int
-        Column of a table that is the time, by name or number from 0.
+        Column of a table that is the time, by name or number from 0; ``"none"`` counts rows at
+        `sample_rate`.
     time_unit : str
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     sample_rate : float
-        Rows a second of a table without a time, Hz.
+        Rows a second of a table without a time, or what its counter counts a second, Hz.
     """
 
     kind: Annotated[str | None, Choice(*KINDS)]

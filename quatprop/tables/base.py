@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 from quatprop.containers.base import Log, MessageLog
 from quatprop.errors import UnsupportedLogError
 from quatprop.progress import metered
+from quatprop.tables.counters import counted_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -38,11 +39,14 @@ class TimedColumns(NamedTuple):
     time_unit
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
     sample_rate
-        Rows a second, Hz, where there is no time column.
+        Rows a second, Hz, where there is no time column; what it counts a second where the time
+        column is a counter.
     parts
         Which of the parts of :meth:`TableLog.spans` to read; None for all.
     fraction_unit
         The unit of the second of two time columns.
+    utc_offset_ns
+        By how much the time column is ahead of UTC, ns, where the header says so.
     """
 
     numbers: tuple[int, ...]
@@ -51,6 +55,7 @@ class TimedColumns(NamedTuple):
     sample_rate: Fraction | float | None = None
     parts: frozenset[int] | None = None
     fraction_unit: str = "ns"
+    utc_offset_ns: int = 0
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -81,6 +86,8 @@ class TableNotes(NamedTuple):
     rate_scale: float = 1.0
     title: str = ""
     mount: str = ""
+    dates: Mapping[int, bool] = MappingProxyType({})
+    texts: frozenset[int] = frozenset()
 
 
 class Span(NamedTuple):
@@ -147,7 +154,6 @@ class TableLog(Log):
         """Return :meth:`rows`, whose progress an interface may show."""
         return metered(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
 
-    @abstractmethod
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``.
 
@@ -159,6 +165,16 @@ class TableLog(Log):
             A column does not hold numbers, a stamp does not fit in int64 ns, or most rows do not
             fit.
         """
+        batches = self._stored_rows(columns)
+        if columns.time and columns.sample_rate is not None:
+            return counted_rows(batches, columns.sample_rate)
+        if columns.utc_offset_ns:
+            return ((t_ns - columns.utc_offset_ns, numbers) for t_ns, numbers in batches)
+        return batches
+
+    @abstractmethod
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
+        """Yield :meth:`rows` with the stamps, or the counts of samples, that columns hold."""
 
 
 AnyLog: TypeAlias = MessageLog | TableLog

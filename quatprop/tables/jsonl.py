@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.base import TableNotes, TimedColumns
 
 HEAD_BYTES = 1 << 16
 """How much of the file is looked at for the names of its columns."""
@@ -68,6 +68,13 @@ class JsonLinesLog(TypedTable):
             raise UnsupportedLogError(
                 path, "its first lines are no JSON objects; write each row as one, on one line"
             )
+
+    @property
+    def notes(self) -> TableNotes:
+        """Columns of dates, which are text here."""
+        types = {k: leaf.type for k, leaf in enumerate(self._leaves)}
+        dates = {k: kind.tz is not None for k, kind in types.items() if pa.types.is_timestamp(kind)}
+        return super().notes._replace(dates=dates)
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""

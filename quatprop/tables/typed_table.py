@@ -121,15 +121,26 @@ class TypedTable(TableLog):
                 k: leaf.type.unit
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
-            }
+            },
+            texts=frozenset(
+                k
+                for k, leaf in enumerate(self._leaves)
+                if pa.types.is_string(leaf.type) or pa.types.is_large_string(leaf.type)
+            ),
         )
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
-        first = [values[:_HEAD_ROWS].to_pylist() for values in self._first_values(columns)]
-        return list(zip(*first, strict=True))
+        first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
+        # Dates of nanoseconds are none of Python's.
+        times = [pa.types.is_timestamp(values.type) for values in first]
+        cells = [
+            (values.cast(pa.int64()) if is_time else values).to_pylist()
+            for values, is_time in zip(first, times, strict=True)
+        ]
+        return list(zip(*cells, strict=True))
 
-    def rows(self, columns: TimedColumns) -> Batches:
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         self._forget_earlier_reading()

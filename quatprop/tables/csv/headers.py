@@ -131,7 +131,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=notes._replace(units=units),
+        notes=notes._replace(units=units, dates={k: zone is not None for k, zone in dates.items()}),
         dates=dates,
     )
 

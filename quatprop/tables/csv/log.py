@@ -114,7 +114,7 @@ class CsvLog(TableLog):
             return None
         return max(rows, round(self.path.stat().st_size / len(head) * rows))
 
-    def rows(self, columns: TimedColumns) -> Batches:
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
         rejected = RejectedRows(self.path, self.losses)
